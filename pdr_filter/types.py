@@ -1,0 +1,341 @@
+"""Value types that flow between the parts: frozen, arrays read-only, units in every name."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from types import MappingProxyType
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+FloatArray = NDArray[np.float64]
+IntArray = NDArray[np.int64]
+BoolArray = NDArray[np.bool_]
+# A small column table: `table.time_s` and `table["time_s"]` are columns, `len(table)` rows, and
+# `pandas.DataFrame(table)` works, without pandas being needed here.
+Table = np.recarray[Any, Any]
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+# Order of the contexts everywhere: C1..C6 of Martinelli et al. 2018, Table I.
+CONTEXTS: tuple[str, ...] = ("stationary", "walking", "upstairs", "downstairs", "sideways", "running")
+
+
+def read_only(values: ArrayLike) -> FloatArray:
+    """Return a read-only contiguous float64 copy."""
+    array = np.array(values, dtype=np.float64, order="C")
+    array.flags.writeable = False
+    return array
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Samples:
+    """One sensor stream at its own timestamps.
+
+    Parameters
+    ----------
+    time_s : (N,)
+        Seconds from the first accelerometer sample; as recorded, so not always increasing.
+    values : (N, d)
+        In the units of the stream (`Recording` names them); NaN where a field was empty.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_s", read_only(self.time_s))
+        object.__setattr__(self, "values", read_only(self.values))
+        if self.time_s.ndim != 1 or self.values.ndim != 2 or len(self.time_s) != len(self.values):
+            raise ValueError(
+                f"time_s must be (N,) and values (N, d), got {self.time_s.shape} and {self.values.shape}: "
+                "give one time for each row"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """The pedestrian, as far as known."""
+
+    id: str | None = None
+    height_m: float | None = None
+    weight_kg: float | None = None
+    age: float | None = None
+    gender: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is known about the walk: tables with the columns of docs/formats.md, or None."""
+
+    position: Table | None = None
+    waypoints: Table | None = None
+    steps: Table | None = None
+    strides: Table | None = None
+    segments: Table | None = None
+    labels: Table | None = None
+
+    def present(self) -> tuple[str, ...]:
+        """Names of the tables that exist."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Recording:
+    """One recording: sensor streams at their own timestamps, truth where it exists, meta data.
+
+    Sensor frame: x right, y up along the screen, z out of it. Specific force reads +9.81 on z for a phone lying
+    face up. Streams that the phone did not record are None.
+    """
+
+    name: str
+    accelerometer: Samples  # specific force, m/s2, (N, 3)
+    gyroscope: Samples | None = None  # angular rate, rad/s, (N, 3)
+    magnetometer: Samples | None = None  # magnetic field, uT, (N, 3)
+    barometer: Samples | None = None  # pressure, hPa, (N, 1)
+    light: Samples | None = None  # illuminance, lux, (N, 1)
+    proximity: Samples | None = None  # distance, cm, (N, 1)
+    attitude: Samples | None = None  # sensor-to-world quaternion wxyz computed by the phone, (N, 4)
+    location: Samples | None = None  # latitude and longitude deg, altitude m, horizontal accuracy m, (N, 4)
+    truth: Truth = Truth()
+    meta: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    source: str = ""  # path it was read from
+    notes: tuple[str, ...] = ()  # what the reader repaired or found odd, in words
+
+    @property
+    def subject(self) -> Subject:
+        """The pedestrian, from meta; unknown fields are None."""
+        known = self.meta.get("subject") or {}
+        return Subject(**{f.name: known.get(f.name) for f in fields(Subject)})
+
+    @property
+    def streams(self) -> dict[str, Samples]:
+        """The sensor streams that exist, by name."""
+        return {f.name: value for f in fields(self) if isinstance(value := getattr(self, f.name), Samples)}
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last accelerometer sample."""
+        return float(self.accelerometer.time_s.max() - self.accelerometer.time_s.min())
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuBlock:
+    """Samples of all sensors on one time base, sensor frame; what `OnlineFilter.push` takes.
+
+    NaN marks a missing value: a row without specific force is bridged or becomes a gap, angular rate may be missing
+    for any stretch.
+    """
+
+    time_s: FloatArray  # (N,)
+    specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
+    angular_rate_radps: FloatArray  # (N, 3)
+    magnetic_field_ut: FloatArray  # (N, 3)
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: from a contact of one foot to the next contact of the other.
+
+    Statistics are over the samples of the step. `magnitude` is of the specific force, `vertical` its component along
+    gravity minus standard gravity (up positive).
+    """
+
+    time_s: float  # contact that ends the step
+    detected_time_s: float  # when it became known, causally
+    duration_s: float
+    frequency_hz: float  # 1 / duration_s
+    variance: float  # of the magnitude, m2/s4 (sigma_f^2 of Martinelli et al. 2018, eq. 12)
+    vertical_max_mps2: float
+    vertical_min_mps2: float
+    magnitude_max_mps2: float
+    magnitude_min_mps2: float
+    mean_abs_mps2: float  # mean of | magnitude - g |
+    heading_change_rad: float  # of the device over the step, clockwise positive
+    device_heading_rad: float  # circular mean over the step, clockwise, from the first heading
+
+    @property
+    def vertical_range_mps2(self) -> float:
+        """Peak-to-peak vertical specific force."""
+        return self.vertical_max_mps2 - self.vertical_min_mps2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContextProb:
+    """Context probabilities of one window, in the order of `CONTEXTS`, summing to one."""
+
+    time_s: float  # end of the window
+    prob: FloatArray  # (C,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Windows:
+    """Context and carrying-mode probabilities of all windows of a recording."""
+
+    time_s: FloatArray  # (W,) window ends
+    context_prob: FloatArray  # (W, C)
+    contexts: tuple[str, ...]
+    carrying_prob: FloatArray  # (W, D); D = 0 where the model has no carrying-mode head
+    carrying_modes: tuple[str, ...]
+    notes: tuple[str, ...] = ()  # in plain words: which model was used and why
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionFix:
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance.
+
+    Parameters
+    ----------
+    time_s : float
+        When the position was true, on the time base of the samples.
+    position_m : (2,)
+        East, north.
+    cov_m2 : (2, 2)
+        Covariance, positive definite.
+    received_time_s : float, optional
+        When it arrived; `time_s` if not given.
+    """
+
+    time_s: float
+    position_m: FloatArray
+    cov_m2: FloatArray
+    received_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_m", read_only(self.position_m))
+        object.__setattr__(self, "cov_m2", read_only(self.cov_m2))
+        if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
+            raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
+        symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
+        if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
+            raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if not np.isfinite(self.time_s):
+            raise ValueError(f"time_s of a fix must be finite, got {self.time_s}")
+
+
+def table(columns: Mapping[str, ArrayLike]) -> Table:
+    """Return a read-only column table from equally long columns."""
+    arrays = {name: np.asarray(column) for name, column in columns.items()}
+    length = len(next(iter(arrays.values())))
+    result = np.zeros(length, dtype=[(name, array.dtype) for name, array in arrays.items()])
+    for name, array in arrays.items():
+        result[name] = array
+    result.flags.writeable = False
+    return result.view(np.recarray)
+
+
+def step_table(steps: Sequence[Step]) -> Table:
+    """Return one row for each step, one float column for each field of `Step`."""
+    return table({f.name: np.array([getattr(s, f.name) for s in steps], dtype=float) for f in fields(Step)})
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Track:
+    """Where the pedestrian walked: one row for each step, positions in metres with covariance.
+
+    East and north are relative to the start; "north" is true north only where an absolute heading was available,
+    otherwise the direction of the device's heading at the start.
+    """
+
+    name: str
+    time_s: FloatArray  # (K,) foot contacts
+    position_m: FloatArray  # (K, 2) east, north
+    position_cov_m2: FloatArray  # (K, 2, 2)
+    step_length_m: FloatArray  # (K,)
+    walking_heading_rad: FloatArray  # (K,) clockwise from north (or from the first heading)
+    context_prob: FloatArray  # (K, C)
+    contexts: tuple[str, ...]
+    mode_prob: FloatArray  # (K, M)
+    modes: tuple[str, ...]
+    steps: Table  # (K,) rows of Step
+    windows: Windows
+    start_time_s: float
+    duration_s: float
+    weighting: str
+    notes: tuple[str, ...] = field(default=())  # where not to trust it, in plain words
+
+    @property
+    def n_steps(self) -> int:
+        """Number of steps."""
+        return len(self.time_s)
+
+    @property
+    def distance_m(self) -> float:
+        """Walked distance: the sum of the step lengths."""
+        return float(self.step_length_m.sum())
+
+    def speed_mps(self, t: ArrayLike) -> FloatArray:
+        """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero."""
+        at = np.asarray(t, dtype=float)
+        if self.n_steps == 0:
+            return np.zeros_like(at)
+        index = np.searchsorted(self.time_s, at)  # the first contact at or after t ends the step that t is in
+        inside = np.minimum(index, self.n_steps - 1)
+        duration = np.asarray(self.steps.duration_s)[inside]
+        walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
+        return np.where(walking, self.step_length_m[inside] / duration, 0.0)
+
+    def context_seconds(self) -> dict[str, float]:
+        """Seconds spent in each context: every window votes for its most probable one."""
+        if len(self.windows) == 0:
+            return dict.fromkeys(self.contexts, 0.0)
+        starts = np.concatenate([[self.start_time_s], self.windows.time_s[:-1]])
+        seconds = np.minimum(self.windows.time_s - starts, 2.0)  # the first window, or the first after a gap, is 2 s
+        best = self.windows.context_prob.argmax(axis=1)
+        return {name: float(seconds[best == c].sum()) for c, name in enumerate(self.contexts)}
+
+    def summary(self) -> dict[str, Any]:
+        """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts."""
+        end = self.position_m[-1] if self.n_steps else np.zeros(2)
+        return {
+            "name": self.name,
+            "n_steps": self.n_steps,
+            "distance_m": round(self.distance_m, 3),
+            "duration_s": round(self.duration_s, 3),
+            "end_east_m": round(float(end[0]), 3),
+            "end_north_m": round(float(end[1]), 3),
+            "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
+        }
+
+    def to_csv(self, path: str | Path) -> Path:
+        """Write one line for each step and return the path; see `pdr_filter.io.writers.write_csv`."""
+        from pdr_filter.io import writers
+
+        return writers.write_csv(self, path)
+
+    def to_geojson(self, path: str | Path, origin: tuple[float, float]) -> Path:
+        """Write a GeoJSON line in WGS 84 and return the path; `origin` is (lat_deg, lon_deg) of the start."""
+        from pdr_filter.io import writers
+
+        return writers.write_geojson(self, path, origin)
+
+    def to_gpx(self, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
+        """Write a GPX 1.1 track and return the path; `epoch_s` is the unix time of time zero."""
+        from pdr_filter.io import writers
+
+        return writers.write_gpx(self, path, origin, epoch_s)
+
+    def to_tum(self, path: str | Path) -> Path:
+        """Write TUM lines (timestamp tx ty tz qx qy qz qw) and return the path."""
+        from pdr_filter.io import writers
+
+        return writers.write_tum(self, path)
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Draw the track with covariance ellipses above its context probabilities; saved if a path is given."""
+        from pdr_filter import plotting
+
+        return plotting.plot_track(self, path)
+

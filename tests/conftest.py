@@ -1,0 +1,20 @@
+"""Shared fixtures: where the real recordings are, and what happens where they are not."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
+
+
+@pytest.fixture(scope="session")
+def data_dir() -> Path:
+    """Folder of the real recordings; skips on a user's machine without them, fails in CI."""
+    if not DATA.is_dir():
+        if os.environ.get("CI") == "true":
+            pytest.fail(f"CI needs the recordings at {DATA}")
+        pytest.skip(f"no recordings at {DATA}")
+    return DATA
