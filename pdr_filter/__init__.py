@@ -1,3 +1,67 @@
-"""Pedestrian dead reckoning: a phone's inertial samples in, a track with honest uncertainty out."""
+"""Pedestrian dead reckoning: a phone's inertial samples in, a track with honest uncertainty out.
+
+Names are loaded when they are first used, so that importing the package costs nothing that is not needed.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
 
 __version__ = "0.1.0"
+
+if TYPE_CHECKING:
+    from pdr_filter import recipes as recipes
+    from pdr_filter import simulate as simulate
+    from pdr_filter.conditioning import merge_streams as merge_streams
+    from pdr_filter.context.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
+    from pdr_filter.io import read as read
+    from pdr_filter.online import Config as Config
+    from pdr_filter.online import OnlineFilter as OnlineFilter
+    from pdr_filter.tracking import StepUpdate as StepUpdate
+    from pdr_filter.types import CONTEXTS as CONTEXTS
+    from pdr_filter.types import PositionFix as PositionFix
+    from pdr_filter.types import Recording as Recording
+    from pdr_filter.types import Samples as Samples
+    from pdr_filter.types import Step as Step
+    from pdr_filter.types import Track as Track
+    from pdr_filter.types import Windows as Windows
+    from pdr_filter.whole import classify as classify
+    from pdr_filter.whole import detect_steps as detect_steps
+    from pdr_filter.whole import track as track
+
+_HOME = {
+    "CONTEXTS": "types",
+    "Config": "online",
+    "OnlineFilter": "online",
+    "PositionFix": "types",
+    "Recording": "types",
+    "RelevanceVectorClassifier": "context.rvm",
+    "Samples": "types",
+    "Step": "types",
+    "StepUpdate": "tracking",
+    "Track": "types",
+    "Windows": "types",
+    "classify": "whole",
+    "detect_steps": "whole",
+    "merge_streams": "conditioning",
+    "read": "io",
+    "track": "whole",
+}
+_MODULES = ("recipes", "simulate")
+
+__all__ = [*_HOME, *_MODULES]  # noqa: PLE0604
+
+
+def __getattr__(name: str) -> Any:
+    if name in _MODULES:
+        return importlib.import_module(f"{__name__}.{name}")
+    if name in _HOME:
+        value = getattr(importlib.import_module(f"{__name__}.{_HOME[name]}"), name)
+        globals()[name] = value
+        return value
+    raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+
+
+def __dir__() -> list[str]:
+    return sorted([*globals(), *__all__])

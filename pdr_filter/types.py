@@ -161,7 +161,8 @@ class Step:
     magnitude_min_mps2: float
     mean_abs_mps2: float  # mean of | magnitude - g |
     heading_change_rad: float  # of the device over the step, clockwise positive
-    device_heading_rad: float  # circular mean over the step, clockwise, from the first heading
+    device_heading_rad: float  # mean over the step, clockwise from the first heading, not wrapped
+    heading_known: bool = True  # False where the angular rate was missing: the heading stood still
 
     @property
     def vertical_range_mps2(self) -> float:
@@ -338,4 +339,3 @@ class Track:
         from pdr_filter import plotting
 
         return plotting.plot_track(self, path)
-

@@ -1,1 +1,1 @@
-
+"""Features of windows of samples: what a context classifier sees."""

@@ -1,1 +1,1 @@
-
+"""Step detectors: causal stages that turn specific force into steps."""

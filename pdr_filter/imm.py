@@ -1,0 +1,90 @@
+"""The interacting multiple model: mix, predict, update, combine, for all modes at once.
+
+Pure functions on arrays: `mean` (M, n), `cov` (M, n, n), `mode_prob` (M,). Letters follow Blom and Bar-Shalom, "The
+interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE Trans. Automatic Control
+33(8), 1988. Likelihoods are logarithms throughout, so that no evidence is lost to underflow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.special import logsumexp
+
+from pdr_filter.types import FloatArray
+
+_LOG_2_PI = float(np.log(2 * np.pi))
+
+
+def check_transition_prob(transition_prob: FloatArray, n_modes: int) -> None:
+    """Raise ValueError unless `transition_prob[i, j]`, from mode i to mode j, is (M, M) with rows that sum to one."""
+    if transition_prob.shape != (n_modes, n_modes):
+        raise ValueError(f"transition_prob must be ({n_modes}, {n_modes}), got {transition_prob.shape}")
+    row_sums = transition_prob.sum(axis=1)
+    if (transition_prob < 0).any() or not np.allclose(row_sums, 1.0, atol=1e-9):
+        raise ValueError(f"transition_prob rows (from mode) must sum to 1, got {row_sums}; transpose it?")
+
+
+def mix(
+    mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mixed means (M, n), mixed covariances (M, n, n) and predicted mode probabilities (M,).
+
+    c_j = sum_i p_ij mu_i;  mu_i|j = p_ij mu_i / c_j;  x_0j = sum_i mu_i|j x_i;
+    P_0j = sum_i mu_i|j (P_i + (x_i - x_0j)(x_i - x_0j)').
+    A mode that cannot be reached (c_j = 0) keeps its own estimate.
+    """
+    joint = transition_prob * mode_prob[:, None]
+    predicted = joint.sum(axis=0)
+    reachable = predicted > 0
+    weights = np.where(reachable, joint / np.where(reachable, predicted, 1.0), np.eye(len(mode_prob)))
+    mixed_mean = weights.T @ mean
+    spread = mean[:, None, :] - mixed_mean[None, :, :]  # (i, j, n)
+    weighted = weights[:, :, None] * spread
+    mixed_cov = np.tensordot(weights, cov, axes=(0, 0)) + np.matmul(
+        weighted.transpose(1, 2, 0), spread.transpose(1, 0, 2)
+    )
+    return mixed_mean, mixed_cov, predicted
+
+
+def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (M, n, n)."""
+    return np.matmul(F, mean[:, :, None])[:, :, 0], F @ cov @ F.transpose(0, 2, 1) + Q
+
+
+def update(
+    mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Updated means and covariances, log likelihoods (M,) and normalised innovations squared (M,) of a measurement.
+
+    y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K' (Joseph's form,
+    symmetric and positive in rounding). z is (d,), H (d, n), R (d, d).
+    """
+    innovation = z - mean @ H.T
+    S = H @ cov @ H.T + R
+    K = np.linalg.solve(S, H @ cov).transpose(0, 2, 1)
+    updated_mean = mean + np.matmul(K, innovation[:, :, None])[:, :, 0]
+    I_KH = np.eye(mean.shape[1]) - K @ H
+    updated_cov = I_KH @ cov @ I_KH.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)
+    nis = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
+    log_likelihood = -0.5 * (nis + np.linalg.slogdet(S)[1] + len(z) * _LOG_2_PI)
+    return updated_mean, updated_cov, log_likelihood, nis
+
+
+def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """Posterior mode probabilities, shape (M,). A mode with prior zero stays at zero.
+
+    Evidence that is not a number, or that rules out every mode, says nothing: the prediction is returned.
+    """
+    with np.errstate(divide="ignore"):
+        log_posterior = np.log(predicted_mode_prob) + log_likelihood
+    total = logsumexp(log_posterior)
+    if not np.isfinite(total):
+        return predicted_mode_prob
+    return np.exp(log_posterior - total)
+
+
+def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Moment-matched mean (n,) and covariance (n, n): x = sum mu_j x_j, P = sum mu_j (P_j + (x_j - x)(x_j - x)')."""
+    combined = mode_prob @ mean
+    spread = mean - combined
+    return combined, np.tensordot(mode_prob, cov, axes=1) + (mode_prob[:, None] * spread).T @ spread

@@ -1,0 +1,154 @@
+"""Writing tracks: CSV, GeoJSON, GPX and TUM. Each creates the folder, writes one file and returns its path."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pymap3d
+
+from pdr_filter import __version__
+from pdr_filter.angles import yaw_from_heading
+from pdr_filter.types import FloatArray, Track
+
+FRAME_NOTE = (
+    "East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. North is true north "
+    "only where an absolute heading was available, otherwise it is the direction of the device's heading at the start."
+)
+GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
+MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
+
+
+def write_csv(track: Track, path: str | Path) -> Path:
+    """Write one line for each step under a header with units, and return the path; only the header if no step.
+
+    Columns: time_s, east_m, north_m, cov_ee_m2, cov_en_m2, cov_nn_m2, step_length_m, walking_heading_rad,
+    context_prob_<context> for each context, mode_prob_<mode> for each mode.
+    """
+    names = ["time_s", "east_m", "north_m", "cov_ee_m2", "cov_en_m2", "cov_nn_m2", "step_length_m"]
+    names += ["walking_heading_rad"]
+    names += [f"context_prob_{name}" for name in track.contexts] + [f"mode_prob_{name}" for name in track.modes]
+    covariance = track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
+    values = np.column_stack([track.position_m, covariance, track.step_length_m, track.walking_heading_rad])
+    values = np.column_stack([values, track.context_prob, track.mode_prob])
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(names)
+    for time_s, row in zip(track.time_s, values, strict=True):
+        writer.writerow([f"{time_s:.6f}", *(f"{value:.7g}" for value in row)])
+    return _write(path, text.getvalue())
+
+
+def write_geojson(track: Track, path: str | Path, origin: tuple[float, float]) -> Path:
+    """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
+
+    The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
+    Properties for each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+
+    Parameters
+    ----------
+    track : Track
+    path : str or Path
+    origin : tuple of float
+        Latitude and longitude of the start, degrees WGS 84.
+    """
+    lat_deg, lon_deg = _geodetic(track, origin)
+    vertices = [[round(lon, 9), round(lat, 9)] for lat, lon in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)]
+    covariance = np.vstack([np.zeros((1, 3)), track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]])
+    line = {"type": "LineString", "coordinates": vertices}
+    feature = {
+        "type": "Feature",
+        # a LineString needs two positions
+        "geometry": line if len(vertices) > 1 else {"type": "Point", "coordinates": vertices[0]},
+        "properties": {
+            "name": track.name,
+            "distance_m": round(track.distance_m, 3),
+            "n_steps": track.n_steps,
+            "coordTimes": np.round(_vertex_times(track), 6).tolist(),
+            "covariance_m2": np.round(covariance, 6).tolist(),
+            "frame": FRAME_NOTE,
+            "notes": list(track.notes),
+        },
+    }
+    collection = {"type": "FeatureCollection", "features": [feature]}
+    return _write(path, json.dumps(collection, allow_nan=False) + "\n")
+
+
+def write_gpx(track: Track, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
+    """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
+
+    Parameters
+    ----------
+    track : Track
+    path : str or Path
+    origin : tuple of float
+        Latitude and longitude of the start, degrees WGS 84.
+    epoch_s : float
+        Unix time of the recording's time zero, seconds; with 0 the walk is in January 1970.
+    """
+    times_s = _vertex_times(track)
+    if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= MAX_EPOCH_S):
+        raise ValueError(f"epoch_s must be the unix time of time zero in seconds, 1970 to 9999, got {epoch_s}")
+    root = ElementTree.Element("gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns=GPX_NAMESPACE)
+    line = ElementTree.SubElement(root, "trk")
+    # XML cannot hold control characters, not even escaped
+    ElementTree.SubElement(line, "name").text = "".join(c for c in track.name if c.isprintable())
+    ElementTree.SubElement(line, "desc").text = f"{track.n_steps} steps, {track.distance_m:.1f} m. {FRAME_NOTE}"
+    segment = ElementTree.SubElement(line, "trkseg")
+    for lat, lon, time_s in zip(*_geodetic(track, origin), times_s, strict=True):
+        point = ElementTree.SubElement(segment, "trkpt", lat=f"{lat:.9f}", lon=f"{lon:.9f}")
+        at = datetime.fromtimestamp(0, UTC) + timedelta(seconds=epoch_s + float(time_s))
+        ElementTree.SubElement(point, "time").text = at.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
+    ElementTree.indent(root)
+    return _write(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
+
+
+def write_tum(track: Track, path: str | Path) -> Path:
+    """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
+
+    East, north, zero; the quaternion turns the x axis about up into the walking direction (yaw = pi/2 - heading). The
+    first line is the start of the walk, with the heading of the first step.
+    """
+    heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
+    half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2
+    vertices = np.vstack([np.zeros((1, 2)), track.position_m])
+    lines: list[str] = []
+    last_s = -np.inf
+    for time_s, (east_m, north_m), half_rad in zip(_vertex_times(track), vertices, half_yaw_rad, strict=True):
+        written_s = round(float(time_s), 6)
+        if written_s > last_s:  # tools that compare trajectories refuse repeated times
+            rotation = f"{0.0:.9f} {0.0:.9f} {np.sin(half_rad):.9f} {np.cos(half_rad):.9f}"
+            lines.append(f"{written_s:.6f} {east_m:.6f} {north_m:.6f} {0.0:.6f} {rotation}\n")
+            last_s = written_s
+    return _write(path, "".join(lines))
+
+
+def _vertex_times(track: Track) -> FloatArray:
+    """Times of the start and of all steps, (K + 1,)."""
+    return np.concatenate([[track.start_time_s], track.time_s])
+
+
+def _geodetic(track: Track, origin: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+    """Latitude and longitude in degrees of the start and of all steps, (K + 1,) each."""
+    lat_deg, lon_deg = origin
+    if not (-90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
+        raise ValueError(
+            f"origin must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({lat_deg}, {lon_deg}); "
+            "are the two exchanged, or in radians?"
+        )
+    east_m, north_m = np.vstack([np.zeros((1, 2)), track.position_m]).T
+    lat, lon, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), lat_deg, lon_deg, 0.0)
+    return np.asarray(lat, dtype=float), np.asarray(lon, dtype=float)
+
+
+def _write(path: str | Path, text: str) -> Path:
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text(text, encoding="utf-8", newline="\n")
+    return path

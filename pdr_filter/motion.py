@@ -1,0 +1,148 @@
+"""One step of the pedestrian: where it leads, how that depends on the state, and how unsure it is.
+
+State of a mode: east in m, north in m, heading offset in rad (walking heading less device heading), log step scale
+(the person's own factor on every step length).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.step_length import StepLengthFit
+from pdr_filter.types import CONTEXTS, FloatArray, Step
+
+EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
+N_STATES = 4
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A motion model of the filter.
+
+    Parameters
+    ----------
+    name : str
+        Unique name.
+    context : str
+        The context whose probability is its evidence.
+    step_length : StepLengthFit
+        Length of a step with its uncertainty.
+    heading_offset_rad : float
+        Walking direction less the heading the body faces: +pi/2 for steps to the right.
+    heading_std_rad : float
+        Independent error of the walking direction of each step.
+    """
+
+    name: str
+    context: str
+    step_length: StepLengthFit
+    heading_offset_rad: float = 0.0
+    heading_std_rad: float = 0.1
+
+    def __post_init__(self) -> None:
+        if self.context not in CONTEXTS:
+            raise ValueError(f"context of mode {self.name!r} must be one of {CONTEXTS}, got {self.context!r}")
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How fast the slow states wander, and what is known at the start.
+
+    Parameters
+    ----------
+    heading_drift_rad_per_sqrt_s : float
+        Random walk of the heading offset. 0.01 is a gyroscope bias of about 0.3 deg/s that is re-learnt every
+        few seconds of rest, and the body's own turning against the phone.
+    unknown_heading_rad_per_sqrt_s : float
+        The same while no angular rate is measured: after a few seconds nothing is known.
+    initial_heading_offset_std_rad : float
+        How well the phone's first heading is the person's.
+    log_scale_std : float
+        Spread of people about the population's step lengths: 8 %.
+    log_scale_drift_per_sqrt_step : float
+        Random walk of the scale.
+    gap_speed_mps : float
+        In a gap the pedestrian may have gone anywhere at this speed (one standard deviation).
+    """
+
+    heading_drift_rad_per_sqrt_s: float = 0.01
+    unknown_heading_rad_per_sqrt_s: float = 1.0
+    initial_heading_offset_std_rad: float = 0.15
+    log_scale_std: float = 0.08
+    log_scale_drift_per_sqrt_step: float = 0.001
+    gap_speed_mps: float = 1.0
+
+
+# A heading that could be anything is uniform on the circle: its variance is pi^2 / 3, and no more.
+MAX_HEADING_VARIANCE = np.pi**2 / 3
+
+
+def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
+    """Mean (4,) and covariance (4, 4) at the origin."""
+    std = np.array([0.0, 0.0, noise.initial_heading_offset_std_rad, noise.log_scale_std])
+    return np.zeros(N_STATES), np.diag(std**2)
+
+
+def advance(
+    mean: FloatArray,
+    cov: FloatArray,
+    step: Step,
+    length_m: FloatArray,
+    length_var_m2: FloatArray,
+    heading_offset_rad: FloatArray,
+    heading_var_rad2: FloatArray,
+    noise: MotionNoise,
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted means (M, 4) and covariances (M, 4, 4) after one step, one length and direction for each mode.
+
+    p_k = p_{k-1} + L e^s [sin psi, cos psi], psi = device heading + heading offset state + the mode's own offset;
+    P_k = F P F' + Q with F = d p_k / d state, and Q from the variances of length and direction:
+    Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step.
+    """
+    scaled_m = length_m * np.exp(mean[:, LOG_SCALE])
+    psi = step.device_heading_rad + mean[:, HEADING_OFFSET] + heading_offset_rad
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=1)
+    across = np.stack([np.cos(psi), -np.sin(psi)], axis=1)  # d along / d psi
+    displacement = scaled_m[:, None] * along
+
+    predicted_mean = mean.copy()
+    predicted_mean[:, :2] += displacement
+    F = np.tile(np.eye(N_STATES), (len(mean), 1, 1))
+    F[:, :2, HEADING_OFFSET] = scaled_m[:, None] * across
+    F[:, :2, LOG_SCALE] = displacement
+    predicted_cov = F @ cov @ F.transpose(0, 2, 1)
+
+    scale2 = np.exp(2 * mean[:, LOG_SCALE])
+    var_along = scale2 * length_var_m2
+    var_across = scaled_m**2 * heading_var_rad2
+    predicted_cov[:, :2, :2] += (
+        var_along[:, None, None] * along[:, :, None] * along[:, None, :]
+        + var_across[:, None, None] * across[:, :, None] * across[:, None, :]
+    )
+    drift = noise.heading_drift_rad_per_sqrt_s if step.heading_known else noise.unknown_heading_rad_per_sqrt_s
+    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += drift**2 * step.duration_s
+    predicted_cov[:, LOG_SCALE, LOG_SCALE] += noise.log_scale_drift_per_sqrt_step**2
+    return predicted_mean, _bound_heading_variance(predicted_cov)
+
+
+def _bound_heading_variance(cov: FloatArray) -> FloatArray:
+    """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
+    variance = cov[:, HEADING_OFFSET, HEADING_OFFSET]
+    if (variance <= MAX_HEADING_VARIANCE).all():
+        return cov
+    factor = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))
+    scaling = np.ones((len(cov), N_STATES))
+    scaling[:, HEADING_OFFSET] = factor
+    return cov * scaling[:, :, None] * scaling[:, None, :]
+
+
+def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:
+    """Covariances (M, 4, 4) after a time without samples: any way walked, any turn taken."""
+    grown = cov.copy()
+    walked = (noise.gap_speed_mps * gap_s) ** 2
+    grown[:, EAST, EAST] += walked
+    grown[:, NORTH, NORTH] += walked
+    grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.unknown_heading_rad_per_sqrt_s**2 * gap_s
+    return _bound_heading_variance(grown)

@@ -1,0 +1,246 @@
+"""The filter: one pure step over a block of samples, and the thin object that apps push samples into."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pdr_filter import serialise
+from pdr_filter.context.model import ContextModel
+from pdr_filter.features.martinelli import NAMES
+from pdr_filter.features.windows import FeatureWindow
+from pdr_filter.sensing import Event, Gap, Sensing, SensingState
+from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, WindowContext, present_position
+from pdr_filter.types import FloatArray, ImuBlock, IntArray, PositionFix
+
+
+@dataclass(frozen=True, eq=False)
+class ContextModels:
+    """The context models of a filter: which one classifies a window depends on the sensors that it has."""
+
+    with_gyroscope: ContextModel
+    without_gyroscope: ContextModel
+
+    @cached_property
+    def _columns(self) -> tuple[IntArray, IntArray]:
+        return _columns(self.with_gyroscope), _columns(self.without_gyroscope)
+
+    def classify(self, window: FeatureWindow) -> WindowContext:
+        """Context probabilities of a window."""
+        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
+        columns = self._columns[0 if window.has_gyroscope else 1]
+        return WindowContext(window.time_s, model.predict(window.features[columns]), model.training_prior)
+
+
+def _columns(model: ContextModel) -> IntArray:
+    missing = sorted(set(model.feature_names) - set(NAMES))
+    if missing:
+        raise ValueError(f"context model {model.name!r} needs features {missing}, which no stage computes")
+    return np.array([NAMES.index(name) for name in model.feature_names])
+
+
+@dataclass(frozen=True, eq=False)
+class Config:
+    """Everything about a filter that never changes; a recipe is a function that returns one."""
+
+    name: str
+    sensing: Sensing
+    context_models: ContextModels
+    tracker: Tracker
+
+    def with_weighting(self, weighting: str) -> Config:
+        """The same with another weighting: "imm", "wc" or "hc"."""
+        return replace(self, tracker=replace(self.tracker, weighting=weighting))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class State:
+    """Everything about a filter that changes."""
+
+    sensing: SensingState
+    tracker: TrackerState
+    waiting_fixes: tuple[PositionFix, ...] = ()  # not yet received at the time processed so far
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Output:
+    """What one block of samples brought."""
+
+    updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
+    windows: list[WindowContext] = field(default_factory=list[WindowContext])
+
+
+def init(config: Config) -> State:
+    """State of a filter before its first sample."""
+    return State(config.sensing.init(), config.tracker.init())
+
+
+def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
+    """New state and output after a block of samples of any length.
+
+    The result depends on the samples and fixes only, not on how they were cut into blocks.
+    """
+    sensing, events = config.sensing.step(state.sensing, block)
+    return _process(config, replace(state, sensing=sensing), events)
+
+
+def finish(config: Config, state: State) -> tuple[State, Output]:
+    """New state and output when no further sample will come: late steps are found, waiting ones become final."""
+    state, output = _process(config, state, config.sensing.finish(state.sensing))
+    tracker, last = config.tracker.finish(state.tracker)
+    return replace(state, tracker=tracker), replace(output, updates=[*output.updates, *last])
+
+
+def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
+    output = Output()
+    tracker, fixes = state.tracker, state.waiting_fixes
+    for known_s, event in events:
+        tracker, fixes = _apply_fixes(config.tracker, tracker, fixes, known_s)
+        if isinstance(event, FeatureWindow):
+            context = config.context_models.classify(event)
+            output.windows.append(context)
+            tracker, updates = config.tracker.on_window(tracker, context)
+        elif isinstance(event, Gap):
+            tracker, updates = config.tracker.on_gap(tracker, event.duration_s)
+        else:
+            tracker, updates = config.tracker.on_step(tracker, event)
+        output.updates.extend(updates)
+    tracker, fixes = _apply_fixes(config.tracker, tracker, fixes, state.sensing.processed_s)
+    return replace(state, tracker=tracker, waiting_fixes=fixes), output
+
+
+def _apply_fixes(
+    tracker: Tracker, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
+) -> tuple[TrackerState, tuple[PositionFix, ...]]:
+    while fixes and _received_s(fixes[0]) <= until_s:
+        state, fixes = tracker.on_fix(state, fixes[0]), fixes[1:]
+    return state, fixes
+
+
+def _received_s(fix: PositionFix) -> float:
+    return fix.time_s if fix.received_time_s is None else fix.received_time_s
+
+
+class OnlineFilter:
+    """A filter for apps: push samples in blocks of any length, get the steps that became known.
+
+    Parameters
+    ----------
+    config : Config, optional
+        A recipe; the default recipe if not given.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> walk = pdr.simulate.demo_walk()
+    >>> samples = pdr.merge_streams(walk)
+    >>> online = pdr.OnlineFilter()
+    >>> updates = []
+    >>> for i in range(0, len(samples.time_s), 37):
+    ...     block = slice(i, i + 37)
+    ...     updates += online.push(
+    ...         samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
+    ...     )
+    >>> len(updates) > 100
+    True
+    """
+
+    def __init__(self, config: Config | None = None) -> None:
+        if config is None:
+            from pdr_filter import recipes
+
+            config = recipes.default()
+        self.config = config
+        self.state = init(config)
+
+    def push(
+        self,
+        time_s: ArrayLike,
+        specific_force_mps2: ArrayLike,
+        angular_rate_radps: ArrayLike | None = None,
+        magnetic_field_ut: ArrayLike | None = None,
+    ) -> list[StepUpdate]:
+        """Updates of the steps that these samples made known, in order.
+
+        Parameters
+        ----------
+        time_s : (N,)
+            Seconds, increasing; repeated and backward times are dropped and counted.
+        specific_force_mps2 : (N, 3)
+            Sensor frame, +9.81 on z for a phone lying face up.
+        angular_rate_radps, magnetic_field_ut : (N, 3), optional
+            At the same times; NaN rows, or nothing, where there is no measurement.
+        """
+        return self._advance(imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)).updates
+
+    def _advance(self, block: ImuBlock) -> Output:
+        self.state, output = step(self.config, self.state, block)
+        return output
+
+    def finish(self) -> list[StepUpdate]:
+        """Updates of the last steps, when no further sample will come."""
+        self.state, output = finish(self.config, self.state)
+        return output.updates
+
+    def add_fix(self, fix: PositionFix) -> None:
+        """Take a position fix; it is used when the samples reach the time at which it was received."""
+        waiting = sorted([*self.state.waiting_fixes, fix], key=_received_s)
+        self.state = replace(self.state, waiting_fixes=tuple(waiting))
+
+    @property
+    def position_m(self) -> FloatArray:
+        """East and north of the last final step, shape (2,)."""
+        return present_position(self.state.tracker)[0]
+
+    @property
+    def position_cov_m2(self) -> FloatArray:
+        """Covariance of `position_m`, shape (2, 2)."""
+        return present_position(self.state.tracker)[1]
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was wrong with the samples so far, in plain words."""
+        rejected = self.state.tracker.rejected_fixes
+        fixes = (f"{rejected} position fixes were rejected as outliers",) if rejected else ()
+        return (*self.state.sensing.conditioner.report.notes(), *fixes)
+
+    def save(self) -> bytes:
+        """Bytes from which `load` continues as if nothing had happened, configuration and models included."""
+        return serialise.to_bytes({"config": self.config, "state": self.state})
+
+    @classmethod
+    def load(cls, blob: bytes) -> OnlineFilter:
+        """The filter that was saved; ValueError if the bytes are something else."""
+        content = serialise.from_bytes(blob)
+        if not isinstance(content, dict) or not isinstance(content.get("config"), Config):
+            raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
+        loaded = cls(content["config"])
+        loaded.state = content["state"]
+        return loaded
+
+
+def imu_block(
+    time_s: ArrayLike,
+    specific_force_mps2: ArrayLike,
+    angular_rate_radps: ArrayLike | None = None,
+    magnetic_field_ut: ArrayLike | None = None,
+) -> ImuBlock:
+    """Samples as a block, shapes checked; missing sensors become NaN."""
+    time = np.asarray(time_s, dtype=float)
+    if time.ndim != 1:
+        raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}")
+    columns = {
+        "specific_force_mps2": specific_force_mps2,
+        "angular_rate_radps": angular_rate_radps,
+        "magnetic_field_ut": magnetic_field_ut,
+    }
+    arrays: list[FloatArray] = []
+    for name, values in columns.items():
+        array = np.full((len(time), 3), np.nan) if values is None else np.asarray(values, dtype=float)
+        if array.shape != (len(time), 3):
+            raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {array.shape}")
+        arrays.append(array)
+    return ImuBlock(time, *arrays)

@@ -1,0 +1,107 @@
+"""Recipes: functions that return a configuration. `default` is the one to use; the others are published systems."""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from pdr_filter.context.model import ContextModel, load_model
+from pdr_filter.motion import Mode
+from pdr_filter.online import Config, ContextModels
+from pdr_filter.sensing import Sensing
+from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.tracking import Tracker
+from pdr_filter.types import CONTEXTS, FloatArray
+
+# Walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with the priors
+# k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence each cannot
+# show) and k2 = 0 +- 0.003; tests/benchmarks/fit_step_length.py prints it, with the error at the site left out.
+_WALKING = StepLengthFit(
+    FrequencyVarianceStepLength(max_variance=8.0),
+    theta=np.array([0.408, 0.189, -0.0018]),
+    theta_cov=np.diag([0.02, 0.01, 0.002]) ** 2,
+    residual_std_m=0.06,
+)
+# Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
+# 2018, group B). Treads of public stairs are 0.26 to 0.32 m.
+_UPSTAIRS = known_length(0.29, 0.05)
+_DOWNSTAIRS = known_length(0.43, 0.10)
+# No recording with sideways steps of known length is public. 0.45 m is a comfortable side step; half of it and twice
+# it are within two standard deviations.
+_SIDEWAYS = known_length(0.45, 0.15)
+# Jogging at 2.7 steps a second and 2.6 m/s: 0.95 m a step, with 0.35 m s of change with cadence (after Cavanagh and
+# Kram, "Stride length in distance running", Med. Sci. Sports Exerc. 21, 1989). Not fitted: the only running here with
+# truth is in a room of 5 m.
+_RUNNING = StepLengthFit(
+    FrequencyVarianceStepLength(),
+    theta=np.array([0.0, 0.35, 0.0]),
+    theta_cov=np.diag([0.1, 0.03, 0.0]) ** 2,
+    residual_std_m=0.10,
+)
+_STATIONARY = known_length(0.0, 0.02)
+
+
+def context_modes() -> tuple[Mode, ...]:
+    """One mode for each context, with the default step lengths."""
+    lengths = {
+        "stationary": _STATIONARY,
+        "walking": _WALKING,
+        "upstairs": _UPSTAIRS,
+        "downstairs": _DOWNSTAIRS,
+        "sideways": _SIDEWAYS,
+        "running": _RUNNING,
+    }
+    # Which side a side step goes to is not observable from the features; to the right is the convention.
+    offsets = {"sideways": np.pi / 2}
+    return tuple(Mode(c, c, lengths[c], heading_offset_rad=offsets.get(c, 0.0)) for c in CONTEXTS)
+
+
+def context_transitions() -> FloatArray:
+    """Transition matrix between the contexts for one step, rows from.
+
+    Mean stays: walking 100 steps, running 50, stairs one flight of 12 to 20 steps, standing 5 false steps, sideways
+    10. From every other context the way leads to walking; walking leaves for each of the others alike, so that walking
+    is the most frequent context by far, as in life and unlike in training sets.
+    """
+    stay = {"stationary": 0.8, "walking": 0.99, "upstairs": 0.94, "downstairs": 0.94, "sideways": 0.9, "running": 0.98}
+    rows = np.zeros((len(CONTEXTS), len(CONTEXTS)))
+    walking = CONTEXTS.index("walking")
+    for i, context in enumerate(CONTEXTS):
+        others = [j for j in range(len(CONTEXTS)) if j != i]
+        leave = 1 - stay[context]
+        rows[i, i] = stay[context]
+        for j in others:
+            # nine of ten leave for walking
+            rows[i, j] = leave / 5 if i == walking else leave * (0.9 if j == walking else 0.1 / 4)
+    return rows
+
+
+@cache
+def _model(name: str) -> ContextModel:
+    return load_model(name)
+
+
+def default() -> Config:
+    """The recipe to use: wavelet steps, random-forest contexts, one mode for each context."""
+    return Config(
+        name="default",
+        sensing=Sensing(),
+        context_models=ContextModels(_model("context_forest"), _model("context_forest_accelerometer")),
+        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
+    )
+
+
+def martinelli2018() -> Config:
+    """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, `weighting="wc"` or "hc".
+
+    Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
+    walking, for which no public recordings exist; the step lengths are those of the default recipe, because their k
+    are not printed.
+    """
+    return Config(
+        name="martinelli2018",
+        sensing=Sensing(),
+        context_models=ContextModels(_model("context_rvm"), _model("context_forest_accelerometer")),
+        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
+    )

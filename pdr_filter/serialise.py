@@ -1,0 +1,83 @@
+"""Configurations and states to bytes and back: plain values only, nothing in the bytes is ever executed.
+
+The bytes are zlib-compressed JSON. Arrays are stored as their exact bytes, dataclasses by the name of a dataclass of
+this package; any other type is refused, on the way out and on the way in.
+"""
+
+from __future__ import annotations
+
+import base64
+import importlib
+import json
+import zlib
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from typing import Any, cast
+
+import numpy as np
+
+_PACKAGE = "pdr_filter"
+_FORMAT = 1
+
+
+def to_bytes(value: object) -> bytes:
+    """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts."""
+    return zlib.compress(json.dumps({"format": _FORMAT, "value": _encode(value)}).encode())
+
+
+def from_bytes(blob: bytes) -> Any:
+    """The value that `to_bytes` was given; ValueError if the bytes are not from there."""
+    try:
+        content = json.loads(zlib.decompress(blob))
+        if content["format"] != _FORMAT:
+            raise ValueError(f"format {content['format']}, this version reads {_FORMAT}")
+        return _decode(content["value"])
+    except (zlib.error, UnicodeDecodeError, KeyError, TypeError, AttributeError, ImportError, ValueError) as error:
+        raise ValueError(
+            f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
+        ) from error
+
+
+def _encode(value: Any) -> Any:
+    if value is None or isinstance(value, (bool, int, float, str)):
+        return value
+    if isinstance(value, np.generic):
+        return value.item()
+    if isinstance(value, np.ndarray):
+        array = cast(np.ndarray[Any, Any], value)
+        if array.dtype.hasobject:
+            raise TypeError("arrays of Python objects cannot be saved")
+        data = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
+        return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
+    if isinstance(value, (tuple, list)):
+        items = cast(tuple[Any, ...], value)
+        return {"tuple" if isinstance(value, tuple) else "list": [_encode(v) for v in items]}
+    if isinstance(value, Mapping):
+        mapping = cast(Mapping[str, Any], value)
+        return {"dict": {key: _encode(v) for key, v in mapping.items()}}
+    if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
+        content = {f.name: _encode(getattr(value, f.name)) for f in fields(value)}
+        return {"dataclass": f"{type(value).__module__}:{type(value).__qualname__}", "fields": content}
+    raise TypeError(f"a {type(value).__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
+
+
+def _decode(value: Any) -> Any:
+    if not isinstance(value, dict):
+        return value
+    node = cast(dict[str, Any], value)
+    if "array" in node:
+        dtype = np.dtype(node["dtype"])
+        return np.frombuffer(base64.b64decode(node["array"]), dtype=dtype).reshape(node["shape"]).copy()
+    if "tuple" in node:
+        return tuple(_decode(v) for v in node["tuple"])
+    if "list" in node:
+        return [_decode(v) for v in node["list"]]
+    if "dict" in node:
+        return {key: _decode(v) for key, v in node["dict"].items()}
+    module_name, _, class_name = str(node["dataclass"]).partition(":")
+    if module_name.partition(".")[0] != _PACKAGE:
+        raise ValueError(f"refused to load {node['dataclass']!r}")
+    cls = getattr(importlib.import_module(module_name), class_name)
+    if not (isinstance(cls, type) and is_dataclass(cls)):
+        raise ValueError(f"{node['dataclass']!r} is not a value type")
+    return cls(**{name: _decode(v) for name, v in node["fields"].items()})

@@ -1,0 +1,158 @@
+"""Whole recordings at once: loops over the same steps that an app pushes samples through."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.angles import wrap_angle
+from pdr_filter.conditioning import merge_streams
+from pdr_filter.features.windows import FeatureWindow
+from pdr_filter.online import Config, Output, finish, init, step
+from pdr_filter.recipes import default
+from pdr_filter.sensing import Event
+from pdr_filter.tracking import StepUpdate, WindowContext
+from pdr_filter.types import CONTEXTS, ImuBlock, PositionFix, Recording, Step, Table, Track, Windows, step_table
+
+# Long recordings go through in parts of this many samples, so that progress shows and memory stays small. The result
+# does not depend on it.
+_PART_SAMPLES = 60_000
+
+
+def track(
+    recording: Recording,
+    config: Config | None = None,
+    weighting: str = "imm",
+    fixes: Sequence[PositionFix] = (),
+    progress: Callable[[float], None] | None = None,
+) -> Track:
+    """Track of a recording, the same that `OnlineFilter` gives for its samples.
+
+    Parameters
+    ----------
+    recording : Recording
+        From `read`.
+    config : Config, optional
+        A recipe; the default recipe if not given.
+    weighting : {"imm", "wc", "hc"}
+        How context probabilities become step lengths: interacting multiple model, weighted or highest context.
+    fixes : sequence of PositionFix
+        Positions from elsewhere, each used when it was received.
+    progress : callable, optional
+        Called with the fraction done, 0 to 1.
+    """
+    config = (config or default()).with_weighting(weighting)
+    received = [f.time_s if f.received_time_s is None else f.received_time_s for f in fixes]
+    state = replace(init(config), waiting_fixes=tuple(fixes[i] for i in np.argsort(received, kind="stable")))
+    updates: list[StepUpdate] = []
+    windows: list[WindowContext] = []
+
+    def collect(output: Output) -> None:
+        updates.extend(u for u in output.updates if u.is_final)
+        windows.extend(output.windows)
+
+    for part in _parts(merge_streams(recording), progress):
+        state, output = step(config, state, part)
+        collect(output)
+    state, output = finish(config, state)
+    collect(output)
+
+    report = state.sensing.conditioner.report
+    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
+    if state.tracker.rejected_fixes:
+        notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
+    start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
+    duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
+    return _collect(recording.name, config, updates, _windows(config, windows), start_s, duration_s, notes)
+
+
+def detect_steps(recording: Recording, config: Config | None = None) -> Table:
+    """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
+    config = config or default()
+    return step_table([event for _, event in _events(config, recording) if isinstance(event, Step)])
+
+
+def classify(recording: Recording, config: Config | None = None) -> Windows:
+    """Context probabilities of all windows of a recording."""
+    config = config or default()
+    found = [config.context_models.classify(e) for _, e in _events(config, recording) if isinstance(e, FeatureWindow)]
+    return _windows(config, found)
+
+
+def feature_windows(recording: Recording, config: Config | None = None) -> list[FeatureWindow]:
+    """Feature windows of a recording: what a context model is trained on."""
+    return [e for _, e in _events(config or default(), recording) if isinstance(e, FeatureWindow)]
+
+
+def _events(config: Config, recording: Recording) -> Iterator[tuple[float, Event]]:
+    state = config.sensing.init()
+    for part in _parts(merge_streams(recording), None):
+        state, events = config.sensing.step(state, part)
+        yield from events
+    yield from config.sensing.finish(state)
+
+
+def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
+    n = len(block.time_s)
+    for start in range(0, n, _PART_SAMPLES):
+        part = slice(start, start + _PART_SAMPLES)
+        yield ImuBlock(
+            block.time_s[part],
+            block.specific_force_mps2[part],
+            block.angular_rate_radps[part],
+            block.magnetic_field_ut[part],
+        )
+        if progress is not None:
+            progress(min(start + _PART_SAMPLES, n) / n)
+
+
+def _windows(config: Config, found: Sequence[WindowContext]) -> Windows:
+    return Windows(
+        time_s=np.array([w.time_s for w in found]),
+        context_prob=np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS)),
+        contexts=CONTEXTS,
+        carrying_prob=np.empty((len(found), 0)),
+        carrying_modes=(),
+    )
+
+
+def _collect(
+    name: str,
+    config: Config,
+    updates: Sequence[StepUpdate],
+    windows: Windows,
+    start_s: float,
+    duration_s: float,
+    notes: Sequence[str],
+) -> Track:
+    n, n_modes = len(updates), len(config.tracker.modes)
+    steps = step_table([u.step for u in updates])
+    return Track(
+        name=name,
+        time_s=np.asarray(steps.time_s),
+        position_m=np.array([u.position_m for u in updates]).reshape(n, 2),
+        position_cov_m2=np.array([u.position_cov_m2 for u in updates]).reshape(n, 2, 2),
+        step_length_m=np.array([u.step_length_m for u in updates]),
+        walking_heading_rad=wrap_angle(np.array([u.walking_heading_rad for u in updates])),
+        context_prob=np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS)),
+        contexts=CONTEXTS,
+        mode_prob=np.array([u.mode_prob for u in updates]).reshape(n, n_modes),
+        modes=tuple(m.name for m in config.tracker.modes),
+        steps=steps,
+        windows=windows,
+        start_time_s=start_s,
+        duration_s=duration_s,
+        weighting=config.tracker.weighting,
+        notes=tuple(notes),
+    )
+
+
+def _fit_notes(recording: Recording, updates: Sequence[StepUpdate]) -> list[str]:
+    notes: list[str] = []
+    if "foot" in str(recording.meta.get("placement", "")).lower():
+        notes.append("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")
+    if not updates:
+        notes.append("no steps found: dead reckoning does not apply here")
+    return notes

@@ -1,0 +1,182 @@
+"""Written tracks say what the track says, in the form that other programs read."""
+
+from __future__ import annotations
+
+import csv
+import json
+from collections.abc import Callable
+from dataclasses import fields, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pymap3d
+import pytest
+
+from pdr_filter.io import writers
+from pdr_filter.types import Step, Track, Windows, step_table
+
+ORIGIN = (48.137, 11.575)
+GPX = {"g": "http://www.topografix.com/GPX/1/1"}
+
+
+def small_track(n: int = 3) -> Track:
+    """Steps to the east, to the north, and to the west again."""
+    steps = [Step(**{f.name: 0.5 for f in fields(Step)}) for _ in range(n)]
+    covariance = np.array([[0.1, 0.02], [0.02, 0.2]]) * np.arange(1, n + 1)[:, None, None]
+    windows = Windows(np.empty(0), np.empty((0, 2)), ("stationary", "walking"), np.empty((0, 0)), ())
+    return Track(
+        name="small <walk>",
+        time_s=np.array([1.5, 2.0, 2.5])[:n],
+        position_m=np.array([[0.7, 0.0], [0.7, 0.8], [0.0, 0.8]])[:n],
+        position_cov_m2=covariance,
+        step_length_m=np.array([0.7, 0.8, 0.7])[:n],
+        walking_heading_rad=np.array([np.pi / 2, 0.0, -np.pi / 2])[:n],
+        context_prob=np.tile([0.25, 0.75], (n, 1)),
+        contexts=("stationary", "walking"),
+        mode_prob=np.ones((n, 1)),
+        modes=("walk, normal",),
+        steps=step_table(steps),
+        windows=windows,
+        start_time_s=1.0,
+        duration_s=2.0,
+        weighting="imm",
+        notes=("only a test",),
+    )
+
+
+WRITERS: dict[str, Callable[[Track, Path], Path]] = {
+    "csv": writers.write_csv,
+    "geojson": lambda track, path: writers.write_geojson(track, path, ORIGIN),
+    "gpx": lambda track, path: writers.write_gpx(track, path, ORIGIN, 1.7e9),
+    "tum": writers.write_tum,
+}
+
+
+@pytest.mark.parametrize("kind", WRITERS)
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_every_writer_makes_the_folder_and_returns_the_path(tmp_path: Path, kind: str, n: int) -> None:
+    path = WRITERS[kind](small_track(n), tmp_path / "new" / "folder" / f"track.{kind}")
+    assert path == tmp_path / "new" / "folder" / f"track.{kind}"
+    assert path.read_text().endswith("\n")
+
+
+def test_the_methods_of_a_track_write_the_same_files(tmp_path: Path) -> None:
+    track = small_track()
+    pairs = [
+        (track.to_csv(tmp_path / "a"), writers.write_csv(track, tmp_path / "b")),
+        (track.to_geojson(tmp_path / "c", ORIGIN), writers.write_geojson(track, tmp_path / "d", ORIGIN)),
+        (track.to_gpx(tmp_path / "e", ORIGIN), writers.write_gpx(track, tmp_path / "f", ORIGIN)),
+        (track.to_tum(tmp_path / "g"), writers.write_tum(track, tmp_path / "h")),
+    ]
+    for ours, theirs in pairs:
+        assert ours.read_bytes() == theirs.read_bytes()
+
+
+def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -> None:
+    with writers.write_csv(small_track(), tmp_path / "t.csv").open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert len(rows) == 3
+    assert {name: float(value) for name, value in rows[1].items()} == pytest.approx(
+        {
+            "time_s": 2.0,
+            "east_m": 0.7,
+            "north_m": 0.8,
+            "cov_ee_m2": 0.2,
+            "cov_en_m2": 0.04,
+            "cov_nn_m2": 0.4,
+            "step_length_m": 0.8,
+            "walking_heading_rad": 0.0,
+            "context_prob_stationary": 0.25,
+            "context_prob_walking": 0.75,
+            "mode_prob_walk, normal": 1.0,
+        }
+    )
+
+
+def test_csv_of_a_track_without_steps_is_the_header(tmp_path: Path) -> None:
+    assert len(writers.write_csv(small_track(0), tmp_path / "t.csv").read_text().splitlines()) == 1
+
+
+def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -> None:
+    track = small_track()
+    collection = json.loads(writers.write_geojson(track, tmp_path / "t.geojson", ORIGIN).read_text())
+    assert collection["type"] == "FeatureCollection"
+    (feature,) = collection["features"]
+    assert feature["geometry"]["type"] == "LineString"
+    lon, lat = np.array(feature["geometry"]["coordinates"]).T
+    assert (lat[0], lon[0]) == ORIGIN
+    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, *ORIGIN, 0)
+    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    properties = feature["properties"]
+    assert properties["coordTimes"] == [1.0, 1.5, 2.0, 2.5]
+    assert properties["covariance_m2"] == [[0, 0, 0], [0.1, 0.02, 0.2], [0.2, 0.04, 0.4], [0.3, 0.06, 0.6]]
+    assert properties["distance_m"] == 2.2
+    assert "true north" in properties["frame"]
+    assert properties["notes"] == ["only a test"]
+
+
+def test_geojson_of_a_track_without_steps_is_the_origin(tmp_path: Path) -> None:
+    text = writers.write_geojson(small_track(0), tmp_path / "t.geojson", ORIGIN).read_text()
+    assert json.loads(text)["features"][0]["geometry"] == {"type": "Point", "coordinates": [11.575, 48.137]}
+
+
+@pytest.mark.parametrize("origin", [(91.0, 0.0), (-90.1, 0.0), (0.0, 181.0), (0.0, -181.0), (float("nan"), 0.0)])
+def test_an_origin_that_is_nowhere_is_refused_and_nothing_is_written(
+    tmp_path: Path, origin: tuple[float, float]
+) -> None:
+    for write in (writers.write_geojson, writers.write_gpx):
+        with pytest.raises(ValueError, match=r"origin must be \(latitude, longitude\)"):
+            write(small_track(), tmp_path / "t", origin)
+    assert not list(tmp_path.iterdir())
+
+
+def test_gpx_has_a_point_with_time_for_the_start_and_each_step(tmp_path: Path) -> None:
+    path = writers.write_gpx(small_track(), tmp_path / "t.gpx", ORIGIN, epoch_s=1_700_000_000.0)
+    root = ElementTree.parse(path).getroot()
+    assert root.tag == "{http://www.topografix.com/GPX/1/1}gpx"
+    assert root.get("version") == "1.1"
+    assert root.findtext("g:trk/g:name", namespaces=GPX) == "small <walk>"
+    points = root.findall("g:trk/g:trkseg/g:trkpt", GPX)
+    times = [point.findtext("g:time", namespaces=GPX) for point in points]
+    assert times == [f"2023-11-14T22:13:{second}Z" for second in ("21.000", "21.500", "22.000", "22.500")]
+    lat, lon = (np.array([float(point.get(name, "nan")) for point in points]) for name in ("lat", "lon"))
+    assert (lat[0], lon[0]) == ORIGIN
+    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, *ORIGIN, 0)
+    np.testing.assert_allclose(np.column_stack([east, north]), small_track().position_m, atol=1e-3)
+
+
+def test_gpx_stays_readable_with_a_name_that_xml_cannot_hold(tmp_path: Path) -> None:
+    path = writers.write_gpx(replace(small_track(), name="a\x00\ud800b"), tmp_path / "t.gpx", ORIGIN)
+    assert ElementTree.parse(path).getroot().findtext("g:trk/g:name", namespaces=GPX) == "ab"
+
+
+@pytest.mark.parametrize("epoch_s", [-10.0, 1.7e12, float("nan"), float("inf")])
+def test_an_epoch_outside_the_calendar_is_refused(tmp_path: Path, epoch_s: float) -> None:
+    with pytest.raises(ValueError, match="epoch_s must be the unix time"):
+        writers.write_gpx(small_track(), tmp_path / "t.gpx", ORIGIN, epoch_s)
+
+
+def test_tum_has_positions_and_the_yaw_of_the_walking_heading(tmp_path: Path) -> None:
+    text = writers.write_tum(small_track(), tmp_path / "t.tum").read_text()
+    assert all(line == " ".join(line.split()) for line in text.splitlines())
+    rows = np.array([[float(field) for field in line.split(" ")] for line in text.splitlines()])
+    assert rows.shape == (4, 8)
+    np.testing.assert_allclose(rows[:, 0], [1.0, 1.5, 2.0, 2.5])
+    np.testing.assert_allclose(rows[:, 1:4], [[0, 0, 0], [0.7, 0, 0], [0.7, 0.8, 0], [0, 0.8, 0]])
+    np.testing.assert_allclose(np.linalg.norm(rows[:, 4:], axis=1), 1, atol=1e-8)
+    qz, qw = rows[:, 6], rows[:, 7]
+    facing = np.column_stack([1 - 2 * qz**2, 2 * qz * qw])  # the x axis turned by the quaternion: east, north
+    np.testing.assert_allclose(facing, [[1, 0], [1, 0], [0, 1], [-1, 0]], atol=1e-8)
+
+
+def test_tum_times_ascend_strictly_even_where_steps_share_one(tmp_path: Path) -> None:
+    track = replace(small_track(), time_s=np.array([1.0, 1.6, 1.6000001]))
+    text = writers.write_tum(track, tmp_path / "t.tum").read_text()
+    assert [line.split()[0] for line in text.splitlines()] == ["1.000000", "1.600000"]
+
+
+def test_tum_of_a_track_without_steps_is_the_start(tmp_path: Path) -> None:
+    text = writers.write_tum(small_track(0), tmp_path / "t.tum").read_text()
+    assert [float(field) for field in text.split()[:4]] == [1.0, 0, 0, 0]
+    assert len(text.splitlines()) == 1
