@@ -1,0 +1,351 @@
+"""What is simulated: the person (`Gait`), the stretches of the walk (`Leg`) and the steps planned from both."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, IntArray
+
+STAIR_RISE_M = 0.17
+STAIR_TREAD_M = 0.29
+STOREY_HEIGHT_M = 18 * STAIR_RISE_M
+TYPICAL_HEIGHT_M = 1.75
+# A person sets off and stops with shorter steps.
+END_STEP_FACTOR = 0.7
+
+
+@dataclass(frozen=True, slots=True)
+class ContextGait:
+    """How a typical person moves in one context; amplitudes are half of peak-to-peak.
+
+    Step length is height * (length_offset + length_slope_s * frequency), except on stairs, where it is the tread.
+    """
+
+    frequency_hz: float = 0.0
+    length_offset: float = 0.0
+    length_slope_s: float = 0.0
+    rise_m: float = 0.0  # height gained by each step
+    bounce_m: float = 0.0  # vertical, at step frequency
+    bounce2_m: float = 0.0  # vertical, at twice step frequency
+    surge_m: float = 0.0  # along the way, at step frequency
+    sway_m: float = 0.0  # to the side, at stride frequency
+    impact_mps2: float = 0.0  # peak of the heel-strike transient at the hip
+    thigh_mean_rad: float = 0.0
+    thigh_swing_rad: float = 0.0  # at stride frequency
+    arm_swing_rad: float = 0.0
+    wobble: float = 0.0  # rotations of the phone in hand or pocket, relative to walking
+    tremor: float = 1.0  # irregular motion, relative to standing
+
+
+# Frequencies, lengths and amplitudes fitted to public recordings; the module docstring of the package says how well.
+CONTEXT_GAITS: dict[str, ContextGait] = {
+    "stationary": ContextGait(),
+    "walking": ContextGait(
+        frequency_hz=1.9,
+        length_offset=0.06,
+        length_slope_s=0.18,
+        bounce_m=0.0225,
+        bounce2_m=0.0015,
+        surge_m=0.008,
+        sway_m=0.018,
+        impact_mps2=14.5,
+        thigh_mean_rad=0.15,
+        thigh_swing_rad=0.38,
+        arm_swing_rad=0.45,
+        wobble=1.0,
+        tremor=5.0,
+    ),
+    "upstairs": ContextGait(
+        frequency_hz=1.7,
+        rise_m=STAIR_RISE_M,
+        bounce_m=0.018,
+        bounce2_m=0.002,
+        surge_m=0.008,
+        sway_m=0.025,
+        impact_mps2=7.0,
+        thigh_mean_rad=0.45,
+        thigh_swing_rad=0.42,
+        arm_swing_rad=0.25,
+        wobble=1.0,
+        tremor=5.0,
+    ),
+    "downstairs": ContextGait(
+        frequency_hz=1.9,
+        rise_m=-STAIR_RISE_M,
+        bounce_m=0.021,
+        bounce2_m=0.003,
+        surge_m=0.006,
+        sway_m=0.02,
+        impact_mps2=12.0,
+        thigh_mean_rad=0.3,
+        thigh_swing_rad=0.28,
+        arm_swing_rad=0.2,
+        wobble=0.9,
+        tremor=5.0,
+    ),
+    "sideways": ContextGait(
+        frequency_hz=1.4,
+        length_offset=0.089,
+        length_slope_s=0.12,
+        bounce_m=0.015,
+        bounce2_m=0.003,
+        surge_m=0.02,
+        impact_mps2=5.0,
+        thigh_mean_rad=0.1,
+        thigh_swing_rad=0.08,
+        arm_swing_rad=0.05,
+        wobble=0.6,
+        tremor=5.0,
+    ),
+    "running": ContextGait(
+        frequency_hz=2.7,
+        length_offset=-0.239,
+        length_slope_s=0.3,
+        bounce_m=0.042,
+        bounce2_m=0.0035,
+        surge_m=0.008,
+        sway_m=0.012,
+        impact_mps2=18.0,
+        thigh_mean_rad=0.3,
+        thigh_swing_rad=0.45,
+        arm_swing_rad=0.6,
+        wobble=1.3,
+        tremor=8.0,
+    ),
+}
+
+
+@dataclass(frozen=True, slots=True)
+class Gait:
+    """A person; `Gait()` is a typical one and `Gait.random(seed)` somebody else.
+
+    Parameters
+    ----------
+    height_m : float
+        Body height; step lengths and the places of the phone scale with it.
+    leg_factor : float
+        Hip height divided by body height.
+    frequency_factor, length_factor : float
+        The person's own step frequency and step length relative to those of a typical person of that height.
+    bounce_factor, impact_factor, swing_factor : float
+        Vertical motion, heel strike, and swing of legs and arms, relative to a typical person's.
+    tremor_factor : float
+        Unsteadiness of the hand, relative to a typical person's.
+    tilt_rad : float
+        How far the top end of the phone is raised when it is held for reading.
+    frequency_std, length_std : float
+        Relative standard deviation from step to step.
+    """
+
+    height_m: float = TYPICAL_HEIGHT_M
+    leg_factor: float = 0.53
+    frequency_factor: float = 1.0
+    length_factor: float = 1.0
+    bounce_factor: float = 1.0
+    impact_factor: float = 1.0
+    swing_factor: float = 1.0
+    tremor_factor: float = 1.0
+    tilt_rad: float = 0.65
+    frequency_std: float = 0.025
+    length_std: float = 0.025
+
+    @classmethod
+    def random(cls, seed: int) -> Gait:
+        """Person drawn from a population of adults; the same one for the same seed."""
+        rng = np.random.default_rng(seed)
+
+        def about(mean: float, std: float) -> float:
+            return mean + std * float(np.clip(rng.standard_normal(), -2.0, 2.0))
+
+        return cls(
+            height_m=about(1.72, 0.09),
+            leg_factor=about(0.53, 0.01),
+            frequency_factor=about(1.0, 0.05),
+            length_factor=about(1.0, 0.05),
+            bounce_factor=about(1.0, 0.12),
+            impact_factor=about(1.0, 0.2),
+            swing_factor=about(1.0, 0.12),
+            tremor_factor=about(1.0, 0.25),
+            tilt_rad=about(0.65, 0.12),
+            frequency_std=about(0.025, 0.004),
+            length_std=about(0.025, 0.004),
+        )
+
+    def step_frequency_hz(self, context: str) -> float:
+        """Steps per second of this person in a context, 0 when stationary."""
+        return CONTEXT_GAITS[context].frequency_hz * self.frequency_factor
+
+    def step_length_m(self, context: str, frequency_hz: float) -> float:
+        """Length of an average step of this person: the tread on stairs, else height * (a + b * frequency)."""
+        typical = CONTEXT_GAITS[context]
+        if typical.rise_m != 0.0:
+            return STAIR_TREAD_M
+        return self.length_factor * self.height_m * (typical.length_offset + typical.length_slope_s * frequency_hz)
+
+
+@dataclass(frozen=True, slots=True)
+class Leg:
+    """One stretch of the walk in one context.
+
+    Parameters
+    ----------
+    context : str
+        One of `pdr_filter.types.CONTEXTS`.
+    duration_s, distance_m : float, optional
+        Exactly one of them; kept exactly, except that a distance on stairs is rounded to whole treads. Stationary
+        legs take a duration.
+    frequency_factor : float
+        Step frequency relative to the person's usual one; the step length follows from it.
+    turn_rad : float
+        Change of heading, clockwise positive.
+    curve : bool
+        False: turn at the start of the leg, then straight on. True: turn over the whole leg.
+    carrying_mode : str, optional
+        From here on; as before if None.
+    side : {"right", "left"}
+        Where a sideways leg goes.
+    """
+
+    context: str
+    duration_s: float | None = None
+    distance_m: float | None = None
+    frequency_factor: float = 1.0
+    turn_rad: float = 0.0
+    curve: bool = False
+    carrying_mode: str | None = None
+    side: Literal["right", "left"] = "right"
+
+    def __post_init__(self) -> None:
+        if self.context not in CONTEXTS:
+            raise ValueError(f"context must be one of {', '.join(CONTEXTS)}, got {self.context!r}")
+        if (self.duration_s is None) == (self.distance_m is None):
+            raise ValueError(f"give a leg either duration_s or distance_m, got {self.duration_s} and {self.distance_m}")
+        if self.context == "stationary" and self.duration_s is None:
+            raise ValueError("a stationary leg covers no distance: give its duration_s")
+        for name in ("duration_s", "distance_m", "frequency_factor"):
+            value = getattr(self, name)
+            if value is not None and not (np.isfinite(value) and value > 0):
+                raise ValueError(f"{name} of a leg must be a positive number, got {value}")
+        if not np.isfinite(self.turn_rad):
+            raise ValueError(f"turn_rad of a leg must be finite, got {self.turn_rad}")
+
+    @property
+    def moves(self) -> bool:
+        """True unless stationary."""
+        return self.context != "stationary"
+
+    @property
+    def travel_offset_rad(self) -> float:
+        """Walking heading minus the heading the body faces."""
+        if self.context != "sideways":
+            return 0.0
+        return np.pi / 2 if self.side == "right" else -np.pi / 2
+
+    def joins(self, other: Leg) -> bool:
+        """Whether a person walks from this leg into the other without coming to a stop."""
+        return self.moves and other.moves and self.travel_offset_rad == other.travel_offset_rad
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepPlan:
+    """All steps of a walk; a bout is a row of steps between two standstills.
+
+    `contact_s` is when the foot lands, which ends the step; `leg` says which leg a step belongs to.
+    """
+
+    leg_start_s: FloatArray  # (n_legs,)
+    leg_end_s: FloatArray  # (n_legs,)
+    leg: IntArray  # (K,)
+    start_s: FloatArray  # (K,)
+    contact_s: FloatArray  # (K,)
+    length_m: FloatArray  # (K,)
+    rise_m: FloatArray  # (K,)
+    first: BoolArray  # (K,) first of its bout
+    last: BoolArray  # (K,) last of its bout
+
+
+def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
+    """Durations and lengths of all steps, with the person's variability from step to step."""
+    clock_s = 0.0
+    leg_start, leg_end, leg_of, start, length, rise, first, last = ([] for _ in range(8))
+    for k, leg in enumerate(legs):
+        joins_previous = k > 0 and legs[k - 1].joins(leg)
+        joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
+        leg_start.append(clock_s)
+        if leg.moves:
+            before = legs[k - 1] if joins_previous else None
+            durations, lengths = _leg_steps(leg, before, joins_next, gait, rng)
+            n = len(durations)
+            ends = clock_s + np.cumsum(durations)
+            leg_of += [k] * n
+            start += [clock_s, *ends[:-1]]
+            length += list(lengths)
+            rise += [CONTEXT_GAITS[leg.context].rise_m] * n
+            first += [not joins_previous] + [False] * (n - 1)
+            last += [False] * (n - 1) + [not joins_next]
+            clock_s = float(ends[-1])
+        else:
+            clock_s += float(leg.duration_s or 0.0)
+        leg_end.append(clock_s)
+    starts = np.array(start, dtype=float)
+    ends_of_legs = np.array(leg_end)[leg_of] if leg_of else np.zeros(0)
+    # Inside a leg the next step starts where this one ends; the last step of a leg ends with the leg.
+    same_leg = np.append(np.diff(leg_of) == 0, False)[: len(starts)]
+    contacts = np.where(same_leg, np.append(starts[1:], np.nan)[: len(starts)], ends_of_legs)
+    return StepPlan(
+        leg_start_s=np.array(leg_start),
+        leg_end_s=np.array(leg_end),
+        leg=np.array(leg_of, dtype=np.int64),
+        start_s=starts,
+        contact_s=contacts,
+        length_m=np.array(length, dtype=float),
+        rise_m=np.array(rise, dtype=float),
+        first=np.array(first, dtype=bool),
+        last=np.array(last, dtype=bool),
+    )
+
+
+def _leg_steps(
+    leg: Leg, before: Leg | None, joins_next: bool, gait: Gait, rng: np.random.Generator
+) -> tuple[FloatArray, FloatArray]:
+    """Durations and lengths of the steps of one moving leg."""
+    frequency_hz, mean_m = nominal_step(leg, gait)
+    on_stairs = CONTEXT_GAITS[leg.context].rise_m != 0.0
+    n_ends = 0 if on_stairs else (before is None) + (not joins_next)
+    if leg.duration_s is not None:
+        n = max(1, round(leg.duration_s * frequency_hz))
+    else:
+        n = max(1, round(float(leg.distance_m or 0.0) / mean_m + n_ends * (1.0 - END_STEP_FACTOR)))
+    variation = np.clip(rng.standard_normal((2, n)), -2.5, 2.5)
+    durations = (1.0 + gait.frequency_std * variation[0]) / frequency_hz
+    lengths = np.full(n, mean_m)
+    if not on_stairs:
+        lengths *= 1.0 + gait.length_std * variation[1]
+        lengths[0] *= END_STEP_FACTOR if before is None else 1.0
+        lengths[-1] *= 1.0 if joins_next else END_STEP_FACTOR
+    if before is not None:
+        # The first step of a new pace is between the paces.
+        before_hz, before_m = nominal_step(before, gait)
+        durations[0] = 0.5 * (durations[0] + 1.0 / before_hz)
+        lengths[0] = lengths[0] if on_stairs else 0.5 * (lengths[0] + before_m)
+    if leg.duration_s is not None:
+        durations *= leg.duration_s / durations.sum()
+    elif not on_stairs:
+        lengths *= float(leg.distance_m or 0.0) / lengths.sum()
+    return durations, lengths
+
+
+def nominal_step(leg: Leg, gait: Gait) -> tuple[float, float]:
+    """Step frequency, Hz, and step length, m, that the person aims at on this leg."""
+    frequency_hz = gait.step_frequency_hz(leg.context) * leg.frequency_factor
+    length_m = gait.step_length_m(leg.context, frequency_hz)
+    if length_m < 0.1:
+        raise ValueError(
+            f"frequency_factor {leg.frequency_factor} makes {leg.context} steps of {length_m:.2f} m: "
+            "use a factor closer to 1"
+        )
+    return frequency_hz, length_m
