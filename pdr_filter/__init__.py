@@ -50,7 +50,7 @@ _HOME = {
 }
 _MODULES = ("recipes", "simulate")
 
-__all__ = [*_HOME, *_MODULES]  # noqa: PLE0604
+__all__ = [*_HOME, *_MODULES]
 
 
 def __getattr__(name: str) -> Any:

@@ -56,7 +56,7 @@ def _encode(value: Any) -> Any:
         mapping = cast(Mapping[str, Any], value)
         return {"dict": {key: _encode(v) for key, v in mapping.items()}}
     if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
-        content = {f.name: _encode(getattr(value, f.name)) for f in fields(value)}
+        content = {f.name: _encode(getattr(value, f.name)) for f in fields(value) if f.init}
         return {"dataclass": f"{type(value).__module__}:{type(value).__qualname__}", "fields": content}
     raise TypeError(f"a {type(value).__qualname__} cannot be saved: keep states to arrays, numbers and dataclasses")
 

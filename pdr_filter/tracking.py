@@ -243,7 +243,9 @@ class Tracker:
         if state.windows:
             return state.windows[-1].prob
         # before the first window: what the modes say, summed over those of one context
-        return np.bincount(self._context_of_mode, weights=state.mode_prob, minlength=len(CONTEXTS))
+        prob = np.zeros(len(CONTEXTS))
+        np.add.at(prob, self._context_of_mode, state.mode_prob)
+        return prob
 
     # --- HC and WC ---------------------------------------------------------------------------------------------
 

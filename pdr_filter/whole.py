@@ -11,8 +11,7 @@ from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
 from pdr_filter.features.windows import FeatureWindow
 from pdr_filter.online import Config, Output, finish, init, step
-from pdr_filter.recipes import default
-from pdr_filter.sensing import Event
+from pdr_filter.sensing import Event, Sensing
 from pdr_filter.tracking import StepUpdate, WindowContext
 from pdr_filter.types import CONTEXTS, ImuBlock, PositionFix, Recording, Step, Table, Track, Windows, step_table
 
@@ -43,7 +42,7 @@ def track(
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     """
-    config = (config or default()).with_weighting(weighting)
+    config = (config or _default()).with_weighting(weighting)
     received = [f.time_s if f.received_time_s is None else f.received_time_s for f in fixes]
     state = replace(init(config), waiting_fixes=tuple(fixes[i] for i in np.argsort(received, kind="stable")))
     updates: list[StepUpdate] = []
@@ -65,33 +64,35 @@ def track(
         notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
-    return _collect(recording.name, config, updates, _windows(config, windows), start_s, duration_s, notes)
+    return _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
-    config = config or default()
-    return step_table([event for _, event in _events(config, recording) if isinstance(event, Step)])
+    config = config or _default()
+    return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context probabilities of all windows of a recording."""
-    config = config or default()
-    found = [config.context_models.classify(e) for _, e in _events(config, recording) if isinstance(e, FeatureWindow)]
-    return _windows(config, found)
+    config = config or _default()
+    events = sensed_events(config.sensing, recording)
+    return _windows([config.context_models.classify(e) for e in events if isinstance(e, FeatureWindow)])
 
 
-def feature_windows(recording: Recording, config: Config | None = None) -> list[FeatureWindow]:
-    """Feature windows of a recording: what a context model is trained on."""
-    return [e for _, e in _events(config or default(), recording) if isinstance(e, FeatureWindow)]
+def _default() -> Config:
+    from pdr_filter.recipes import default  # loads the shipped models, which training makes
+
+    return default()
 
 
-def _events(config: Config, recording: Recording) -> Iterator[tuple[float, Event]]:
-    state = config.sensing.init()
+def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
+    """Steps, feature windows and gaps of a recording in the order in which they became known."""
+    state = sensing.init()
     for part in _parts(merge_streams(recording), None):
-        state, events = config.sensing.step(state, part)
-        yield from events
-    yield from config.sensing.finish(state)
+        state, events = sensing.step(state, part)
+        yield from (event for _, event in events)
+    yield from (event for _, event in sensing.finish(state))
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
@@ -108,7 +109,7 @@ def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterato
             progress(min(start + _PART_SAMPLES, n) / n)
 
 
-def _windows(config: Config, found: Sequence[WindowContext]) -> Windows:
+def _windows(found: Sequence[WindowContext]) -> Windows:
     return Windows(
         time_s=np.array([w.time_s for w in found]),
         context_prob=np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS)),

@@ -1,1 +1,1 @@
-
+"""Context classifiers: windows of features in, context probabilities out."""

@@ -1,0 +1,250 @@
+"""Context models: a trained machine with all that is needed to use it, in files without code.
+
+A model is `<name>.npz` (plain arrays) and `<name>.json` (feature names, classes and the model card: data, date,
+versions, metrics). Reading one never unpickles anything, and what is read is checked before it is used.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_filter.context.forest import Forest
+from pdr_filter.context.kernel_machine import RelevanceVectors
+from pdr_filter.types import CONTEXTS, FloatArray, read_only
+
+FORMAT_VERSION = 1
+
+_MACHINES: dict[str, type[Forest] | type[RelevanceVectors]] = {
+    "forest": Forest,
+    "relevance_vectors": RelevanceVectors,
+}
+_NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
+_MACHINE_PREFIX = "machine_"  # of the machine's arrays in the .npz
+
+# In a wheel the models are inside the package, in a checkout at the top level.
+_PACKAGE = Path(__file__).resolve().parents[1]
+_SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ContextModel:
+    """Features of one window in, context probabilities out.
+
+    Parameters
+    ----------
+    name : str
+        Also the name of its files.
+    feature_names : (F,)
+        Features in the order that `predict` takes them.
+    classes : (K,)
+        The contexts that the machine tells apart, a part of `CONTEXTS`, in the machine's order.
+    training_prior : (6,)
+        Shares of `CONTEXTS` in the training data, summing to one; zero for contexts that the model has not seen.
+    feature_mean, feature_scale : (F,)
+        The machine sees (features - mean) / scale; zeros and ones for a forest.
+    machine : Forest or RelevanceVectors
+        Class probabilities in the order of `classes`.
+    card : dict
+        What people should know: data, date, versions, metrics. Anything that JSON holds.
+    """
+
+    name: str
+    feature_names: tuple[str, ...]
+    classes: tuple[str, ...]
+    training_prior: FloatArray
+    feature_mean: FloatArray
+    feature_scale: FloatArray
+    machine: Forest | RelevanceVectors
+    card: dict[str, Any]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "feature_names", tuple(self.feature_names))
+        object.__setattr__(self, "classes", tuple(self.classes))
+        for name in ("training_prior", "feature_mean", "feature_scale"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        _check(self)
+
+    def predict(self, features: FloatArray) -> FloatArray:
+        """Probabilities in the order of `CONTEXTS`, (6,), summing to one, from the features of one window (F,).
+
+        Contexts that the model has not seen get zero. Raises ValueError for NaN, naming the feature.
+        """
+        values = np.asarray(features, dtype=np.float64)
+        if values.shape != (len(self.feature_names),):
+            raise ValueError(
+                f"model {self.name!r} takes {len(self.feature_names)} features of one window, got shape {values.shape}"
+            )
+        finite = np.isfinite(values)
+        if not finite.all():
+            index = int(np.argmin(finite))
+            raise ValueError(
+                f"feature {index} ({self.feature_names[index]}) is {values[index]}: "
+                "leave such windows out or fill in a value"
+            )
+        standardised = (values - self.feature_mean) / self.feature_scale
+        prob = np.zeros(len(CONTEXTS))
+        prob[[CONTEXTS.index(c) for c in self.classes]] = self.machine.predict_proba(standardised[None])[0]
+        return prob / prob.sum()
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `<name>.npz` and `<name>.json` into the folder and return the path of the .npz."""
+        arrays: dict[str, NDArray[Any]] = {
+            "training_prior": self.training_prior,
+            "feature_mean": self.feature_mean,
+            "feature_scale": self.feature_scale,
+        }
+        arrays |= {_MACHINE_PREFIX + name: array for name, array in self.machine.to_arrays().items()}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **cast(Any, arrays))
+        content = buffer.getvalue()
+        description = {
+            "format_version": FORMAT_VERSION,
+            "name": self.name,
+            "machine": next(kind for kind, cls in _MACHINES.items() if isinstance(self.machine, cls)),
+            "feature_names": list(self.feature_names),
+            "classes": list(self.classes),
+            # Files of two trainings have the same names and shapes: only this tells that they do not belong together.
+            "npz_sha256": hashlib.sha256(content).hexdigest(),
+            "card": self.card,
+        }
+        text = json.dumps(description, indent=2, ensure_ascii=False, default=_plain) + "\n"
+        target = Path(folder)
+        target.mkdir(parents=True, exist_ok=True)
+        (target / f"{self.name}.npz").write_bytes(content)
+        (target / f"{self.name}.json").write_text(text, encoding="utf-8")
+        return target / f"{self.name}.npz"
+
+
+def load_model(name_or_path: str | Path) -> ContextModel:
+    """Return a shipped model by its name, or the model at a path to its .npz or .json.
+
+    Raises ValueError that names the file and the remedy if it is missing, damaged or not what it says.
+    """
+    stem = _find(name_or_path)
+    npz_path, json_path = Path(f"{stem}.npz"), Path(f"{stem}.json")
+    for path in (npz_path, json_path):
+        if not path.is_file():
+            raise ValueError(f"{path}: no such file; a model is a .npz and a .json of the same name in one folder")
+    description = _read_description(json_path)
+    content = npz_path.read_bytes()
+    if hashlib.sha256(content).hexdigest() != description.get("npz_sha256"):
+        raise ValueError(
+            f"{npz_path}: not the arrays that {json_path.name} was written with (damaged, or from another training); "
+            "copy both files again"
+        )
+    try:
+        return _assemble(description, _read_arrays(content))
+    except (ValueError, KeyError, TypeError, OverflowError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{npz_path}: not a usable context model: {what}; train and save it again") from error
+
+
+def available_models() -> tuple[str, ...]:
+    """Names of the shipped models, sorted."""
+    found = {path.stem for folder in _SHIPPED for path in folder.glob("*.npz") if path.with_suffix(".json").is_file()}
+    return tuple(sorted(found))
+
+
+def _find(name_or_path: str | Path) -> Path:
+    """Return the path of a model's files without their ending."""
+    text = str(name_or_path)
+    stem = re.sub(r"\.(npz|json)$", "", text)
+    is_name = isinstance(name_or_path, str) and stem == text and _NAME.fullmatch(text) is not None
+    if not is_name:
+        return Path(stem)
+    for folder in _SHIPPED:
+        if (folder / f"{text}.npz").is_file():
+            return folder / text
+    known = ", ".join(available_models()) or "none"
+    raise ValueError(f"{text}: no shipped model of that name (there are: {known}); give a name or a path to a .npz")
+
+
+def _read_description(path: Path) -> dict[str, Any]:
+    """Return the content of the .json; ValueError if it is damaged or of another format."""
+    try:
+        description: Any = json.loads(path.read_text(encoding="utf-8"))
+    except (ValueError, RecursionError) as error:
+        raise ValueError(f"{path}: not valid JSON ({error}); copy the model's files again") from error
+    version = cast(dict[str, Any], description).get("format_version") if isinstance(description, dict) else None
+    if version != FORMAT_VERSION:
+        raise ValueError(
+            f"{path}: format_version is {version}, this version reads {FORMAT_VERSION}; "
+            "train the model again or use the version that wrote it"
+        )
+    return description
+
+
+def _read_arrays(content: bytes) -> dict[str, NDArray[Any]]:
+    """Return the arrays of a .npz; ValueError if it is damaged or holds anything but plain arrays."""
+    try:
+        with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
+            return {name: arrays[name] for name in arrays.files}
+    except (OSError, EOFError, AttributeError, TypeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+        raise ValueError(f"not plain arrays ({error})") from error
+
+
+def _assemble(description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]) -> ContextModel:
+    """Return the model; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    kind = description["machine"]
+    if kind not in _MACHINES:
+        raise ValueError(f"machine is {kind!r}, not one of {tuple(_MACHINES)}")
+    own = {name.removeprefix(_MACHINE_PREFIX): a for name, a in arrays.items() if name.startswith(_MACHINE_PREFIX)}
+    return ContextModel(
+        name=description["name"],
+        feature_names=tuple(description["feature_names"]),
+        classes=tuple(description["classes"]),
+        training_prior=arrays["training_prior"],
+        feature_mean=arrays["feature_mean"],
+        feature_scale=arrays["feature_scale"],
+        machine=_MACHINES[kind].from_arrays(own),
+        card=dict(description["card"]),
+    )
+
+
+def _check(model: ContextModel) -> None:
+    """Raise ValueError unless the parts of the model fit together."""
+    if not _NAME.fullmatch(model.name):
+        raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
+    n_features, n_classes = len(model.feature_names), len(model.classes)
+    if len(set(model.feature_names)) != n_features or not all(
+        isinstance(f, str) for f in cast(Any, model.feature_names)
+    ):
+        raise ValueError("feature_names must be different strings")
+    if len(set(model.classes)) != n_classes or not set(model.classes) <= set(CONTEXTS):
+        raise ValueError(f"classes must be different contexts out of {CONTEXTS}, got {model.classes}")
+    if (model.machine.n_features, model.machine.n_classes) != (n_features, n_classes):
+        raise ValueError(
+            f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, "
+            f"the names say {n_features} and {n_classes}"
+        )
+    if model.feature_mean.shape != (n_features,) or model.feature_scale.shape != (n_features,):
+        raise ValueError(f"feature_mean and feature_scale must be ({n_features},), one entry for each feature")
+    if not (np.isfinite(model.feature_mean).all() and np.isfinite(model.feature_scale).all()):
+        raise ValueError("feature_mean and feature_scale must be finite")
+    if not (model.feature_scale > 0).all():
+        raise ValueError("feature_scale must be positive; use one for a feature that does not vary")
+    prior = model.training_prior
+    if prior.shape != (len(CONTEXTS),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
+        raise ValueError(f"training_prior must be {len(CONTEXTS)} probabilities that sum to one, got {prior}")
+    seen = tuple(c for c, p in zip(CONTEXTS, prior, strict=True) if p > 0)
+    if set(seen) != set(model.classes):
+        raise ValueError(f"training_prior is positive for {seen}, but the classes are {model.classes}")
+
+
+def _plain(value: Any) -> Any:
+    """Return NumPy numbers and arrays of a card as what JSON holds."""
+    if isinstance(value, np.generic | np.ndarray):
+        return cast(Any, value).tolist()
+    raise TypeError(f"the model card holds a {type(value).__name__}, which JSON cannot; make it a number or a string")
