@@ -123,17 +123,18 @@ def info(files: Files, as_json: AsJson = False) -> None:
     from pdr_filter.io.describe import Description, describe
 
     def describe_one(file: Path, progress: Callable[[float], None]) -> Description:
-        return describe(pdr.read(file))
+        description = describe(pdr.read(file))
+        if as_json:
+            _print_json(description.as_dict())
+        return description
 
     def tell_failure(name: str, message: str) -> None:
         if as_json:
             _print_json({"name": name, "error": message})
 
     descriptions, failed = _each(files, describe_one, tell_failure)
-    for description in descriptions:
-        if as_json:
-            _print_json(description.as_dict())
-        else:
+    if not as_json:
+        for description in descriptions:
             _print_description(description.as_dict())
     _exit(failed, len(files))
 

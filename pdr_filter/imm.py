@@ -8,7 +8,6 @@ interacting multiple model algorithm for systems with Markovian switching coeffi
 from __future__ import annotations
 
 import numpy as np
-from scipy.special import logsumexp
 
 from pdr_filter.types import FloatArray
 
@@ -38,11 +37,11 @@ def mix(
     reachable = predicted > 0
     weights = np.where(reachable, joint / np.where(reachable, predicted, 1.0), np.eye(len(mode_prob)))
     mixed_mean = weights.T @ mean
+    n_modes, n = mean.shape
     spread = mean[:, None, :] - mixed_mean[None, :, :]  # (i, j, n)
-    weighted = weights[:, :, None] * spread
-    mixed_cov = np.tensordot(weights, cov, axes=(0, 0)) + np.matmul(
-        weighted.transpose(1, 2, 0), spread.transpose(1, 0, 2)
-    )
+    by_target = spread.transpose(1, 2, 0)  # (j, n, i)
+    mixed_cov = (weights.T @ cov.reshape(n_modes, n * n)).reshape(n_modes, n, n)
+    mixed_cov += (by_target * weights.T[:, None, :]) @ by_target.transpose(0, 2, 1)
     return mixed_mean, mixed_cov, predicted
 
 
@@ -77,14 +76,17 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     """
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
-    total = logsumexp(log_posterior)
-    if not np.isfinite(total):
+    highest = log_posterior.max()  # NaN if any is
+    if not np.isfinite(highest):
         return predicted_mode_prob
-    return np.exp(log_posterior - total)
+    relative = np.exp(log_posterior - highest)
+    return relative / relative.sum()
 
 
 def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Moment-matched mean (n,) and covariance (n, n): x = sum mu_j x_j, P = sum mu_j (P_j + (x_j - x)(x_j - x)')."""
+    n_modes, n = mean.shape
     combined = mode_prob @ mean
     spread = mean - combined
-    return combined, np.tensordot(mode_prob, cov, axes=1) + (mode_prob[:, None] * spread).T @ spread
+    within = (mode_prob @ cov.reshape(n_modes, n * n)).reshape(n, n)
+    return combined, within + (mode_prob[:, None] * spread).T @ spread

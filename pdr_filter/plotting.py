@@ -17,8 +17,8 @@ from matplotlib.patches import Patch
 from pdr_filter.types import CONTEXTS, FloatArray, Track, Windows
 
 # Chosen by search over the usual colour-blind safe palettes: any two differ by 18 or more in CIE Lab for normal sight
-# and for the three dichromacies, the neighbours walking and upstairs by far more.
-_COLOURS = ("#C8C8C8", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
+# and for the three dichromacies.
+_COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
 _INK = "#222222"
 _FAINT = "#777777"
 # Half axes of the 95 % ellipse in standard deviations: the square root of chi-square with two degrees of freedom.

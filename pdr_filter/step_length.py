@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
 
-from pdr_filter.types import FloatArray, Step, read_only
+from pdr_filter.types import FloatArray, IntArray, Step, read_only
 
 
 class StepLengthModel(Protocol):
@@ -72,10 +73,41 @@ class StepLengthFit:
             )
 
     def predict(self, step: Step) -> tuple[float, float]:
-        """Length in m (never negative) and its variance in m2: r theta_cov r' + residual variance."""
+        """Length in m (never negative) and its variance in m2: r theta, r theta_cov r' + residual variance."""
         r = self.model.regressors(step)
         length_m = max(float(r @ self.theta), 0.0)
         return length_m, float(r @ self.theta_cov @ r) + self.residual_std_m**2
+
+
+@dataclass(frozen=True, eq=False)
+class StepLengths:
+    """Lengths of one step under several fits at once: the same numbers as each `StepLengthFit.predict`."""
+
+    fits: tuple[StepLengthFit, ...]
+
+    @cached_property
+    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray, FloatArray]]:
+        """For each distinct model: which fits use it, their theta (m, p), covariance (m, p, p), residual variance."""
+        models: list[StepLengthModel] = []
+        for fit in self.fits:
+            if fit.model not in models:
+                models.append(fit.model)
+        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray, FloatArray]] = []
+        for model in models:
+            index = np.array([i for i, fit in enumerate(self.fits) if fit.model == model])
+            own = [self.fits[i] for i in index]
+            theta, cov = np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])
+            groups.append((model, index, theta, cov, np.array([f.residual_std_m**2 for f in own])))
+        return groups
+
+    def predict(self, step: Step) -> tuple[FloatArray, FloatArray]:
+        """Lengths in m (never negative) and their variances in m2, shape (M,) each."""
+        length, variance = np.empty(len(self.fits)), np.empty(len(self.fits))
+        for model, index, theta, cov, residual in self._groups:
+            r = model.regressors(step)
+            length[index] = theta @ r
+            variance[index] = (cov @ r) @ r + residual
+        return np.maximum(length, 0.0), variance
 
 
 def known_length(length_m: float, std_m: float) -> StepLengthFit:

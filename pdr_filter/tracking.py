@@ -25,6 +25,7 @@ from pdr_filter.motion import (
     grow_over_gap,
     initial_estimate,
 )
+from pdr_filter.step_length import StepLengths
 from pdr_filter.types import CONTEXTS, FloatArray, PositionFix, Step
 from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_weights
 
@@ -131,8 +132,16 @@ class Tracker:
         return [CONTEXTS.index(m.context) for m in self.modes]
 
     @cached_property
+    def _lengths(self) -> StepLengths:
+        return StepLengths(tuple(m.step_length for m in self.modes))
+
+    @cached_property
     def _offsets_rad(self) -> FloatArray:
         return np.array([m.heading_offset_rad for m in self.modes])
+
+    @cached_property
+    def _offset_vectors(self) -> FloatArray:
+        return np.column_stack([np.sin(self._offsets_rad), np.cos(self._offsets_rad)])
 
     @cached_property
     def _heading_var_rad2(self) -> FloatArray:
@@ -197,7 +206,7 @@ class Tracker:
 
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
         mean, cov, prob = imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
-        length, variance = self._lengths(step)
+        length, variance = self._lengths.predict(step)
         mean, cov = advance(mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise)
         prob = imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state))
         state = replace(
@@ -231,13 +240,9 @@ class Tracker:
         evidence = context_log_evidence(window.prob, window.training_prior, self.evidence_exponent, self.evidence_floor)
         return evidence[self._context_of_mode]
 
-    def _lengths(self, step: Step) -> tuple[FloatArray, FloatArray]:
-        lengths = [m.step_length.predict(step) for m in self.modes]
-        return np.array([length for length, _ in lengths]), np.array([variance for _, variance in lengths])
-
     def _mean_offset(self, prob: FloatArray) -> float:
-        unit = prob @ np.exp(1j * self._offsets_rad)
-        return float(np.angle(unit)) if abs(unit) > 1e-9 else 0.0
+        sine, cosine = prob @ self._offset_vectors
+        return float(np.arctan2(sine, cosine)) if sine * sine + cosine * cosine > 1e-18 else 0.0
 
     def _latest_context(self, state: TrackerState) -> FloatArray:
         if state.windows:
@@ -287,7 +292,7 @@ class Tracker:
         threshold = HC if self.weighting == "hc" else self.wc_threshold
         weights = 0.5 * (context_weights(provisional, threshold) + context_weights(final, threshold))
         weights = weights[self._context_of_mode]
-        length, variance = self._lengths(step)
+        length, variance = self._lengths.predict(step)
         mean_length = float(weights @ length)
         mixture_var = float(weights @ (variance + length**2)) - mean_length**2
         offset = self._offsets_rad[int(weights.argmax())]

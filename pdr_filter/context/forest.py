@@ -93,8 +93,8 @@ class Forest:
         left = np.concatenate([_shifted(t.children_left, start) for t, start in zip(trees, starts, strict=True)])
         right = np.concatenate([_shifted(t.children_right, start) for t, start in zip(trees, starts, strict=True)])
         leaf = left == NO_CHILD
-        value = np.concatenate([tree.value[:, 0, :] for tree in trees])
-        probability = np.where(leaf[:, None], value / value.sum(axis=1, keepdims=True), 0.0)
+        value = np.concatenate([tree.value[:, 0, :] for tree in trees])  # fractions of the rows that came by
+        probability = np.where(leaf[:, None], value, 0.0)
         return cls(
             n_features=int(trees[0].n_features),
             roots=starts,

@@ -223,7 +223,7 @@ def stratified_rows(labels: IntArray, n_rows: int, random: np.random.RandomState
 
 
 class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
-    """Sparse kernel classifier with calibrated probabilities, one machine against the rest for each class.
+    """Sparse kernel classifier with probabilities, one machine against the rest for each class.
 
     Scale the features before (for instance to unit variance): the kernel takes their distances as they are.
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any, cast
 
 import numpy as np
 import pywt
@@ -214,7 +215,7 @@ class WaveletStepDetector:
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
     """Wavelet sampled at a rate, odd length, zero mean (eq. 2), unit gain at its frequency."""
     scale = float(pywt.frequency2scale(wavelet, frequency_hz / rate_hz))
-    psi, t = pywt.ContinuousWavelet(wavelet).wavefun(10)
+    psi, t = cast(Any, pywt).ContinuousWavelet(wavelet).wavefun(10)
     # Beyond four scales the Mexican hat is below 0.5 % of its peak; a longer kernel only adds latency.
     half = int(np.ceil(4.0 * scale))
     offsets = np.arange(-half, half + 1)
