@@ -50,7 +50,26 @@ _HOME = {
 }
 _MODULES = ("recipes", "simulate")
 
-__all__ = [*_HOME, *_MODULES]
+__all__ = [
+    "CONTEXTS",
+    "Config",
+    "OnlineFilter",
+    "PositionFix",
+    "Recording",
+    "RelevanceVectorClassifier",
+    "Samples",
+    "Step",
+    "StepUpdate",
+    "Track",
+    "Windows",
+    "classify",
+    "detect_steps",
+    "merge_streams",
+    "read",
+    "recipes",
+    "simulate",
+    "track",
+]
 
 
 def __getattr__(name: str) -> Any:

@@ -180,8 +180,8 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
 
 
 def _plane_legend(track: Track, has_reference: bool) -> list[Line2D | Patch]:
-    both = np.vstack([track.context_prob, track.windows.context_prob])
-    occurring = {track.contexts[i] for i in np.flatnonzero(both.max(axis=0, initial=0.0) >= _VISIBLE_PROB)}
+    visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
+    occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
     handles: list[Line2D | Patch] = [
         Patch(facecolor=colour, edgecolor=_INK, linewidth=0.5, label=name)
         for name, colour in context_colours(track.contexts).items()

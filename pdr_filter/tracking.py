@@ -87,7 +87,11 @@ class Tracker:
     wc_threshold : float
         Second-highest over highest probability from which `wc` weights (Algorithm 2: 0.8).
     evidence_exponent : float
-        Tempering of the evidence of one window: hop over window length.
+        Tempering of the evidence of one window. Overlap alone gives hop over window length, 0.5; windows of one gait
+        also share its errors. 0.25 has the lowest log loss on people left out (docs/benchmarks.md).
+    prior_exponent : float
+        How far the classifier's training prior is divided out. The forests are not calibrated: dividing all of it
+        out makes stairs of flat walking, none of it walking of stairs (docs/benchmarks.md).
     evidence_floor : float
         Probability below which a context is not pushed by one window.
     step_log_odds_stationary : float
@@ -106,7 +110,8 @@ class Tracker:
     transition_prob: FloatArray
     weighting: str = "imm"
     wc_threshold: float = 0.8
-    evidence_exponent: float = 0.5
+    evidence_exponent: float = 0.25
+    prior_exponent: float = 0.5
     evidence_floor: float = 0.01
     step_log_odds_stationary: float = -1.9
     window_hop_s: float = 1.0
@@ -237,7 +242,9 @@ class Tracker:
         if not state.windows or state.windows[-1].time_s <= state.evidence_time_s:
             return np.zeros(len(self.modes))
         window = state.windows[-1]
-        evidence = context_log_evidence(window.prob, window.training_prior, self.evidence_exponent, self.evidence_floor)
+        evidence = context_log_evidence(
+            window.prob, window.training_prior, self.evidence_exponent, self.evidence_floor, self.prior_exponent
+        )
         return evidence[self._context_of_mode]
 
     def _mean_offset(self, prob: FloatArray) -> float:

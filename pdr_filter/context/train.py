@@ -107,13 +107,14 @@ class LabelledWindows:
     carrying_mode: TextArray  # (W,)
     person: TextArray  # (W,) dataset/subject
     dataset: TextArray  # (W,)
+    recording: TextArray  # (W,) name
     has_gyroscope: BoolArray  # (W,)
 
 
 def labelled_windows(paths: Sequence[Path], progress: Progress | None = None) -> LabelledWindows:
     """Windows of recordings that lie wholly inside a label with a known context."""
     sensing = Sensing()
-    rows: list[tuple[FloatArray, str, str, str, str, bool]] = []
+    rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
         recording = read(path)
         person = f"{recording.meta.get('dataset', '')}/{recording.subject.id}"
@@ -122,18 +123,19 @@ def labelled_windows(paths: Sequence[Path], progress: Progress | None = None) ->
                 label = _label_of(recording, event.time_s - sensing.windows.window_s, event.time_s)
                 if label is not None:
                     dataset = str(recording.meta.get("dataset", ""))
-                    rows.append((event.features, *label, person, dataset, event.has_gyroscope))
+                    rows.append((event.features, *label, person, dataset, recording.name, event.has_gyroscope))
         if progress is not None:
             progress(f"features of {path.stem}", (i + 1) / len(paths))
     if not rows:
         raise ValueError("no labelled windows: the recordings need truth_labels.csv with known contexts")
-    features, context, carrying_mode, person, dataset, has_gyroscope = zip(*rows, strict=True)
+    features, context, carrying_mode, person, dataset, name, has_gyroscope = zip(*rows, strict=True)
     return LabelledWindows(
         np.array(features),
         np.array(context),
         np.array(carrying_mode),
         np.array(person),
         np.array(dataset),
+        np.array(name),
         np.array(has_gyroscope),
     )
 
@@ -198,7 +200,7 @@ def train_one(plan: Plan, windows: LabelledWindows, progress: Progress) -> Conte
     prob = np.zeros((len(y), len(CONTEXTS)))
     for i, name in enumerate(held_out):
         test = person == name
-        prob[test] = _fitted_prob(plan, X[~test], y[~test], X[test])
+        prob[test] = fitted_prob(plan, X[~test], y[~test], X[test])
         progress(f"{plan.name}: without {name}", (i + 1) / (len(held_out) + 2))
     scored = dataset == SCORED_DATASET
     scores = score(y[scored], prob[scored])
@@ -252,7 +254,8 @@ def _fit(plan: Plan, X: FloatArray, y: TextArray) -> tuple[Any, FloatArray, Floa
     return classifier, mean, scale
 
 
-def _fitted_prob(plan: Plan, X: FloatArray, y: TextArray, X_test: FloatArray) -> FloatArray:
+def fitted_prob(plan: Plan, X: FloatArray, y: TextArray, X_test: FloatArray) -> FloatArray:
+    """Probabilities (N, 6) of test rows by a classifier fitted as planned to other rows."""
     classifier, mean, scale = _fit(plan, X, y)
     prob = np.zeros((len(X_test), len(CONTEXTS)))
     prob[:, [CONTEXTS.index(str(c)) for c in classifier.classes_]] = classifier.predict_proba((X_test - mean) / scale)
@@ -262,7 +265,7 @@ def _fitted_prob(plan: Plan, X: FloatArray, y: TextArray, X_test: FloatArray) ->
 def _site_left_out(plan: Plan, X: FloatArray, y: TextArray, dataset: TextArray, site: str) -> dict[str, Any]:
     """How much of a site's walking is taken for walking by a model that has not seen the site."""
     test = dataset == site
-    prob = _fitted_prob(plan, X[~test], y[~test], X[test])
+    prob = fitted_prob(plan, X[~test], y[~test], X[test])
     walking = CONTEXTS.index("walking")
     return {
         "n_windows": int(test.sum()),
