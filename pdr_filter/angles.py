@@ -13,7 +13,9 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
     >>> float(wrap_angle(3 * np.pi))
     -3.141592653589793
     """
-    return np.asarray((np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi)
+    wrapped = (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
+    # the remainder of a tiny negative number rounds up to 2 pi itself
+    return np.asarray(np.where(wrapped >= np.pi, -np.pi, wrapped))
 
 
 def heading_from_yaw(yaw_rad: FloatArray | float) -> FloatArray:

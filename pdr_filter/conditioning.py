@@ -190,9 +190,11 @@ class Conditioner:
 
     def _resample(self, state: ConditionerState, rows: FloatArray) -> tuple[ConditionerState, list[UniformBlock]]:
         """Mean of the linear interpolant over each interval of the grid that the rows cover."""
-        span = (rows[-1, 0] - state.segment_start_s) * self.rate_hz
-        # The tolerance keeps a sample that lies on the grid up to rounding from waiting for the next one.
-        n_complete = int(np.floor(span + 1e-6)) // self.hop_samples * self.hop_samples
+        # A grid point needs a sample after it: interpolated from the left alone it would have other last bits.
+        last = int(np.ceil((rows[-1, 0] - state.segment_start_s) * self.rate_hz)) + 1
+        while last > 0 and state.segment_start_s + last / self.rate_hz >= rows[-1, 0]:
+            last -= 1
+        n_complete = last // self.hop_samples * self.hop_samples
         if n_complete <= state.n_emitted:
             return replace(state, rows=rows), []
         index = np.arange(state.n_emitted, n_complete + 1)

@@ -32,7 +32,7 @@ def from_bytes(blob: bytes) -> Any:
         if content["format"] != _FORMAT:
             raise ValueError(f"format {content['format']}, this version reads {_FORMAT}")
         return _decode(content["value"])
-    except (zlib.error, UnicodeDecodeError, KeyError, TypeError, AttributeError, ImportError, ValueError) as error:
+    except (zlib.error, LookupError, TypeError, AttributeError, ImportError, ValueError, RecursionError) as error:
         raise ValueError(
             f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
         ) from error
@@ -45,15 +45,17 @@ def _encode(value: Any) -> Any:
         return value.item()
     if isinstance(value, np.ndarray):
         array = cast(np.ndarray[Any, Any], value)
-        if array.dtype.hasobject:
-            raise TypeError("arrays of Python objects cannot be saved")
+        if array.dtype.kind not in "biuf":
+            raise TypeError(f"an array of {array.dtype} cannot be saved: only numbers come back as they were")
         data = base64.b64encode(np.ascontiguousarray(array).tobytes()).decode()
         return {"array": data, "dtype": array.dtype.str, "shape": list(array.shape)}
     if isinstance(value, (tuple, list)):
         items = cast(tuple[Any, ...], value)
         return {"tuple" if isinstance(value, tuple) else "list": [_encode(v) for v in items]}
     if isinstance(value, Mapping):
-        mapping = cast(Mapping[str, Any], value)
+        mapping = cast(Mapping[Any, Any], value)
+        if not all(isinstance(key, str) for key in mapping):
+            raise TypeError("only mappings with text keys can be saved: JSON turns others into text")
         return {"dict": {key: _encode(v) for key, v in mapping.items()}}
     if is_dataclass(value) and type(value).__module__.partition(".")[0] == _PACKAGE:
         content = {f.name: _encode(getattr(value, f.name)) for f in fields(value) if f.init}

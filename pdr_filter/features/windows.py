@@ -94,7 +94,9 @@ class FeatureWindows:
         end = state.n_samples + new.shape[1]
         first = end - buffer.shape[1]  # index of the first sample in the buffer
         windows: list[tuple[int, FeatureWindow]] = []
-        next_end = max(self.window_samples, -(-(state.n_samples + 1) // self.hop_samples) * self.hop_samples)
+        # ends are window + k hop; the first one after the samples already seen
+        hops_done = max(0, (state.n_samples - self.window_samples) // self.hop_samples + 1)
+        next_end = self.window_samples + hops_done * self.hop_samples
         while next_end <= end:
             samples = buffer[:, next_end - self.window_samples - first : next_end - first]
             windows.append((next_end - 1, self._describe(samples)))

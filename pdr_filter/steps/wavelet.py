@@ -1,12 +1,13 @@
 """Steps as local maxima of the wavelet transform of the specific-force magnitude: Martinelli et al. 2018, section IV.
 
-|f| (eq. 1) is band-passed, then transformed at one scale (eq. 3); a transform at one scale is a short symmetric FIR
-filter, so the kernel is taken from pywt once and run causally with a delay line.
+|f| (eq. 1) is band-passed, then transformed at one scale (eq. 3). Both are linear, the transform at one scale is a
+short symmetric FIR filter and the wavelet has zero mean, so that wavelet and low-pass are one symmetric kernel, taken
+from pywt and run causally with a delay line: its delay is the same at every step frequency.
 
 Deviations, where the paper is silent: the wavelet (Mexican hat), its frequency in hertz in place of scale 16, the
-band, and a threshold that follows the recent peaks. Running gets a second, faster scale: with one scale either the two
-feet of a runner merge into one maximum, or a slow walker's heel strike and push-off make two (docs/benchmarks.md). In
-place of overlapping 1 s windows every sample is looked at once: the same maxima, no double detections at window edges.
+low-pass, and a threshold that follows the recent peaks. Running gets a second, faster scale: with one scale either the
+two feet of a runner merge into one maximum, or a slow walker's heel strike and push-off make two (docs/benchmarks.md).
+In place of overlapping 1 s windows every sample is looked at once: the same maxima, none twice at window edges.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from typing import Any, cast
 
 import numpy as np
 import pywt
-from scipy.signal import butter, sosfilt, sosfilt_zi, sosfreqz
+from scipy.signal import butter, firwin, sosfilt
 
 from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
@@ -29,9 +30,8 @@ class StepDetectorState:
     """Filter memories, the signals of the last seconds, and the last contact."""
 
     n_samples: int  # seen so far in this segment
-    zi: FloatArray | None  # (n_sections, 2) of the band-pass; None before the first sample
     power_zi: FloatArray  # (1, 2) of the low-pass of the squared magnitude
-    delay_line: FloatArray  # (2, L - 1) band-passed samples, and their smoothed power
+    delay_line: FloatArray  # (2, L - 1) magnitude, and its smoothed squared deviation from gravity; empty at the start
     response: FloatArray  # (2,) last values of the transform
     history: FloatArray  # (5, H): time, magnitude, vertical, device heading, angular rate known
     last_contact: int  # index of the sample; negative before the first
@@ -41,7 +41,7 @@ class StepDetectorState:
 
 @dataclass(frozen=True)
 class WaveletStepDetector:
-    """Causal step detector; a step is reported about 0.6 s after its contact.
+    """Causal step detector; a step is reported about 0.7 s after its contact.
 
     Parameters
     ----------
@@ -56,8 +56,8 @@ class WaveletStepDetector:
     running_rms_mps2 : float
         Root mean square of |f| - g over about half a second above which the faster scale is used. Jogging has 8 to
         15 m/s2, brisk walking with the phone in a pocket 4 to 7.
-    band_hz : (low, high)
-        Butterworth band-pass of second order before the transform.
+    low_pass_hz : float
+        Cutoff of the low-pass (Hamming window, 0.25 s) before the transform.
     min_peak_mps2 : float
         Smallest response that is a step. The response is scaled so that a sinusoid of amplitude 1 m/s2 at the
         wavelet frequency gives 1 m/s2.
@@ -73,10 +73,10 @@ class WaveletStepDetector:
 
     rate_hz: float = 100.0
     wavelet: str = "mexh"
-    wavelet_frequency_hz: float = 1.45
+    wavelet_frequency_hz: float = 1.7
     running_wavelet_frequency_hz: float = 2.8
     running_rms_mps2: float = 6.5
-    band_hz: tuple[float, float] = (0.5, 3.0)
+    low_pass_hz: float = 4.0
     min_peak_mps2: float = 0.35
     relative_peak: float = 0.2
     min_interval_s: float = 0.25
@@ -85,30 +85,20 @@ class WaveletStepDetector:
 
     @cached_property
     def _kernels(self) -> tuple[FloatArray, FloatArray]:
-        """Wavelet for walking and for running, equally long, so that both have one delay."""
-        walking = wavelet_kernel(self.wavelet, self.wavelet_frequency_hz, self.rate_hz)
-        running = wavelet_kernel(self.wavelet, self.running_wavelet_frequency_hz, self.rate_hz)
-        half = max(len(walking), len(running)) // 2
-        padded = [np.pad(k, half - len(k) // 2) for k in (walking, running)]
-        return padded[0], padded[1]
-
-    @cached_property
-    def _sos(self) -> FloatArray:
-        high_hz = min(self.band_hz[1], 0.45 * self.rate_hz)
-        return np.asarray(butter(2, (self.band_hz[0], high_hz), "bandpass", fs=self.rate_hz, output="sos"))
+        """Low-passed wavelet for walking and for running, equally long, so that both have one delay."""
+        frequencies_hz = (self.wavelet_frequency_hz, self.running_wavelet_frequency_hz)
+        kernels = [step_kernel(self.wavelet, f, self.low_pass_hz, self.rate_hz) for f in frequencies_hz]
+        half = max(len(k) for k in kernels) // 2
+        walking, running = (np.pad(k, half - len(k) // 2) for k in kernels)
+        return walking, running
 
     @cached_property
     def _power_sos(self) -> FloatArray:
         return np.asarray(butter(1, 0.4, fs=self.rate_hz, output="sos"))
 
-    @cached_property
+    @property
     def _delay_samples(self) -> int:
-        """Half the kernel plus the group delay of the band-pass at the wavelet frequency."""
-        f = self.wavelet_frequency_hz
-        _, response = sosfreqz(self._sos, worN=np.array([f - 0.05, f + 0.05]), fs=self.rate_hz)
-        phase = np.unwrap(np.angle(response))
-        group_delay_s = -(phase[1] - phase[0]) / (2 * np.pi * 0.1)
-        return len(self._kernels[0]) // 2 + round(group_delay_s * self.rate_hz)
+        return len(self._kernels[0]) // 2
 
     @property
     def latency_s(self) -> float:
@@ -123,9 +113,8 @@ class WaveletStepDetector:
         """State before the first sample of a segment."""
         return StepDetectorState(
             n_samples=0,
-            zi=None,
             power_zi=np.zeros((1, 2)),
-            delay_line=np.zeros((2, len(self._kernels[0]) - 1)),
+            delay_line=np.empty((2, 0)),
             response=np.zeros(2),
             history=np.empty((5, 0)),
             last_contact=-1,
@@ -138,24 +127,25 @@ class WaveletStepDetector:
     ) -> tuple[StepDetectorState, list[tuple[int, Step]]]:
         """New state and the steps that became known, each with the index of the sample that revealed it."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
-        zi = state.zi if state.zi is not None else sosfilt_zi(self._sos) * magnitude[0]
-        filtered, zi = sosfilt(self._sos, magnitude, zi=zi)
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
         known = block.angular_rate_known.astype(float)
         signals = np.stack([block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, known])
         history = np.concatenate([state.history, signals], axis=1)
-        state = replace(state, zi=zi, power_zi=power_zi, history=history)
-        state, steps = self._detect(state, np.stack([filtered, power]))
+        state = replace(state, power_zi=power_zi, history=history)
+        if state.n_samples == 0:
+            # What was before the first sample is taken to be like it: a zero there would look like a blow.
+            before = np.tile([[magnitude[0]], [0.0]], len(self._kernels[0]) - 1)
+            state = replace(state, delay_line=before)
+        state, steps = self._detect(state, np.stack([magnitude, power]))
         return replace(state, history=state.history[:, -self._history_samples :]), steps
 
     def finish(self, state: StepDetectorState) -> list[tuple[int, Step]]:
-        """Steps in the last `latency_s` before a gap or the end: nothing follows, so the transform sees rest."""
+        """Steps in the last `latency_s` before a gap or the end, whose last value is taken to stay."""
         if state.n_samples == 0:
             return []
         last_s = float(state.history[0, -1])
         end = state.n_samples
-        rest = np.stack([np.zeros(self._delay_samples + 1), np.full(self._delay_samples + 1, state.delay_line[1, -1])])
-        _, steps = self._detect(state, rest)
+        _, steps = self._detect(state, np.tile(state.delay_line[:, -1:], self._delay_samples + 1))
         return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _detect(
@@ -213,16 +203,27 @@ class WaveletStepDetector:
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
-    """Wavelet sampled at a rate, odd length, zero mean (eq. 2), unit gain at its frequency."""
+    """Wavelet sampled at a rate: odd length, zero mean (eq. 2), unit gain at its frequency."""
     scale = float(pywt.frequency2scale(wavelet, frequency_hz / rate_hz))
     psi, t = cast(Any, pywt).ContinuousWavelet(wavelet).wavefun(10)
     # Beyond four scales the Mexican hat is below 0.5 % of its peak; a longer kernel only adds latency.
     half = int(np.ceil(4.0 * scale))
-    offsets = np.arange(-half, half + 1)
-    kernel = np.interp(offsets / scale, t, np.real(psi), left=0.0, right=0.0)
-    kernel = kernel - kernel.mean()
-    gain = np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offsets / rate_hz))
-    return np.asarray(kernel / gain)
+    kernel = np.interp(np.arange(-half, half + 1) / scale, t, np.real(psi), left=0.0, right=0.0)
+    return _with_unit_gain(np.asarray(kernel - kernel.mean()), frequency_hz, rate_hz)
+
+
+def step_kernel(wavelet: str, frequency_hz: float, low_pass_hz: float, rate_hz: float) -> FloatArray:
+    """Low-passed wavelet: symmetric, odd length, zero mean, unit gain at its frequency."""
+    # 0.25 s of Hamming window roll off within 4 Hz, enough to join the two humps of one step
+    n_taps = 2 * round(0.125 * rate_hz) + 1
+    low_pass: FloatArray = np.asarray(firwin(n_taps, min(low_pass_hz, 0.45 * rate_hz), fs=rate_hz), dtype=float)
+    kernel = np.convolve(wavelet_kernel(wavelet, frequency_hz, rate_hz), low_pass)
+    return _with_unit_gain(kernel, frequency_hz, rate_hz)
+
+
+def _with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> FloatArray:
+    offset_s = (np.arange(len(kernel)) - len(kernel) // 2) / rate_hz
+    return np.asarray(kernel / np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offset_s)))
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:

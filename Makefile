@@ -1,0 +1,53 @@
+# make demo [FILE=walk.zip] [OUT=folder]   track a walk and draw it
+# make test                                run the tests
+# make check                               lint, format and types
+# make docs                                build the documentation
+# make clean                               remove what these made
+#
+# Needs only make and Python 3.11 or newer with pip; everything else goes into .venv.
+
+PYTHON ?= python3
+VENV ?= .venv
+FILE ?=
+OUT ?= demo_output
+
+BIN := $(VENV)/bin
+PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
+
+.PHONY: demo test check docs clean
+
+demo: $(VENV)/.installed
+	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
+
+test: $(VENV)/.installed-test
+	@$(BIN)/python -m pytest -q
+
+check: $(VENV)/.installed-dev
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/pyright --pythonpath $(BIN)/python
+
+docs: $(VENV)/.installed-docs
+	$(BIN)/python -m sphinx -q -W --keep-going -b html docs docs/_build/html
+	@echo "open docs/_build/html/index.html"
+
+clean:
+	rm -rf $(VENV) build dist demo_output docs/_build docs/api .pytest_cache .ruff_cache .hypothesis .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# A stamp file for each set of packages: pip runs again only when pyproject.toml changed.
+$(VENV)/.installed: pyproject.toml $(VENV)/.created
+	@echo "installing pdr_filter into $(VENV), once ..."
+	@$(PIP_INSTALL) --editable .
+	@touch $@
+
+$(VENV)/.installed-%: pyproject.toml $(VENV)/.created
+	@echo "installing pdr_filter[$*] into $(VENV), once ..."
+	@$(PIP_INSTALL) --editable ".[$*]"
+	@touch $@ $(VENV)/.installed
+
+$(VENV)/.created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' || { \
+	  echo "pdr_filter needs Python 3.11 or newer, and '$(PYTHON)' is not; try: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -m venv $(VENV)
+	@touch $@

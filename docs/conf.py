@@ -1,0 +1,63 @@
+"""Sphinx configuration; the table of models is made from their cards when the documentation is built."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pdr_filter
+
+project = "pdr_filter"
+author = "The pdr_filter developers"
+copyright = f"2026, {author}"
+version = release = pdr_filter.__version__
+
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+myst_enable_extensions = ["amsmath", "dollarmath", "substitution"]
+exclude_patterns = ["_build"]
+html_theme = "furo"
+html_title = f"pdr_filter {version}"
+
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_type_aliases = {"FloatArray": "FloatArray", "ArrayLike": "ArrayLike", "Table": "Table"}
+autodoc_preserve_defaults = True
+numpydoc_show_class_members = False
+
+
+def model_card(description: dict[str, Any]) -> str:
+    """One model as a heading and a table."""
+    card = description.get("card", {})
+    scores = card.get("leave_one_subject_out", {})
+    rows = {
+        "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
+        f"{sum(card.get('n_windows', {}).values()):,} windows",
+        "people left out": scores.get("people"),
+        "accuracy": scores.get("accuracy"),
+        "macro recall": scores.get("macro_recall"),
+        "recall": ", ".join(f"{context} {recall:.2f}" for context, recall in scores.get("recall", {}).items()),
+        "log loss": scores.get("log_loss"),
+        "site left out": ", ".join(
+            f"{site}: walking recall {site_scores.get('walking_recall')}"
+            for site, site_scores in card.get("site_left_out", {}).items()
+        ),
+        "limits": card.get("limits"),
+        "made": f"{card.get('date')}, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
+    }
+    lines = [f"| {key} | {value} |" for key, value in rows.items() if value not in (None, "")]
+    return "\n".join([f"## {description['name']}", "", card.get("description", ""), "", "| | |", "|---|---|", *lines])
+
+
+cards = sorted(Path(__file__).resolve().parents[1].joinpath("models").glob("*.json"))
+myst_substitutions = {"model_cards": "\n\n".join(model_card(json.loads(path.read_text("utf-8"))) for path in cards)}
+
+
+def escape_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:
+    """Keep |f| a magnitude: in reStructuredText it would be a substitution."""
+    lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", r"\|") for line in lines]
+
+
+def setup(app: Any) -> None:
+    """Connect the hooks."""
+    app.connect("autodoc-process-docstring", escape_bars, priority=900)  # after numpydoc

@@ -1,0 +1,155 @@
+"""What several tests share: cutting sample blocks, joining what comes out, walking through the front end."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import fields
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_filter.attitude import AttitudeBlock
+from pdr_filter.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
+from pdr_filter.sensing import Event, Sensing
+from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Recording, Step
+
+
+def imu(
+    time_s: FloatArray,
+    force: FloatArray | None = None,
+    rate: FloatArray | None = None,
+    field: FloatArray | None = None,
+) -> ImuBlock:
+    """A block of samples; a phone that lies face up, without gyroscope and magnetometer, unless said otherwise."""
+    n = len(time_s)
+    missing = np.full((n, 3), np.nan)
+    return ImuBlock(
+        np.asarray(time_s, dtype=float),
+        np.tile([0.0, 0.0, STANDARD_GRAVITY_MPS2], (n, 1)) if force is None else force,
+        missing if rate is None else rate,
+        missing if field is None else field,
+    )
+
+
+def part_of(block: ImuBlock, part: slice) -> ImuBlock:
+    return ImuBlock(*(getattr(block, f.name)[part] for f in fields(ImuBlock)))
+
+
+def cut(block: ImuBlock, cuts: Sequence[int]) -> list[ImuBlock]:
+    """The block in pieces; cuts may repeat (an empty piece) and follow each other (a single sample)."""
+    n = len(block.time_s)
+    edges = [0, *sorted(c % (n + 1) for c in cuts), n]
+    return [part_of(block, slice(a, b)) for a, b in pairwise(edges)]
+
+
+def cut_randomly(block: ImuBlock, seed: int, mean_length: int = 40) -> list[ImuBlock]:
+    rng = np.random.default_rng(seed)
+    n = len(block.time_s)
+    return cut(block, list(rng.integers(0, n + 1, size=max(n // mean_length, 1))))
+
+
+def condition(conditioner: Conditioner, blocks: Sequence[ImuBlock]) -> tuple[ConditionerState, list[UniformBlock]]:
+    state, outputs = conditioner.init(), []
+    for block in blocks:
+        state, uniform = conditioner.step(state, block)
+        outputs += uniform
+    return state, outputs
+
+
+def joined(blocks: Sequence[UniformBlock]) -> dict[str, np.ndarray]:
+    """All columns of consecutive blocks; the gap before a block stands at its first sample."""
+    names = [f.name for f in fields(UniformBlock) if f.name != "gap_before_s"]
+    columns = {name: np.concatenate([getattr(b, name) for b in blocks]) for name in names}
+    gaps = [np.concatenate([[b.gap_before_s], np.zeros(len(b.time_s) - 1)]) for b in blocks]
+    return {**columns, "gap_before_s": np.concatenate(gaps)}
+
+
+def assert_same_bits(actual: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    assert actual.keys() == expected.keys()
+    for name in expected:
+        np.testing.assert_array_equal(actual[name], expected[name], err_msg=name)
+
+
+def uniform_block(
+    magnitude: FloatArray,
+    rate_hz: float = 100.0,
+    gap_before_s: float = np.inf,
+    start_s: float = 0.0,
+    rate: FloatArray | None = None,
+    field: FloatArray | None = None,
+) -> UniformBlock:
+    """Uniform samples of a phone face up, whose |specific force| is given."""
+    n = len(magnitude)
+    zeros = np.zeros((n, 3))
+    return UniformBlock(
+        time_s=start_s + (np.arange(n) + 0.5) / rate_hz,
+        specific_force_mps2=np.column_stack([np.zeros(n), np.zeros(n), magnitude]),
+        angular_rate_radps=zeros if rate is None else rate,
+        angular_rate_known=np.full(n, rate is not None),
+        magnetic_field_ut=zeros if field is None else field,
+        magnetic_field_known=np.full(n, field is not None),
+        gap_before_s=gap_before_s,
+    )
+
+
+def cut_uniform(block: UniformBlock, edges: Sequence[int]) -> list[UniformBlock]:
+    """The block in non-empty pieces; only the first has the gap before it."""
+    n = len(block.time_s)
+    unique = sorted({0, n, *(e % n for e in edges)})
+    pieces = []
+    for a, b in pairwise(unique):
+        columns = {
+            f.name: getattr(block, f.name)[a:b] if f.name != "gap_before_s" else (block.gap_before_s if a == 0 else 0.0)
+            for f in fields(UniformBlock)
+        }
+        pieces.append(UniformBlock(**columns))
+    return pieces
+
+
+def flat_attitude(magnitude: FloatArray, heading_rad: FloatArray | None = None) -> AttitudeBlock:
+    """Attitude of a phone face up, whose |specific force| is given."""
+    n = len(magnitude)
+    return AttitudeBlock(
+        vertical_mps2=magnitude - STANDARD_GRAVITY_MPS2,
+        horizontal_mps2=np.zeros((n, 2)),
+        up_sensor=np.tile([0.0, 0.0, 1.0], (n, 1)),
+        device_heading_rad=np.zeros(n) if heading_rad is None else heading_rad,
+    )
+
+
+def sensed(sensing: Sensing, blocks: Sequence[ImuBlock]) -> list[tuple[float, Event]]:
+    """All events of the front end, the end of the recording included."""
+    state, events = sensing.init(), []
+    for block in blocks:
+        state, found = sensing.step(state, block)
+        events += found
+    return [*events, *sensing.finish(state)]
+
+
+def steps_of(recording: Recording) -> list[Step]:
+    return [e for _, e in sensed(Sensing(), [merge_streams(recording)]) if isinstance(e, Step)]
+
+
+def a_step(
+    time_s: float = 1.0,
+    *,
+    heading_rad: float = 0.0,
+    duration_s: float = 0.5,
+    variance: float = 4.0,
+    heading_known: bool = True,
+) -> Step:
+    return Step(
+        time_s=time_s,
+        detected_time_s=time_s + 0.6,
+        duration_s=duration_s,
+        frequency_hz=1.0 / duration_s,
+        variance=variance,
+        vertical_max_mps2=3.0,
+        vertical_min_mps2=-3.0,
+        magnitude_max_mps2=13.0,
+        magnitude_min_mps2=7.0,
+        mean_abs_mps2=1.5,
+        heading_change_rad=0.0,
+        device_heading_rad=heading_rad,
+        heading_known=heading_known,
+    )

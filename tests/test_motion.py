@@ -1,0 +1,246 @@
+# ruff: noqa: N806 - the letters of the equations
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import a_step
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.optimize import approx_fprime
+
+from pdr_filter.motion import (
+    EAST,
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    NORTH,
+    Mode,
+    MotionNoise,
+    advance,
+    grow_over_gap,
+    initial_estimate,
+)
+from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.types import Step
+
+STILL = MotionNoise(heading_drift_rad_per_sqrt_s=0.0, log_scale_drift_per_sqrt_step=0.0)
+NO_COV = np.zeros((1, 4, 4))
+
+
+def advance_one(
+    mean: np.ndarray,
+    cov: np.ndarray = NO_COV[0],
+    step: Step | None = None,
+    *,
+    length_m: float = 0.7,
+    length_var_m2: float = 0.0,
+    offset_rad: float = 0.0,
+    heading_var_rad2: float = 0.0,
+    noise: MotionNoise = STILL,
+) -> tuple[np.ndarray, np.ndarray]:
+    """`advance` for a single mode."""
+    moved = advance(
+        np.asarray(mean, dtype=float)[None],
+        cov[None],
+        step or a_step(),
+        *(np.array([v]) for v in (length_m, length_var_m2, offset_rad, heading_var_rad2)),
+        noise,
+    )
+    return moved[0][0], moved[1][0]
+
+
+# --- where a step leads ---------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("heading_rad", "east_m", "north_m"),
+    [(0.0, 0.0, 0.7), (np.pi / 2, 0.7, 0.0), (np.pi, 0.0, -0.7), (-np.pi / 2, -0.7, 0.0), (2.5 * np.pi, 0.7, 0.0)],
+    ids=["north", "east", "south", "west", "unwrapped east"],
+)
+def test_a_step_goes_where_the_heading_points(heading_rad: float, east_m: float, north_m: float) -> None:
+    mean, _ = advance_one(np.array([3.0, -4.0, 0.0, 0.0]), step=a_step(heading_rad=heading_rad))
+    np.testing.assert_allclose(mean, [3.0 + east_m, -4.0 + north_m, 0.0, 0.0], atol=1e-12)
+
+
+def test_a_step_to_the_right_while_facing_north_goes_east() -> None:
+    mean, _ = advance_one(np.zeros(4), offset_rad=np.pi / 2)
+    np.testing.assert_allclose(mean[:2], [0.7, 0.0], atol=1e-12)
+
+
+def test_device_heading_state_offset_and_the_offset_of_the_mode_add_up() -> None:
+    mean, _ = advance_one(np.array([0.0, 0.0, 0.2, 0.0]), step=a_step(heading_rad=0.3), offset_rad=0.4)
+    np.testing.assert_allclose(mean[:2], [0.7 * np.sin(0.9), 0.7 * np.cos(0.9)])
+
+
+def test_the_scale_multiplies_the_length() -> None:
+    mean, _ = advance_one(np.array([0.0, 0.0, 0.0, np.log(1.1)]))
+    assert mean[NORTH] == pytest.approx(0.77)
+
+
+# --- how unsure it is -----------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=30, deadline=None)
+@given(
+    state=st.tuples(st.floats(-50, 50), st.floats(-50, 50), st.floats(-3, 3), st.floats(-0.3, 0.3)),
+    heading_rad=st.floats(-7, 7),
+    length_m=st.floats(0, 1.5),
+    offset_rad=st.sampled_from([0.0, np.pi / 2, -0.4]),
+)
+def test_the_jacobian_equals_finite_differences(
+    state: tuple[float, ...], heading_rad: float, length_m: float, offset_rad: float
+) -> None:
+    x, step = np.array(state), a_step(heading_rad=heading_rad)
+
+    def moved(mean: np.ndarray) -> np.ndarray:
+        return advance_one(mean, step=step, length_m=length_m, offset_rad=offset_rad)[0]
+
+    J = approx_fprime(x, moved, 1e-6)
+    root = np.random.default_rng(0).normal(size=(4, 4)) / 5
+    P = root @ root.T
+    _, cov = advance_one(x, P, step, length_m=length_m, offset_rad=offset_rad)
+    np.testing.assert_allclose(cov, J @ P @ J.T, atol=1e-4)
+
+
+@pytest.mark.parametrize("heading_rad", [0.0, 0.8, -2.0])
+def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: float) -> None:
+    _, cov = advance_one(
+        np.array([0.0, 0.0, 0.0, np.log(2.0)]),
+        step=a_step(heading_rad=heading_rad),
+        length_m=0.7,
+        length_var_m2=0.05**2,
+        heading_var_rad2=0.1**2,
+    )
+    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+    across = np.array([np.cos(heading_rad), -np.sin(heading_rad)])
+    P = cov[:2, :2]
+    assert along @ P @ along == pytest.approx((2 * 0.05) ** 2)
+    assert across @ P @ across == pytest.approx((2 * 0.7 * 0.1) ** 2)
+    assert along @ P @ across == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(cov[2:, :], 0.0)
+
+
+def test_n_equal_steps_add_up_in_closed_form() -> None:
+    """Straight north: independent errors grow with n, those of the common heading and scale with n squared."""
+    n, length, var_l, var_psi, var_h, var_s = 50, 0.7, 0.06**2, 0.1**2, 0.15**2, 0.08**2
+    mean, cov = np.zeros(4), np.diag([0.0, 0.0, var_h, var_s])
+    for _ in range(n):
+        mean, cov = advance_one(mean, cov, length_m=length, length_var_m2=var_l, heading_var_rad2=var_psi)
+    assert mean[NORTH] == pytest.approx(n * length)
+    assert cov[NORTH, NORTH] == pytest.approx(n * var_l + (n * length) ** 2 * var_s)
+    assert cov[EAST, EAST] == pytest.approx(n * length**2 * var_psi + (n * length) ** 2 * var_h)
+    assert cov[EAST, HEADING_OFFSET] == pytest.approx(n * length * var_h)
+    assert cov[NORTH, LOG_SCALE] == pytest.approx(n * length * var_s)
+
+
+def test_heading_and_scale_drift_with_time_and_steps() -> None:
+    noise = MotionNoise(heading_drift_rad_per_sqrt_s=0.02, log_scale_drift_per_sqrt_step=0.003)
+    _, cov = advance_one(np.zeros(4), step=a_step(duration_s=0.5), noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.02**2 * 0.5)
+    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
+
+
+def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
+    noise = MotionNoise()
+    step = a_step(duration_s=0.5, heading_known=False)
+    _, cov = advance_one(np.zeros(4), step=step, noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.unknown_heading_rad_per_sqrt_s**2 * 0.5)
+    mean = np.zeros(4)
+    for _ in range(100):
+        mean, cov = advance_one(mean, cov, step, noise=noise)
+        assert cov[HEADING_OFFSET, HEADING_OFFSET] <= MAX_HEADING_VARIANCE * (1 + 1e-12)
+        assert np.linalg.eigvalsh(cov).min() > -1e-9
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(np.pi**2 / 3)
+
+
+def test_every_mode_moves_on_its_own() -> None:
+    rng = np.random.default_rng(0)
+    mean, root = rng.normal(size=(3, 4)), rng.normal(size=(3, 4, 4)) / 5
+    cov = root @ root.transpose(0, 2, 1)
+    length, var_l, offset, var_h = rng.uniform(0.1, 1, (4, 3))
+    copies = mean.copy(), cov.copy()
+    step = a_step(heading_rad=0.4)
+    moved_mean, moved_cov = advance(mean, cov, step, length, var_l, offset, var_h, STILL)
+    for j in range(3):
+        alone = advance_one(
+            mean[j],
+            cov[j],
+            step,
+            length_m=length[j],
+            length_var_m2=var_l[j],
+            offset_rad=offset[j],
+            heading_var_rad2=var_h[j],
+        )
+        np.testing.assert_allclose(moved_mean[j], alone[0], atol=1e-12)
+        np.testing.assert_allclose(moved_cov[j], alone[1], atol=1e-12)
+    np.testing.assert_array_equal(mean, copies[0])
+    np.testing.assert_array_equal(cov, copies[1])
+
+
+@pytest.mark.parametrize("gap_s", [0.5, 2.0, 60.0])
+def test_a_gap_widens_the_position_by_the_way_that_may_have_been_walked(gap_s: float) -> None:
+    noise = MotionNoise(gap_speed_mps=1.2, unknown_heading_rad_per_sqrt_s=0.7)
+    cov = np.tile(np.diag([1.0, 2.0, 0.01, 0.02]), (2, 1, 1))
+    grown = grow_over_gap(cov, gap_s, noise)
+    heading = min(0.01 + 0.7**2 * gap_s, np.pi**2 / 3)
+    walked = (1.2 * gap_s) ** 2
+    np.testing.assert_allclose(grown[1], np.diag([1.0 + walked, 2.0 + walked, heading, 0.02]))
+    np.testing.assert_array_equal(cov[0], np.diag([1.0, 2.0, 0.01, 0.02]))
+
+
+def test_the_filter_starts_at_the_origin_with_the_spread_of_people() -> None:
+    mean, cov = initial_estimate(MotionNoise(initial_heading_offset_std_rad=0.2, log_scale_std=0.1))
+    np.testing.assert_array_equal(mean, np.zeros(4))
+    np.testing.assert_allclose(cov, np.diag([0.0, 0.0, 0.04, 0.01]))
+
+
+# --- statistics -----------------------------------------------------------------------------------------------------
+
+
+def test_the_predicted_covariance_is_that_of_many_simulated_walks() -> None:
+    rng = np.random.default_rng(0)
+    n_walks, noise = 4000, MotionNoise()
+    mean, cov = initial_estimate(noise)
+    walks = rng.multivariate_normal(mean, cov, n_walks)
+    for k in range(40):
+        step = a_step(heading_rad=0.05 * k)
+        mean, cov = advance_one(mean, cov, step, length_var_m2=0.06**2, heading_var_rad2=0.1**2, noise=noise)
+        length = (0.7 + 0.06 * rng.normal(size=n_walks)) * np.exp(walks[:, 3])
+        psi = step.device_heading_rad + walks[:, 2] + 0.1 * rng.normal(size=n_walks)
+        walks[:, :2] += length[:, None] * np.column_stack([np.sin(psi), np.cos(psi)])
+        walks[:, 2] += noise.heading_drift_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal(size=n_walks)
+        walks[:, 3] += noise.log_scale_drift_per_sqrt_step * rng.normal(size=n_walks)
+    error = (walks - mean)[:, :2]
+    nees = np.einsum("ni,ij,nj->n", error, np.linalg.inv(cov[:2, :2]), error)
+    assert nees.mean() == pytest.approx(2.0, rel=0.1)
+
+
+# --- step lengths ---------------------------------------------------------------------------------------------------
+
+
+def test_a_step_length_is_linear_in_frequency_and_variance_with_the_variance_of_its_parameters() -> None:
+    theta_cov = np.array([[0.02, 0.001, 0.0], [0.001, 0.01, 0.0], [0.0, 0.0, 0.001]])
+    fit = StepLengthFit(FrequencyVarianceStepLength(max_variance=5.0), np.array([0.4, 0.2, -0.01]), theta_cov, 0.06)
+    for variance, used in [(3.0, 3.0), (80.0, 5.0)]:
+        length_m, var_m2 = fit.predict(a_step(duration_s=0.5, variance=variance))
+        r = np.array([1.0, 2.0, used])
+        assert length_m == pytest.approx(0.4 + 0.2 * 2.0 - 0.01 * used)
+        assert var_m2 == pytest.approx(r @ theta_cov @ r + 0.06**2)
+
+
+def test_a_step_is_never_of_negative_length() -> None:
+    fit = StepLengthFit(FrequencyVarianceStepLength(), np.array([-1.0, 0.0, 0.0]), np.zeros((3, 3)), 0.0)
+    assert fit.predict(a_step())[0] == 0.0
+
+
+def test_a_known_length_does_not_depend_on_the_step() -> None:
+    fit = known_length(0.29, 0.05)
+    assert fit.predict(a_step(variance=1.0)) == fit.predict(a_step(variance=50.0, duration_s=0.3))
+    assert fit.predict(a_step()) == (pytest.approx(0.29), pytest.approx(0.0025))
+
+
+def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> None:
+    with pytest.raises(ValueError, match="theta"):
+        StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
+    with pytest.raises(ValueError, match="context of mode 'fly'"):
+        Mode("fly", "flying", known_length(1.0, 0.1))

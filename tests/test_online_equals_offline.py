@@ -1,0 +1,401 @@
+"""One filter, two faces: a pushed stream and a whole recording give the same bits."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import cut, cut_randomly
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.angles import wrap_angle
+from pdr_filter.simulate import Leg, demo_walk, simulate
+from pdr_filter.types import ImuBlock, PositionFix, Recording, Samples, Track, step_table
+
+WEIGHTINGS = ("imm", "wc", "hc")
+REAL = (
+    "humolire/humolire_user1_3f.zip",
+    "ubicomp13/ubicomp13_p04_e1_trousers_front_pocket.zip",
+    "oxford/oxford_jamie_pixel_hard_swingingarm_2.zip",  # accelerometer only
+)
+
+
+@pytest.fixture(scope="module")
+def demo() -> Recording:
+    return demo_walk()
+
+
+@pytest.fixture(scope="module")
+def short_walk() -> Recording:
+    legs = [
+        Leg("stationary", duration_s=4.0),
+        Leg("walking", distance_m=15.0),
+        Leg("walking", distance_m=8.0, turn_rad=1.0),
+    ]
+    return simulate(legs, seed=5)
+
+
+def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
+    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
+
+
+def stream(online: pdr.OnlineFilter, blocks: Sequence[ImuBlock]) -> list[pdr.StepUpdate]:
+    return [*(u for block in blocks for u in push(online, block)), *online.finish()]
+
+
+def online_filter(weighting: str) -> pdr.OnlineFilter:
+    return pdr.OnlineFilter(recipes.default().with_weighting(weighting))
+
+
+def assert_updates_are_the_track(updates: Sequence[pdr.StepUpdate], track: Track) -> None:
+    """Every bit of every final update."""
+    final = [u for u in updates if u.is_final]
+    assert [u.index for u in final] == list(range(track.n_steps))
+    np.testing.assert_array_equal([u.position_m for u in final], track.position_m)
+    np.testing.assert_array_equal([u.position_cov_m2 for u in final], track.position_cov_m2)
+    np.testing.assert_array_equal([u.step_length_m for u in final], track.step_length_m)
+    np.testing.assert_array_equal(wrap_angle([u.walking_heading_rad for u in final]), track.walking_heading_rad)
+    np.testing.assert_array_equal([u.context_prob for u in final], track.context_prob)
+    np.testing.assert_array_equal([u.mode_prob for u in final], track.mode_prob)
+    steps = step_table([u.step for u in final])
+    for name in steps.dtype.names or ():
+        np.testing.assert_array_equal(steps[name], track.steps[name], err_msg=name)
+
+
+def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr.StepUpdate]) -> None:
+    assert [(u.index, u.is_final, u.step) for u in actual] == [(u.index, u.is_final, u.step) for u in expected]
+    for a, b in zip(actual, expected, strict=True):
+        np.testing.assert_array_equal(a.position_m, b.position_m)
+        np.testing.assert_array_equal(a.position_cov_m2, b.position_cov_m2)
+        np.testing.assert_array_equal(a.mode_prob, b.mode_prob)
+        assert (a.step_length_m, a.walking_heading_rad) == (b.step_length_m, b.walking_heading_rad)
+
+
+# --- chunking -------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("seed", [0, 1])
+def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recording, weighting: str, seed: int) -> None:
+    track = pdr.track(demo, weighting=weighting)
+    assert track.n_steps > 200
+    blocks = cut_randomly(pdr.merge_streams(demo), seed, mean_length=[40, 7][seed])
+    online = online_filter(weighting)
+    assert_updates_are_the_track(stream(online, blocks), track)
+    assert online.notes == track.notes
+    np.testing.assert_array_equal(online.position_m, track.position_m[-1])
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("name", REAL)
+def test_real_recordings_give_the_same_bits_however_they_arrive(data_dir: Path, name: str, weighting: str) -> None:
+    recording = pdr.read(data_dir / name)
+    blocks = cut_randomly(pdr.merge_streams(recording), seed=len(name))
+    track = pdr.track(recording, weighting=weighting)
+    assert track.n_steps > 90
+    assert_updates_are_the_track(stream(online_filter(weighting), blocks), track)
+
+
+@settings(max_examples=8, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(cuts=st.lists(st.integers(0, 5000), max_size=40), weighting=st.sampled_from(WEIGHTINGS))
+def test_empty_blocks_and_single_samples_change_nothing(short_walk: Recording, cuts: list[int], weighting: str) -> None:
+    blocks = cut(pdr.merge_streams(short_walk), cuts)
+    assert_updates_are_the_track(stream(online_filter(weighting), blocks), pdr.track(short_walk, weighting=weighting))
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_fixes_added_beforehand_give_the_same_bits(short_walk: Recording, weighting: str) -> None:
+    rng = np.random.default_rng(0)
+    fixes = [
+        PositionFix(t, rng.normal(size=2) * 5, np.eye(2) * 4, received_time_s=t + delay)
+        for t, delay in [(12.0, 0.0), (6.0, 1.5), (9.0, 0.2), (7.0, 30.0)]
+    ]
+    track = pdr.track(short_walk, weighting=weighting, fixes=fixes)
+    without = pdr.track(short_walk, weighting=weighting)
+    online = online_filter(weighting)
+    for fix in fixes:
+        online.add_fix(fix)
+    assert_updates_are_the_track(stream(online, cut_randomly(pdr.merge_streams(short_walk), 3)), track)
+    # before the first fix arrives nothing differs, after it the positions do
+    early = track.steps.detected_time_s < 7.5 - 1.0
+    np.testing.assert_array_equal(track.position_m[early], without.position_m[early])
+    assert np.abs(track.position_m[-1] - without.position_m[-1]).max() > 0.01
+
+
+def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk: Recording) -> None:
+    fix = PositionFix(9.0, np.array([1.0, 4.0]), np.eye(2), received_time_s=9.5)
+    track = pdr.track(short_walk, fixes=[fix])
+    block = pdr.merge_streams(short_walk)
+    online, updates = online_filter("imm"), []
+    for piece in cut_randomly(block, 8, mean_length=10):
+        if len(piece.time_s) and piece.time_s[0] <= 9.4 <= piece.time_s[-1]:
+            online.add_fix(fix)
+        updates += push(online, piece)
+    assert_updates_are_the_track([*updates, *online.finish()], track)
+
+
+def test_two_runs_are_equal(short_walk: Recording) -> None:
+    first, second = pdr.track(short_walk), pdr.track(short_walk)
+    np.testing.assert_array_equal(first.position_m, second.position_m)
+    np.testing.assert_array_equal(first.position_cov_m2, second.position_cov_m2)
+
+
+def test_steps_and_windows_of_the_track_are_those_of_detect_steps_and_classify(short_walk: Recording) -> None:
+    track, steps, windows = pdr.track(short_walk), pdr.detect_steps(short_walk), pdr.classify(short_walk)
+    np.testing.assert_array_equal(track.time_s, steps.time_s)
+    np.testing.assert_array_equal(track.windows.time_s, windows.time_s)
+    np.testing.assert_array_equal(track.windows.context_prob, windows.context_prob)
+
+
+# --- saving ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_a_filter_saved_in_the_middle_of_a_walk_continues_as_if_nothing_had_happened(
+    demo: Recording, weighting: str
+) -> None:
+    blocks = cut(pdr.merge_streams(demo), [1500, 3003, 3007, 9000])
+    expected = stream(online_filter(weighting), blocks)
+    online, updates = online_filter(weighting), []
+    for block in blocks:
+        online = pdr.OnlineFilter.load(online.save())
+        updates += push(online, block)
+    assert_same_updates([*updates, *pdr.OnlineFilter.load(online.save()).finish()], expected)
+
+
+def test_saving_changes_nothing_and_loading_gives_an_equal_filter(short_walk: Recording) -> None:
+    first, second = cut(pdr.merge_streams(short_walk), [900])
+    online = online_filter("wc")
+    online.add_fix(PositionFix(15.0, np.zeros(2), np.eye(2)))
+    push(online, first)
+    blob = online.save()
+    loaded = pdr.OnlineFilter.load(blob)
+    assert loaded.save() == blob
+    assert_same_updates(stream(loaded, [second]), stream(online, [second]))
+    assert loaded.notes == online.notes
+
+
+def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
+    loaded = pdr.OnlineFilter.load(online_filter("imm").save())
+    assert_updates_are_the_track(stream(loaded, [pdr.merge_streams(short_walk)]), pdr.track(short_walk))
+
+
+@pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
+def test_what_is_no_filter_is_refused(blob: bytes | None) -> None:
+    from pdr_filter.serialise import to_bytes
+
+    with pytest.raises(ValueError, match="filter"):
+        pdr.OnlineFilter.load(to_bytes({"config": 1}) if blob is None else blob)
+
+
+# --- invariance of the walk -----------------------------------------------------------------------------------------
+
+
+def changed(recording: Recording, **streams: Samples | None) -> Recording:
+    return replace(recording, **streams)
+
+
+def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(short_walk: Recording) -> None:
+    def turned(samples: Samples | None) -> Samples | None:
+        return samples and Samples(samples.time_s, samples.values * [-1.0, -1.0, 1.0])
+
+    names = ("accelerometer", "gyroscope", "magnetometer")
+    other = changed(short_walk, **{n: turned(getattr(short_walk, n)) for n in names})
+    straight, upside_down = pdr.track(short_walk), pdr.track(other)
+    np.testing.assert_array_equal(upside_down.time_s, straight.time_s)
+    np.testing.assert_allclose(upside_down.position_m, straight.position_m, atol=1e-6)
+
+
+def test_where_the_walk_heads_in_the_world_does_not_matter() -> None:
+    """The track is relative to the first heading."""
+    legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=12.0), Leg("walking", 8.0, turn_rad=-1.0)]
+    north, south_west = (pdr.track(simulate(legs, start_heading_rad=a)) for a in (0.0, -2.5))
+    np.testing.assert_allclose(south_west.time_s, north.time_s, atol=1e-6)
+    np.testing.assert_allclose(south_west.position_m, north.position_m, atol=1e-3)
+
+
+def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
+    late = changed(
+        short_walk,
+        **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()},
+    )
+    track, late_track = pdr.track(short_walk), pdr.track(late)
+    np.testing.assert_allclose(late_track.time_s, track.time_s + 4096.0, atol=1e-6)
+    np.testing.assert_allclose(late_track.position_m, track.position_m, atol=1e-6)
+
+
+def test_a_right_turn_of_the_walk_is_a_right_turn_of_the_track() -> None:
+    legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=20.0)]
+    legs += [Leg("walking", distance_m=20.0, turn_rad=np.pi / 2)]
+    track = pdr.track(simulate(legs))
+    headings = track.walking_heading_rad
+    assert abs(headings[5:20].mean()) < 0.3
+    assert headings[-15:].mean() == pytest.approx(np.pi / 2, abs=0.3)
+    east_m, north_m = track.position_m[-1]
+    assert (east_m, north_m) == (pytest.approx(20.0, abs=5.0), pytest.approx(20.0, abs=5.0))
+
+
+# --- what a track says ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_a_track_is_whole_and_in_order(demo: Recording, weighting: str) -> None:
+    track = pdr.track(demo, weighting=weighting)
+    assert (np.diff(track.time_s) > 0).all()
+    assert (track.steps.detected_time_s >= track.time_s).all()
+    assert (track.steps.detected_time_s - track.time_s).max() < 1.0
+    np.testing.assert_allclose(track.context_prob.sum(axis=1), 1.0)
+    np.testing.assert_allclose(track.mode_prob.sum(axis=1), 1.0)
+    assert (track.step_length_m >= 0).all()
+    assert np.linalg.eigvalsh(track.position_cov_m2).min() > 0
+    assert track.distance_m == pytest.approx(track.step_length_m.sum())
+    assert (track.start_time_s, track.duration_s) == (0.0, pytest.approx(demo.duration_s))
+    assert demo.truth.steps is not None
+    assert track.n_steps == pytest.approx(len(demo.truth.steps), rel=0.03)
+
+
+def test_the_weightings_differ_and_share_their_steps(demo: Recording) -> None:
+    imm, wc, hc = (pdr.track(demo, weighting=w) for w in WEIGHTINGS)
+    np.testing.assert_array_equal(imm.time_s, hc.time_s)
+    np.testing.assert_array_equal(wc.time_s, hc.time_s)
+    assert len({t.distance_m for t in (imm, wc, hc)}) == 3
+    with pytest.raises(ValueError, match="weighting"):
+        pdr.track(demo, weighting="best")
+
+
+# --- recordings with faults -----------------------------------------------------------------------------------------
+
+
+def keep(samples: Samples, rows: np.ndarray) -> Samples:
+    return Samples(samples.time_s[rows], samples.values[rows])
+
+
+def with_nan(recording: Recording) -> Recording:
+    values = recording.accelerometer.values.copy()
+    values[1500:1580] = np.nan
+    return changed(recording, accelerometer=Samples(recording.accelerometer.time_s, values))
+
+
+def with_gap(recording: Recording) -> Recording:
+    time_s = recording.accelerometer.time_s
+    return changed(recording, accelerometer=keep(recording.accelerometer, (time_s < 9.0) | (time_s > 13.0)))
+
+
+def with_duplicates(recording: Recording) -> Recording:
+    rows = np.sort(np.append(np.arange(len(recording.accelerometer)), [400, 400, 1200]))
+    return changed(recording, accelerometer=keep(recording.accelerometer, rows))
+
+
+def without_gyroscope(recording: Recording) -> Recording:
+    return changed(recording, gyroscope=None)
+
+
+def at_50_hz(recording: Recording) -> Recording:
+    return changed(recording, **{n: keep(s, np.arange(0, len(s), 2)) for n, s in recording.streams.items()})
+
+
+FAULTS = {
+    with_nan: ("had no finite value", "gap"),
+    with_gap: ("1 gap",),
+    with_duplicates: ("3 of .* repeated",),
+    without_gyroscope: ("no gyroscope",),
+    at_50_hz: (),
+}
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+@pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
+def test_a_recording_with_faults_is_tracked_and_says_so(short_walk: Recording, fault: object, weighting: str) -> None:
+    recording = fault(short_walk)  # type: ignore[operator]
+    track = pdr.track(recording, weighting=weighting)
+    assert short_walk.truth.steps is not None
+    n_true = len(short_walk.truth.steps)
+    assert 0.7 * n_true <= track.n_steps <= 1.1 * n_true
+    assert np.isfinite(track.position_m).all()
+    assert np.isfinite(track.position_cov_m2).all()
+    text = "\n".join(track.notes)
+    for pattern in FAULTS[fault]:  # type: ignore[index]
+        assert re.search(pattern, text)
+    assert bool(track.notes) == bool(FAULTS[fault])  # type: ignore[index]
+    updates = stream(online_filter(weighting), cut_randomly(pdr.merge_streams(recording), 4))
+    assert_updates_are_the_track(updates, track)
+
+
+def test_all_faults_at_once_are_tracked(short_walk: Recording) -> None:
+    recording = short_walk
+    for fault in (with_duplicates, with_nan, with_gap, at_50_hz, without_gyroscope):
+        recording = fault(recording)
+    for weighting in WEIGHTINGS:
+        track = pdr.track(recording, weighting=weighting)
+        updates = stream(online_filter(weighting), cut_randomly(pdr.merge_streams(recording), 6))
+        assert_updates_are_the_track(updates, track)
+    assert len(track.notes) == 4
+
+
+def test_a_gap_widens_the_covariance_by_what_may_have_been_walked(short_walk: Recording) -> None:
+    whole, gap = pdr.track(short_walk), pdr.track(with_gap(short_walk))
+    after = gap.time_s > 13.0
+    assert np.trace(gap.position_cov_m2[after][0]) > np.trace(whole.position_cov_m2[-1]) + 4.0**2
+    assert not ((gap.time_s > 9.0) & (gap.time_s < 13.0)).any()
+
+
+def test_without_a_gyroscope_the_heading_is_said_to_be_unknown(short_walk: Recording) -> None:
+    track, blind = pdr.track(short_walk), pdr.track(without_gyroscope(short_walk))
+    assert not np.asarray(blind.steps.heading_known, dtype=bool).any()
+    assert np.asarray(track.steps.heading_known, dtype=bool).all()
+    np.testing.assert_array_equal(blind.time_s, track.time_s)
+    assert np.trace(blind.position_cov_m2[-1]) > 5 * np.trace(track.position_cov_m2[-1])
+
+
+@pytest.mark.parametrize("n", [0, 1, 3, 12])
+def test_too_few_samples_give_no_steps_and_no_exception(n: int) -> None:
+    online = online_filter("imm")
+    time_s = np.arange(n) / 100
+    force = np.tile([0.0, 0.0, 9.81], (n, 1))
+    assert online.push(time_s, force) == []
+    assert online.finish() == []
+    assert online.push([], np.empty((0, 3))) == []
+    np.testing.assert_array_equal(online.position_m, np.zeros(2))
+    if n:
+        track = pdr.track(Recording("short", Samples(time_s, force)))
+        assert (track.n_steps, track.distance_m) == (0, 0.0)
+        assert any("no steps" in note for note in track.notes)
+
+
+def test_samples_that_are_all_nan_give_no_steps_and_a_note() -> None:
+    online = online_filter("wc")
+    assert online.push(np.arange(500) / 100, np.full((500, 3), np.nan), np.full((500, 3), np.nan)) == []
+    assert online.finish() == []
+    assert "500 of 500" in online.notes[0]
+
+
+@pytest.mark.parametrize(
+    ("time_s", "force"),
+    [(np.zeros((3, 1)), np.zeros((3, 3))), (np.zeros(3), np.zeros((2, 3))), (np.zeros(3), np.zeros((3, 2)))],
+)
+def test_samples_of_the_wrong_shape_are_refused(time_s: np.ndarray, force: np.ndarray) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        online_filter("imm").push(time_s, force)
+
+
+def test_pushed_arrays_are_not_modified_and_may_be_overwritten_afterwards(short_walk: Recording) -> None:
+    block = pdr.merge_streams(short_walk)
+    expected = stream(online_filter("imm"), cut_randomly(block, 9))
+    online, updates = online_filter("imm"), []
+    for piece in cut_randomly(block, 9):
+        names = ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut")
+        buffers = [np.array(getattr(piece, name)) for name in names]
+        copies = [b.copy() for b in buffers]
+        updates += online.push(*buffers)
+        for buffer, copy in zip(buffers, copies, strict=True):
+            np.testing.assert_array_equal(buffer, copy)
+            buffer[...] = 77.0  # an app reuses its buffers
+    assert_same_updates([*updates, *online.finish()], expected)
