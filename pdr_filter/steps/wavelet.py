@@ -73,7 +73,7 @@ class WaveletStepDetector:
 
     rate_hz: float = 100.0
     wavelet: str = "mexh"
-    wavelet_frequency_hz: float = 1.7
+    wavelet_frequency_hz: float = 1.5
     running_wavelet_frequency_hz: float = 2.8
     running_rms_mps2: float = 6.5
     low_pass_hz: float = 4.0
