@@ -281,9 +281,9 @@ def _at_times(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> Flo
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left = right - 1
     # A stream that starts or ends a few samples away from the accelerometer is held, not extrapolated.
-    near = (
-        (time_s[right] - time_s[left] <= max_gap_s) & (at_s > time_s[0] - max_gap_s) & (at_s < time_s[-1] + max_gap_s)
-    )
+    covered = (at_s > time_s[0] - max_gap_s) & (at_s < time_s[-1] + max_gap_s)
+    measured = (at_s == time_s[left]) | (at_s == time_s[right])  # at the edge of a hole
+    near = covered & (measured | (time_s[right] - time_s[left] <= max_gap_s))
     fraction = np.clip((at_s - time_s[left]) / (time_s[right] - time_s[left]), 0.0, 1.0)[:, None]
     result[near] = (values[left] + (values[right] - values[left]) * fraction)[near]
     return result

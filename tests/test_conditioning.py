@@ -144,7 +144,7 @@ def test_no_sample_is_invented_in_a_gap_and_the_gap_is_the_time_without_output()
 
 
 def test_a_piece_between_two_gaps_that_is_too_short_for_a_hop_counts_as_lost() -> None:
-    time_s = np.concatenate([np.arange(0, 201), [300, 301], np.arange(400, 500)]) / 100
+    time_s = np.concatenate([np.arange(0, 202), [300, 301], np.arange(400, 500)]) / 100
     state, blocks = condition(Conditioner(), [imu(time_s)])
     assert [b.gap_before_s for b in blocks] == [np.inf, pytest.approx(2.0)]
     assert state.report.lost_s == pytest.approx(2.0)

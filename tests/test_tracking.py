@@ -43,7 +43,7 @@ def modes() -> tuple[Mode, ...]:
 
 
 def tracker(weighting: str) -> Tracker:
-    return Tracker(modes(), even_transitions(6, 0.9), weighting=weighting)
+    return Tracker(modes(), even_transitions(6, 0.9), weighting=weighting, evidence_exponent=0.5, prior_exponent=1.0)
 
 
 def sure(context: int, prob: float = 1.0) -> np.ndarray:

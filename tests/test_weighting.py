@@ -122,6 +122,13 @@ def test_evidence_is_the_tempered_ratio_of_posterior_and_prior() -> None:
     np.testing.assert_allclose(evidence, 0.5 * np.log([1.4, 0.8, 0.4]))
 
 
+def test_the_prior_exponent_says_how_far_the_prior_is_divided_out() -> None:
+    prob, prior = np.array([0.7, 0.2, 0.1]), np.array([0.5, 0.25, 0.25])
+    half, none = (context_log_evidence(prob, prior, 0.25, 0.01, prior_exponent=e) for e in (0.5, 0.0))
+    np.testing.assert_allclose(half, 0.25 * np.log(prob / np.sqrt(prior)))
+    np.testing.assert_allclose(none, 0.25 * np.log(prob))
+
+
 def test_a_classifier_that_says_its_prior_says_nothing() -> None:
     prior = np.array([0.6, 0.3, 0.1])
     np.testing.assert_allclose(context_log_evidence(prior, prior, 0.5, 0.01), 0.0, atol=1e-15)

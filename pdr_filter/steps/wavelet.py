@@ -136,7 +136,7 @@ class WaveletStepDetector:
             # What was before the first sample is taken to be like it: a zero there would look like a blow.
             before = np.tile([[magnitude[0]], [0.0]], len(self._kernels[0]) - 1)
             state = replace(state, delay_line=before)
-        state, steps = self._detect(state, np.stack([magnitude, power]))
+        state, steps = self._detect(state, np.stack([magnitude, power]), state.n_samples + len(magnitude))
         return replace(state, history=state.history[:, -self._history_samples :]), steps
 
     def finish(self, state: StepDetectorState) -> list[tuple[int, Step]]:
@@ -145,12 +145,13 @@ class WaveletStepDetector:
             return []
         last_s = float(state.history[0, -1])
         end = state.n_samples
-        _, steps = self._detect(state, np.tile(state.delay_line[:, -1:], self._delay_samples + 1))
+        _, steps = self._detect(state, np.tile(state.delay_line[:, -1:], self._delay_samples + 1), end)
         return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _detect(
-        self, state: StepDetectorState, signals: FloatArray
+        self, state: StepDetectorState, signals: FloatArray, history_end: int
     ) -> tuple[StepDetectorState, list[tuple[int, Step]]]:
+        """Detect in further samples of magnitude and power; the history ends before sample `history_end`."""
         line = np.concatenate([state.delay_line, signals], axis=1)
         n_new, n_kernel = signals.shape[1], len(self._kernels[0])
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
@@ -163,7 +164,7 @@ class WaveletStepDetector:
         steps: list[tuple[int, Step]] = []
         for i in np.flatnonzero(is_peak):
             known = n_before + int(i)  # the sample that made response[i + 2]
-            state, step = self._accept(state, response[i : i + 3], known, n_before + n_new)
+            state, step = self._accept(state, response[i : i + 3], known, history_end)
             if step is not None:
                 steps.append((known, step))
         return (
@@ -177,12 +178,12 @@ class WaveletStepDetector:
         )
 
     def _accept(
-        self, state: StepDetectorState, peak: FloatArray, known: int, n_signal: int
+        self, state: StepDetectorState, peak: FloatArray, known: int, history_end: int
     ) -> tuple[StepDetectorState, Step | None]:
         """The step that a local maximum of the response makes, if it makes one."""
-        first = n_signal - state.history.shape[1]  # index of the first sample in the history
+        first = history_end - state.history.shape[1]  # index of the first sample in the history
         contact = known - 1 - self._delay_samples
-        if contact <= max(first, 0) or contact >= n_signal:
+        if contact <= max(first, 0) or contact >= history_end:
             return state, None
         # vertex of the parabola through the three values: contact times finer than the sampling interval
         curvature = peak[0] - 2 * peak[1] + peak[2]

