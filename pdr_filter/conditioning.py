@@ -7,7 +7,6 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -287,10 +286,3 @@ def _at_times(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> Flo
     fraction = np.clip((at_s - time_s[left]) / (time_s[right] - time_s[left]), 0.0, 1.0)[:, None]
     result[near] = (values[left] + (values[right] - values[left]) * fraction)[near]
     return result
-
-
-def delivered_rate_hz(time_s: Sequence[float] | FloatArray) -> float:
-    """Rate of increasing timestamps from the median interval; NaN for fewer than two."""
-    intervals = np.diff(np.asarray(time_s))
-    intervals = intervals[intervals > 0]
-    return float(1.0 / np.median(intervals)) if len(intervals) else float("nan")
