@@ -133,8 +133,9 @@ def tracks(data: Path, config: pdr.Config, weighting: str) -> None:
         shape, first, end, distance, consistency = rows.T
         print(
             f"| {site} | {len(rows)} | {np.median(shape):.2f}, {np.percentile(shape, 90):.2f} | "
-            f"{np.median(first):.2f}, {np.percentile(first, 90):.2f} | {np.median(end):.1f} | {distance.mean():+.1f}, {distance.std():.1f}, "
-            f"{np.sqrt((distance**2).mean()):.1f} | {consistency.mean():.2f} |"
+            f"{np.median(first):.2f}, {np.percentile(first, 90):.2f} | {np.median(end):.1f} | "
+            f"{distance.mean():+.1f}, {distance.std():.1f}, {np.sqrt((distance**2).mean()):.1f} | "
+            f"{consistency.mean():.2f} |"
         )
 
 
