@@ -142,6 +142,30 @@ def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk:
     assert_updates_are_the_track([*updates, *online.finish()], track)
 
 
+def test_a_fix_moves_the_steps_that_become_known_after_it_was_received_and_no_earlier_one(
+    short_walk: Recording,
+) -> None:
+    known_s = pdr.track(short_walk).steps.detected_time_s
+    for received_s in (known_s[7] - 1e-4, known_s[7], known_s[7] + 1e-4):
+        fix = PositionFix(2.0, np.array([30.0, 30.0]), 400 * np.eye(2), received_time_s=received_s)
+        moved = (pdr.track(short_walk, fixes=[fix]).position_m != pdr.track(short_walk).position_m).any(axis=1)
+        np.testing.assert_array_equal(moved, known_s >= received_s)
+
+
+def test_a_fix_is_used_as_soon_as_the_samples_reach_it_without_waiting_for_a_step(short_walk: Recording) -> None:
+    block = pdr.merge_streams(short_walk)
+    known_s = pdr.track(short_walk).steps.detected_time_s
+    just_after, long_after = np.searchsorted(block.time_s, known_s[12] + [0.1, 0.3])
+    walk, between_steps, _ = cut(block, [int(just_after), int(long_after)])
+    online = online_filter("imm")
+    push(online, walk)
+    before_m = online.position_m
+    online.add_fix(PositionFix(known_s[12], before_m + 1.0, 0.01 * np.eye(2), received_time_s=known_s[12] + 0.15))
+    np.testing.assert_array_equal(online.position_m, before_m)
+    assert push(online, between_steps) == []
+    assert (online.position_m > before_m + 0.5).all()
+
+
 def test_two_runs_are_equal(short_walk: Recording) -> None:
     first, second = pdr.track(short_walk), pdr.track(short_walk)
     np.testing.assert_array_equal(first.position_m, second.position_m)

@@ -1,6 +1,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import zlib
 from dataclasses import dataclass, fields
 from datetime import UTC, datetime
@@ -166,6 +167,13 @@ def blob(value: Any, **content: Any) -> bytes:
 def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
     with pytest.raises(ValueError, match="not a saved filter"):
         from_bytes(blob(value))
+
+
+def test_a_dataclass_of_another_package_is_refused_and_its_module_not_even_imported() -> None:
+    for name in (f"{__name__}:Foreign", "this:Zen"):  # importing `this` would print a poem
+        with pytest.raises(ValueError, match="refused to load"):
+            from_bytes(blob({"dataclass": name, "fields": {}}))
+    assert "this" not in sys.modules
 
 
 def test_another_format_is_refused_by_its_number() -> None:
