@@ -79,7 +79,9 @@ def _options(
 def track(
     files: Files,
     recipe: Annotated[str, typer.Option(help="Name of a recipe, such as default or martinelli2018.")] = "default",
-    weighting: Annotated[Weighting, typer.Option(help="How contexts become step lengths.")] = Weighting.IMM,
+    weighting: Annotated[
+        Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
+    ] = None,
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")] = None,
     origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Start in degrees: also NAME.geojson.")] = None,
@@ -96,7 +98,7 @@ def track(
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
-        result = pdr.track(pdr.read(file), config, weighting.value, progress=progress)
+        result = pdr.track(pdr.read(file), config, weighting.value if weighting else None, progress=progress)
         if out is not None:
             _write_files(result, out, start, written)
         if as_json:

@@ -7,7 +7,7 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -18,6 +18,11 @@ from pdr_filter.types import BoolArray, FloatArray, ImuBlock, Recording, Samples
 _FORCE, _RATE, _FIELD = slice(1, 4), slice(4, 7), slice(7, 10)
 _RATE_AGE, _FIELD_AGE = 10, 11
 _N_COLUMNS = 12
+
+# Phones saturate at 16 g and 2000 deg/s (157 m/s2, 35 rad/s), foot-mounted units at about twice that.
+MAX_FORCE_MPS2, MAX_RATE_RADPS = 400.0, 100.0
+# So many samples in a row behind the clock are no stragglers: the clock was set back.
+_CLOCK_RESET_SAMPLES = 50
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -42,7 +47,10 @@ class IntakeReport:
 
     n_received: int = 0
     n_not_finite: int = 0  # rows without a finite time or specific force: bridged, or part of a gap
+    n_implausible: int = 0  # rows beyond what any phone measures: left out
     n_not_increasing: int = 0  # duplicate or backward timestamps: dropped
+    n_clock_jumps: int = 0  # single times far ahead, dropped, and clocks set back, followed
+    n_like_gravity: int = 0  # rows whose |specific force| is between 7 and 13 m/s2
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     lost_s: float = 0.0  # time inside gaps
@@ -57,6 +65,17 @@ class IntakeReport:
         found: list[str] = []
         if self.n_not_finite:
             found.append(f"{self.n_not_finite} of {self.n_received} samples had no finite value and were left out")
+        if self.n_implausible:
+            found.append(
+                f"{self.n_implausible} samples were beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s and "
+                "were left out"
+            )
+        if self.n_clock_jumps:
+            found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
+        if self.n_emitted > 500 and self.n_like_gravity < 0.05 * self.n_received:
+            found.append(
+                "the specific force is hardly ever near 9.8 m/s2: it must be in m/s2 with gravity, not in g or without"
+            )
         if self.n_not_increasing:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
@@ -67,11 +86,22 @@ class IntakeReport:
                 f"{self.longest_gap_s:.1f} s): steps in there are unknown and the covariance was grown"
             )
         missing_s = self.n_without_rate / self.rate_hz
-        if self.n_without_rate > 0.5 * self.n_emitted:
+        if self.n_emitted and self.n_without_rate == self.n_emitted:
             found.append("no gyroscope: the heading is unknown, only steps, contexts and distance can be trusted")
         elif missing_s > 1.0:
             found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown there")
         return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockState:
+    """Whether to believe the next time."""
+
+    last_s: float = -np.inf  # of the last accepted row, on the track's time base
+    offset_s: float = 0.0  # track time less sample time; changes when the sample clock is set back
+    held: FloatArray = field(default_factory=lambda: np.empty((0, 10)))  # row after a gap, until the next confirms it
+    behind_s: float = -np.inf  # of the last row that was behind
+    n_behind: int = 0  # rows in a row that were behind and increasing
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,6 +114,7 @@ class ConditionerState:
     gap_before_s: float  # of this segment; handed to its first block
     last_rate: FloatArray  # (4,) time and value of the last finite angular rate
     last_field: FloatArray  # (4,)
+    clock: ClockState
     report: IntakeReport
 
 
@@ -117,7 +148,7 @@ class Conditioner:
         """State before the first sample."""
         nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
         report = IntakeReport(rate_hz=self.rate_hz)
-        return ConditionerState(np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, report)
+        return ConditionerState(np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), report)
 
     def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """New state and the whole hops that became complete, split at gaps."""
@@ -140,31 +171,86 @@ class Conditioner:
 
     def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
         """Rows with finite specific force and increasing time; missing rate and field held, with their age."""
-        finite = np.isfinite(block.time_s) & np.isfinite(block.specific_force_mps2).all(axis=1)
-        time_s = block.time_s[finite]
-        latest = np.maximum.accumulate(np.concatenate([[_or_minus_inf(state.report.last_time_s)], time_s]))
-        increasing = time_s > latest[:-1]
-        keep = np.flatnonzero(finite)[increasing]
-        rows = np.empty((len(keep), _N_COLUMNS))
-        rows[:, 0] = block.time_s[keep]
-        rows[:, _FORCE] = block.specific_force_mps2[keep]
-        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(
-            rows[:, 0], block.angular_rate_radps[keep], state.last_rate
+        raw = np.column_stack(
+            [block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut]
         )
-        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(
-            rows[:, 0], block.magnetic_field_ut[keep], state.last_field
-        )
+        finite = np.isfinite(raw[:, :4]).all(axis=1)
+        with np.errstate(invalid="ignore"):  # comparing NaN rates
+            wild = finite & (
+                (np.abs(raw[:, _FORCE]) > MAX_FORCE_MPS2).any(axis=1)
+                | (np.abs(raw[:, _RATE]) > MAX_RATE_RADPS).any(axis=1)
+            )
+        usable = raw[finite & ~wild]
+        clock, kept, n_dropped, n_jumps = self._follow_clock(state.clock, usable)
+        rows = np.empty((len(kept), _N_COLUMNS))
+        rows[:, :4] = kept[:, :4]
+        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], kept[:, _FIELD], state.last_field)
+        size = np.sqrt((usable[:, _FORCE] ** 2).sum(axis=1))
         old = state.report
         report = replace(
             old,
-            n_received=old.n_received + len(block.time_s),
+            n_received=old.n_received + len(raw),
             n_not_finite=old.n_not_finite + int((~finite).sum()),
-            n_not_increasing=old.n_not_increasing + int((~increasing).sum()),
+            n_implausible=old.n_implausible + int(wild.sum()),
+            n_not_increasing=old.n_not_increasing + n_dropped,
+            n_clock_jumps=old.n_clock_jumps + n_jumps,
+            n_like_gravity=old.n_like_gravity + int(((size > 7) & (size < 13)).sum()),
         )
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
-        return replace(state, last_rate=last_rate, last_field=last_field, report=report), rows
+        return replace(state, last_rate=last_rate, last_field=last_field, clock=clock, report=report), rows
+
+    def _follow_clock(self, clock: ClockState, rows: FloatArray) -> tuple[ClockState, FloatArray, int, int]:
+        """Rows (N, 10) with believable increasing times, how many were dropped, and how often the clock jumped.
+
+        Most blocks are in order and pass at once; the others go row by row.
+        """
+        time_s = rows[:, 0] + clock.offset_s
+        steps_s = np.diff(np.concatenate([[clock.last_s], time_s]))
+        settled = len(clock.held) == 0 and clock.n_behind == 0
+        # The very first sample has nothing to be far ahead of.
+        in_order = (steps_s > 0) & ((steps_s <= self.max_gap_s) | np.isinf(steps_s))
+        if settled and in_order.all():
+            moved = np.column_stack([time_s, rows[:, 1:]])
+            return (replace(clock, last_s=float(time_s[-1])) if len(rows) else clock), moved, 0, 0
+        accepted: list[FloatArray] = []
+        n_dropped = n_jumps = 0
+        for row in rows:
+            clock, out, dropped, jumps = self._believe(clock, row)
+            accepted += out
+            n_dropped, n_jumps = n_dropped + dropped, n_jumps + jumps
+        return clock, np.array(accepted).reshape(-1, rows.shape[1]), n_dropped, n_jumps
+
+    def _believe(self, clock: ClockState, row: FloatArray) -> tuple[ClockState, list[FloatArray], int, int]:
+        """One row: accepted, dropped, or held until the next tells whether its time is a jump or a gap."""
+        moved = row.copy()
+        moved[0] += clock.offset_s
+        out: list[FloatArray] = []
+        n_dropped = n_jumps = 0
+        if len(clock.held):
+            if moved[0] > clock.held[0, 0]:
+                out, clock = [clock.held[0]], replace(clock, last_s=float(clock.held[0, 0]))
+            else:
+                n_dropped, n_jumps = 1, 1
+            clock = replace(clock, held=np.empty((0, len(row))))
+        ahead_s = float(moved[0]) - clock.last_s
+        if ahead_s <= 0:
+            n_behind = clock.n_behind + 1 if moved[0] > clock.behind_s else 1
+            clock = replace(clock, behind_s=float(moved[0]), n_behind=n_behind)
+            n_dropped += 1
+            if n_behind >= _CLOCK_RESET_SAMPLES:
+                # what comes next follows after a gap of unknown length, of which the dropped samples are a part
+                offset_s = clock.offset_s + clock.last_s - float(moved[0]) + 2 * self.max_gap_s
+                clock = replace(clock, offset_s=offset_s, behind_s=-np.inf, n_behind=0)
+                n_jumps += 1
+        elif self.max_gap_s < ahead_s < np.inf:
+            clock = replace(clock, held=moved[None, :], n_behind=0, behind_s=-np.inf)
+        else:
+            out.append(moved)
+            clock = replace(clock, last_s=float(moved[0]), n_behind=0, behind_s=-np.inf)
+        return clock, out, n_dropped, n_jumps
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
         # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
@@ -220,10 +306,6 @@ class Conditioner:
         )
         new = replace(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
         return new, [output]
-
-
-def _or_minus_inf(time_s: float) -> float:
-    return -np.inf if np.isnan(time_s) else time_s
 
 
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

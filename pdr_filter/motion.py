@@ -94,13 +94,16 @@ def advance(
     heading_offset_rad: FloatArray,
     heading_var_rad2: FloatArray,
     noise: MotionNoise,
+    elapsed_s: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
     """Predicted means (M, 4) and covariances (M, 4, 4) after one step, one length and direction for each mode.
 
     p_k = p_{k-1} + L e^s [sin psi, cos psi], psi = device heading + heading offset state + the mode's own offset;
     P_k = F P F' + Q with F = d p_k / d state, and Q from the variances of length and direction:
-    Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step.
+    Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step. The heading offset wanders for
+    `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table drifts too.
     """
+    elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
     scaled_m = length_m * np.exp(mean[:, LOG_SCALE])
     psi = step.device_heading_rad + mean[:, HEADING_OFFSET] + heading_offset_rad
     along = np.stack([np.sin(psi), np.cos(psi)], axis=1)
@@ -121,8 +124,11 @@ def advance(
         var_along[:, None, None] * along[:, :, None] * along[:, None, :]
         + var_across[:, None, None] * across[:, :, None] * across[:, None, :]
     )
-    drift = noise.heading_drift_rad_per_sqrt_s if step.heading_known else noise.unknown_heading_rad_per_sqrt_s
-    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += drift**2 * step.duration_s
+    unknown_s = min(step.heading_unknown_s, elapsed_s)
+    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += (
+        noise.heading_drift_rad_per_sqrt_s**2 * (elapsed_s - unknown_s)
+        + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
+    )
     predicted_cov[:, LOG_SCALE, LOG_SCALE] += noise.log_scale_drift_per_sqrt_step**2
     return predicted_mean, _bound_heading_variance(predicted_cov)
 
@@ -136,6 +142,17 @@ def _bound_heading_variance(cov: FloatArray) -> FloatArray:
     scaling = np.ones((len(cov), N_STATES))
     scaling[:, HEADING_OFFSET] = factor
     return cov * scaling[:, :, None] * scaling[:, None, :]
+
+
+def second_order_error(heading_var_rad2: float) -> float:
+    """Root mean square error along a step of unit length that an uncertain heading makes, 0 to 1.22.
+
+    The linear covariance knows only the error across the step, L e. Along it the error is L (cos e - 1), for normal e
+    with variance v: E[(cos e - 1)^2] = 1 - 2 exp(-v / 2) + (1 + exp(-2 v)) / 2. All steps share the error e of the
+    heading offset, so that these errors add up as vectors, not as variances.
+    """
+    v = heading_var_rad2
+    return float(np.sqrt(max(1 - 2 * np.exp(-v / 2) + 0.5 * (1 + np.exp(-2 * v)), 0.0)))
 
 
 def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:

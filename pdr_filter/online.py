@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -62,7 +63,8 @@ class State:
 
     sensing: SensingState
     tracker: TrackerState
-    waiting_fixes: tuple[PositionFix, ...] = ()  # not yet received at the time processed so far
+    waiting_fixes: tuple[PositionFix, ...] = ()  # not yet received, or from a time whose steps are not yet known
+    finished: bool = False
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -81,24 +83,56 @@ def init(config: Config) -> State:
 def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
     """New state and output after a block of samples of any length.
 
-    The result depends on the samples and fixes only, not on how they were cut into blocks.
+    The result depends on the samples and fixes only, not on how they were cut into blocks. ValueError after `finish`.
     """
-    sensing, events = config.sensing.step(state.sensing, block)
-    return _process(config, replace(state, sensing=sensing), events)
+    if state.finished:
+        raise ValueError("the filter is finished: start a new one for further samples")
+    whole = Output()
+    for part in parts(block):
+        sensing, events = config.sensing.step(state.sensing, part)
+        state, output = _process(config, replace(state, sensing=sensing), events)
+        whole.updates.extend(output.updates)
+        whole.windows.extend(output.windows)
+    return state, whole
+
+
+# Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
+PART_SAMPLES = 60_000
+
+
+def parts(block: ImuBlock) -> Iterator[ImuBlock]:
+    """A block in pieces of at most `PART_SAMPLES`."""
+    for start in range(0, len(block.time_s), PART_SAMPLES):
+        part = slice(start, start + PART_SAMPLES)
+        yield ImuBlock(
+            block.time_s[part],
+            block.specific_force_mps2[part],
+            block.angular_rate_radps[part],
+            block.magnetic_field_ut[part],
+        )
 
 
 def finish(config: Config, state: State) -> tuple[State, Output]:
-    """New state and output when no further sample will come: late steps are found, waiting ones become final."""
+    """New state and output when no further sample will come: late steps are found, waiting ones become final.
+
+    Fixes of the recording's time that still wait are used; later ones stay waiting. A second call gives nothing.
+    """
+    if state.finished:
+        return state, Output()
     state, output = _process(config, state, config.sensing.finish(state.sensing))
     tracker, last = config.tracker.finish(state.tracker)
-    return replace(state, tracker=tracker), replace(output, updates=[*output.updates, *last])
+    due = [f for f in state.waiting_fixes if f.known_s <= state.sensing.processed_s]
+    for fix in due:
+        tracker = config.tracker.on_fix(tracker, fix)
+    state = replace(state, tracker=tracker, waiting_fixes=state.waiting_fixes[len(due) :], finished=True)
+    return state, replace(output, updates=[*output.updates, *last])
 
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
     tracker, fixes = state.tracker, state.waiting_fixes
     for known_s, event in events:
-        tracker, fixes = _apply_fixes(config.tracker, tracker, fixes, known_s)
+        tracker, fixes = _apply_fixes(config, tracker, fixes, known_s)
         if isinstance(event, FeatureWindow):
             context = config.context_models.classify(event)
             output.windows.append(context)
@@ -108,24 +142,25 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         else:
             tracker, updates = config.tracker.on_step(tracker, event)
         output.updates.extend(updates)
-    tracker, fixes = _apply_fixes(config.tracker, tracker, fixes, state.sensing.processed_s)
+    tracker, fixes = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
     return replace(state, tracker=tracker, waiting_fixes=fixes), output
 
 
 def _apply_fixes(
-    tracker: Tracker, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
+    config: Config, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
 ) -> tuple[TrackerState, tuple[PositionFix, ...]]:
-    while fixes and _received_s(fixes[0]) <= until_s:
-        state, fixes = tracker.on_fix(state, fixes[0]), fixes[1:]
+    # A fix waits until the step that it falls into is known: compared with an earlier place it would pull ahead.
+    steps = config.sensing.steps
+    delay_s = steps.latency_s + steps.first_step_s + config.tracker.fix_delay_s
+    while fixes and max(fixes[0].known_s, fixes[0].time_s + delay_s) <= until_s:
+        state, fixes = config.tracker.on_fix(state, fixes[0]), fixes[1:]
     return state, fixes
-
-
-def _received_s(fix: PositionFix) -> float:
-    return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
 class OnlineFilter:
     """A filter for apps: push samples in blocks of any length, get the steps that became known.
+
+    One filter belongs to one pedestrian and one thread.
 
     Parameters
     ----------
@@ -186,8 +221,8 @@ class OnlineFilter:
         return output.updates
 
     def add_fix(self, fix: PositionFix) -> None:
-        """Take a position fix; it is used when the samples reach the time at which it was received."""
-        waiting = sorted([*self.state.waiting_fixes, fix], key=_received_s)
+        """Take a position fix; it is used when it was received and the step that it falls into is known."""
+        waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: f.known_s)
         self.state = replace(self.state, waiting_fixes=tuple(waiting))
 
     @property
@@ -215,9 +250,12 @@ class OnlineFilter:
     def load(cls, blob: bytes) -> OnlineFilter:
         """The filter that was saved; ValueError if the bytes are something else."""
         content = serialise.from_bytes(blob)
-        if not isinstance(content, dict) or not isinstance(content.get("config"), Config):
+        whole = isinstance(content, dict) and {"config", "state"} <= content.keys()
+        if not (whole and isinstance(content["config"], Config) and isinstance(content["state"], State)):
             raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
         loaded = cls(content["config"])
+        if content["state"].tracker.mean.shape != loaded.state.tracker.mean.shape:
+            raise ValueError("these bytes hold a state of another configuration; save the filter again")
         loaded.state = content["state"]
         return loaded
 
@@ -230,6 +268,8 @@ def imu_block(
 ) -> ImuBlock:
     """Samples as a block, shapes checked; missing sensors become NaN."""
     time = np.asarray(time_s, dtype=float)
+    if time.size == 0:
+        return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
         raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}")
     columns = {

@@ -93,7 +93,7 @@ def default() -> Config:
 
 
 def martinelli2018() -> Config:
-    """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, `weighting="wc"` or "hc".
+    """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
 
     Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
     walking, for which no public recordings exist; the step lengths are those of the default recipe, because their k
@@ -103,5 +103,5 @@ def martinelli2018() -> Config:
         name="martinelli2018",
         sensing=Sensing(),
         context_models=ContextModels(_model("context_rvm"), _model("context_forest_accelerometer")),
-        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
+        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
     )

@@ -18,6 +18,7 @@ import numpy as np
 
 _PACKAGE = "pdr_filter"
 _FORMAT = 1
+_MAX_BYTES = 256 << 20  # a filter with its models has some MB
 
 
 def to_bytes(value: object) -> bytes:
@@ -25,10 +26,12 @@ def to_bytes(value: object) -> bytes:
     return zlib.compress(json.dumps({"format": _FORMAT, "value": _encode(value)}).encode())
 
 
-def from_bytes(blob: bytes) -> Any:
+def from_bytes(blob: object) -> Any:
     """The value that `to_bytes` was given; ValueError if the bytes are not from there."""
+    if not isinstance(blob, bytes):
+        raise ValueError(f"a saved filter is bytes, got {type(blob).__name__}")
     try:
-        content = json.loads(zlib.decompress(blob))
+        content = json.loads(_inflate(blob))
         if content["format"] != _FORMAT:
             raise ValueError(f"format {content['format']}, this version reads {_FORMAT}")
         return _decode(content["value"])
@@ -36,6 +39,14 @@ def from_bytes(blob: bytes) -> Any:
         raise ValueError(
             f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
         ) from error
+
+
+def _inflate(blob: bytes) -> bytes:
+    inflater = zlib.decompressobj()
+    content = inflater.decompress(blob, _MAX_BYTES)
+    if inflater.unconsumed_tail or not inflater.eof:
+        raise ValueError(f"cut short, or more than {_MAX_BYTES >> 20} MiB")
+    return content
 
 
 def _encode(value: Any) -> Any:

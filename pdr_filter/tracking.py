@@ -24,10 +24,14 @@ from pdr_filter.motion import (
     advance,
     grow_over_gap,
     initial_estimate,
+    second_order_error,
 )
 from pdr_filter.step_length import StepLengths
-from pdr_filter.types import CONTEXTS, FloatArray, PositionFix, Step
+from pdr_filter.types import CONTEXTS, FloatArray, PositionFix, Step, read_only
 from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_weights
+
+# Final steps that are remembered for late fixes: half a minute of walking.
+TRAIL_STEPS = 64
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,6 +71,9 @@ class TrackerState:
     mode_prob: FloatArray  # (M,)
     windows: tuple[WindowContext, ...]  # the last ones of this segment, oldest first
     evidence_time_s: float  # end of the last window that was used as evidence
+    second_order_m: FloatArray  # (2,) sum of the steps' errors along themselves, see `second_order_error`
+    last_step_s: float  # contact of the last final step; NaN before the first
+    trail: FloatArray  # (R, 3) time, east, north of the last final steps: where a late fix belongs
     pending: tuple[Step, ...]  # hc, wc: steps not yet final
     n_final: int
     rejected_fixes: int
@@ -157,15 +164,19 @@ class Tracker:
         return np.array([self.step_log_odds_stationary if m.context == "stationary" else 0.0 for m in self.modes])
 
     def init(self) -> TrackerState:
-        """State at the origin, every mode equally probable."""
+        """State at the origin; modes as probable as the transitions make them in the long run."""
         n_filters = len(self.modes) if self.weighting == "imm" else 1
         mean, cov = initial_estimate(self.noise)
         return TrackerState(
             mean=np.tile(mean, (n_filters, 1)),
             cov=np.tile(cov, (n_filters, 1, 1)),
-            mode_prob=np.full(len(self.modes), 1.0 / len(self.modes)),
+            # from an even start: a chain that cannot mix keeps what it started with
+            mode_prob=np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0),
             windows=(),
             evidence_time_s=-np.inf,
+            second_order_m=np.zeros(2),
+            last_step_s=np.nan,
+            trail=np.empty((0, 3)),
             pending=(),
             n_final=0,
             rejected_fixes=0,
@@ -187,21 +198,50 @@ class Tracker:
     def on_gap(self, state: TrackerState, gap_s: float) -> tuple[TrackerState, list[StepUpdate]]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""
         state, updates = self._settle(state, force=True)
-        return replace(state, cov=grow_over_gap(state.cov, gap_s, self.noise), windows=()), updates
+        # The gap's own growth stands for the time since the last step.
+        cov = grow_over_gap(state.cov, gap_s, self.noise)
+        return replace(state, cov=cov, windows=(), last_step_s=np.nan), updates
 
     def on_fix(self, state: TrackerState, fix: PositionFix) -> TrackerState:
-        """New state after a position fix, taken as a measurement of the present position.
+        """New state after a position fix.
 
-        A fix that no mode can explain is rejected and counted.
+        The fix is compared with where the track was at the fix's own time, and corrects the present by what it finds
+        there (an approximation: the heading's part in what was walked since is not corrected anew). A fix that no mode
+        can explain, or that is older than the remembered steps, is rejected and counted.
         """
         H = np.eye(2, N_STATES)
-        mean, cov, log_likelihood, nis = imm.update(state.mean, state.cov, fix.position_m, H, fix.cov_m2)
+        since_m = self._moved_since(state, fix.time_s)
+        if since_m is None:
+            return replace(state, rejected_fixes=state.rejected_fixes + 1)
+        # what was walked since is known as well as a person's step length is
+        R = fix.cov_m2 + (self.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
+        cov = state.cov.copy()
+        cov[:, :2, :2] += np.outer(state.second_order_m, state.second_order_m)
+        mean, cov, log_likelihood, nis = imm.update(state.mean, cov, fix.position_m + since_m, H, R)
         if nis.min() > self.fix_gate_nis:
             return replace(state, rejected_fixes=state.rejected_fixes + 1)
         prob = state.mode_prob
         if self.weighting == "imm":
             prob = imm.update_mode_prob(prob, log_likelihood)
-        return replace(state, mean=mean, cov=cov, mode_prob=prob)
+        before_m, _ = present_position(state)
+        state = replace(state, mean=mean, cov=cov, mode_prob=prob, second_order_m=np.zeros(2))
+        trail = state.trail.copy()
+        trail[:, 1:] += present_position(state)[0] - before_m
+        return replace(state, trail=trail)
+
+    def _moved_since(self, state: TrackerState, time_s: float) -> FloatArray | None:
+        """Displacement (2,) from a time to the last final step; None if the time is no longer remembered."""
+        if len(state.trail) == 0:
+            return np.zeros(2)
+        if time_s < state.trail[0, 0] and len(state.trail) == TRAIL_STEPS:
+            return None
+        then = np.array([np.interp(time_s, state.trail[:, 0], state.trail[:, k]) for k in (1, 2)])
+        return state.trail[-1, 1:] - then
+
+    @property
+    def fix_delay_s(self) -> float:
+        """How long after its own time a fix waits for the steps before it to become final, less their detection."""
+        return 0.0 if self.weighting == "imm" else 2 * self.window_hop_s
 
     def finish(self, state: TrackerState) -> tuple[TrackerState, list[StepUpdate]]:
         """New state with every waiting step final: no further window will come."""
@@ -212,7 +252,10 @@ class Tracker:
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
         mean, cov, prob = imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
         length, variance = self._lengths.predict(step)
-        mean, cov = advance(mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise)
+        elapsed_s = _elapsed_s(state, step)
+        mean, cov = advance(
+            mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
+        )
         prob = imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state))
         state = replace(
             state,
@@ -224,16 +267,19 @@ class Tracker:
         )
         x, P = imm.combine(mean, cov, prob)
         # The length and direction of the step itself; evidence also moves the combined position, which is no walking.
+        length_m = float(prob @ (length * np.exp(mean[:, LOG_SCALE])))
+        heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob))
+        state = _remember(state, step, x, P, length_m, heading_rad)
         update = StepUpdate(
             index=state.n_final - 1,
             step=step,
             is_final=True,
-            position_m=x[:2],
-            position_cov_m2=P[:2, :2],
-            step_length_m=float(prob @ (length * np.exp(mean[:, LOG_SCALE]))),
-            walking_heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob)),
-            context_prob=self._latest_context(state),
-            mode_prob=prob,
+            position_m=read_only(x[:2]),
+            position_cov_m2=_position_cov(P, state.second_order_m),
+            step_length_m=length_m,
+            walking_heading_rad=heading_rad,
+            context_prob=read_only(self._latest_context(state)),
+            mode_prob=read_only(prob),
         )
         return state, [update]
 
@@ -269,31 +315,20 @@ class Tracker:
             own = self._window_at(state, step.time_s + self.window_hop_s)
             if own is None and not force:
                 break
-            update, mean, cov = self._weighted_step(state, step, is_final=True)
+            state, update = self._weighted_step(state, step, is_final=True)
             updates.append(update)
-            state = replace(
-                state,
-                mean=mean,
-                cov=cov,
-                mode_prob=update.mode_prob,
-                pending=state.pending[1:],
-                n_final=state.n_final + 1,
-            )
         return state, updates
 
     def _provisional(self, state: TrackerState) -> list[StepUpdate]:
         """Updates of the waiting steps, one after the other, with what is known now."""
         updates: list[StepUpdate] = []
         while state.pending:
-            update, mean, cov = self._weighted_step(state, state.pending[0], is_final=False)
+            state, update = self._weighted_step(state, state.pending[0], is_final=False)
             updates.append(update)
-            state = replace(state, mean=mean, cov=cov, pending=state.pending[1:], n_final=state.n_final + 1)
         return updates
 
-    def _weighted_step(
-        self, state: TrackerState, step: Step, is_final: bool
-    ) -> tuple[StepUpdate, FloatArray, FloatArray]:
-        """One step with the mean of its provisional and its final weights: the (d + pd) / 2 of the algorithms."""
+    def _weighted_step(self, state: TrackerState, step: Step, is_final: bool) -> tuple[TrackerState, StepUpdate]:
+        """The waiting step with the mean of its provisional and final weights: the (d + pd) / 2 of the algorithms."""
         provisional = self._context_at(state, step.time_s)
         final = self._context_at(state, step.time_s + self.window_hop_s) if is_final else provisional
         threshold = HC if self.weighting == "hc" else self.wc_threshold
@@ -301,7 +336,7 @@ class Tracker:
         weights = weights[self._context_of_mode]
         length, variance = self._lengths.predict(step)
         mean_length = float(weights @ length)
-        mixture_var = float(weights @ (variance + length**2)) - mean_length**2
+        mixture_var = max(float(weights @ (variance + length**2)) - mean_length**2, 0.0)
         offset = self._offsets_rad[int(weights.argmax())]
         mean, cov = advance(
             state.mean,
@@ -312,19 +347,24 @@ class Tracker:
             np.array([offset]),
             np.array([float(weights @ self._heading_var_rad2)]),
             self.noise,
+            _elapsed_s(state, step),
         )
+        length_m = mean_length * float(np.exp(mean[0, LOG_SCALE]))
+        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + offset)
+        state = replace(state, mean=mean, cov=cov, pending=state.pending[1:], n_final=state.n_final + 1)
+        state = _remember(state, step, mean[0], cov[0], length_m, heading_rad)
         update = StepUpdate(
-            index=state.n_final,
+            index=state.n_final - 1,
             step=step,
             is_final=is_final,
-            position_m=mean[0, :2],
-            position_cov_m2=cov[0, :2, :2],
-            step_length_m=mean_length * float(np.exp(mean[0, LOG_SCALE])),
-            walking_heading_rad=step.device_heading_rad + float(mean[0, HEADING_OFFSET] + offset),
-            context_prob=0.5 * (provisional + final),
-            mode_prob=weights,
+            position_m=read_only(mean[0, :2]),
+            position_cov_m2=_position_cov(cov[0], state.second_order_m),
+            step_length_m=length_m,
+            walking_heading_rad=heading_rad,
+            context_prob=read_only(0.5 * (provisional + final)),
+            mode_prob=read_only(weights),
         )
-        return update, mean, cov
+        return replace(state, mode_prob=weights) if is_final else state, update
 
     def _window_at(self, state: TrackerState, time_s: float) -> WindowContext | None:
         """The first window that ends at or after a time, if it is known."""
@@ -350,4 +390,29 @@ def present_position(state: TrackerState) -> tuple[FloatArray, FloatArray]:
     """Position (2,) and covariance (2, 2) of the final estimate."""
     prob = state.mode_prob if len(state.mean) > 1 else np.ones(1)
     x, P = imm.combine(state.mean, state.cov, prob)
-    return x[[EAST, NORTH]], P[:2, :2]
+    return x[[EAST, NORTH]], _position_cov(P, state.second_order_m)
+
+
+def _position_cov(P: FloatArray, second_order_m: FloatArray) -> FloatArray:
+    cov = P[:2, :2] + np.outer(second_order_m, second_order_m)
+    return read_only(0.5 * (cov + cov.T))
+
+
+def _elapsed_s(state: TrackerState, step: Step) -> float:
+    """Time since the step before, or the step's own duration for the first of a segment."""
+    return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
+
+
+def _remember(
+    state: TrackerState, step: Step, x: FloatArray, P: FloatArray, length_m: float, heading_rad: float
+) -> TrackerState:
+    """State after a step that led to mean x (4,) and covariance P (4, 4): its time, its place, its own error."""
+    error_m = length_m * second_order_error(float(P[HEADING_OFFSET, HEADING_OFFSET]))
+    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+    place = np.array([[step.time_s, x[EAST], x[NORTH]]])
+    return replace(
+        state,
+        second_order_m=state.second_order_m + error_m * along,
+        last_step_s=step.time_s,
+        trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],
+    )

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -34,7 +33,7 @@ def read_only(values: ArrayLike) -> FloatArray:
     return array
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Samples:
     """One sensor stream at its own timestamps.
 
@@ -60,6 +59,9 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Samples({len(self)} x {self.values.shape[1]})"
 
 
 @dataclass(frozen=True, slots=True)
@@ -89,7 +91,7 @@ class Truth:
         return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Recording:
     """One recording: sensor streams at their own timestamps, truth where it exists, meta data.
 
@@ -107,9 +109,12 @@ class Recording:
     attitude: Samples | None = None  # sensor-to-world quaternion wxyz computed by the phone, (N, 4)
     location: Samples | None = None  # latitude and longitude deg, altitude m, horizontal accuracy m, (N, 4)
     truth: Truth = Truth()
-    meta: Mapping[str, Any] = field(default_factory=lambda: MappingProxyType({}))
+    meta: Mapping[str, Any] = field(default_factory=dict[str, Any])
     source: str = ""  # path it was read from
     notes: tuple[str, ...] = ()  # what the reader repaired or found odd, in words
+
+    def __repr__(self) -> str:
+        return f"Recording({self.name!r}, {self.duration_s:.1f} s, {', '.join(self.streams)})"
 
     @property
     def subject(self) -> Subject:
@@ -125,7 +130,8 @@ class Recording:
     @property
     def duration_s(self) -> float:
         """Time from the first to the last accelerometer sample."""
-        return float(self.accelerometer.time_s.max() - self.accelerometer.time_s.min())
+        time_s = self.accelerometer.time_s
+        return float(time_s.max() - time_s.min()) if len(time_s) else 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -162,7 +168,7 @@ class Step:
     mean_abs_mps2: float  # mean of | magnitude - g |
     heading_change_rad: float  # of the device over the step, clockwise positive
     device_heading_rad: float  # mean over the step, clockwise from the first heading, not wrapped
-    heading_known: bool = True  # False where the angular rate was missing: the heading stood still
+    heading_unknown_s: float = 0.0  # time since the step before without angular rate: the heading stood still
 
     @property
     def vertical_range_mps2(self) -> float:
@@ -170,15 +176,7 @@ class Step:
         return self.vertical_max_mps2 - self.vertical_min_mps2
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ContextProb:
-    """Context probabilities of one window, in the order of `CONTEXTS`, summing to one."""
-
-    time_s: float  # end of the window
-    prob: FloatArray  # (C,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
 
@@ -187,10 +185,12 @@ class Windows:
     contexts: tuple[str, ...]
     carrying_prob: FloatArray  # (W, D); D = 0 where the model has no carrying-mode head
     carrying_modes: tuple[str, ...]
-    notes: tuple[str, ...] = ()  # in plain words: which model was used and why
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Windows({len(self)} windows)"
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,13 +206,18 @@ class PositionFix:
     cov_m2 : (2, 2)
         Covariance, positive definite.
     received_time_s : float, optional
-        When it arrived; `time_s` if not given.
+        When it arrived, not before `time_s`; `time_s` if not given.
     """
 
     time_s: float
     position_m: FloatArray
     cov_m2: FloatArray
     received_time_s: float | None = None
+
+    @property
+    def known_s(self) -> float:
+        """When it arrived."""
+        return self.time_s if self.received_time_s is None else self.received_time_s
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -222,8 +227,12 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
-        if not np.isfinite(self.time_s):
-            raise ValueError(f"time_s of a fix must be finite, got {self.time_s}")
+        received_s = self.time_s if self.received_time_s is None else self.received_time_s
+        if not (np.isfinite(self.time_s) and np.isfinite(received_s) and received_s >= self.time_s):
+            raise ValueError(
+                f"time_s of a fix must be finite and received_time_s not before it, got {self.time_s} and "
+                f"{self.received_time_s}"
+            )
 
 
 def table(columns: Mapping[str, ArrayLike]) -> Table:
@@ -242,12 +251,16 @@ def step_table(steps: Sequence[Step]) -> Table:
     return table({f.name: np.array([getattr(s, f.name) for s in steps], dtype=float) for f in fields(Step)})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Track:
     """Where the pedestrian walked: one row for each step, positions in metres with covariance.
 
     East and north are relative to the start; "north" is true north only where an absolute heading was available,
     otherwise the direction of the device's heading at the start.
+
+    `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
+    lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
+    from one context to another, the past is seen anew and a position may move by more or less than its step length.
     """
 
     name: str
@@ -266,6 +279,9 @@ class Track:
     duration_s: float
     weighting: str
     notes: tuple[str, ...] = field(default=())  # where not to trust it, in plain words
+
+    def __repr__(self) -> str:
+        return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
 
     @property
     def n_steps(self) -> int:

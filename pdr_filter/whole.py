@@ -10,20 +10,27 @@ import numpy as np
 from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
 from pdr_filter.features.windows import FeatureWindow
-from pdr_filter.online import Config, Output, finish, init, step
+from pdr_filter.online import Config, Output, finish, init, parts, step
 from pdr_filter.sensing import Event, Sensing
 from pdr_filter.tracking import StepUpdate, WindowContext
-from pdr_filter.types import CONTEXTS, ImuBlock, PositionFix, Recording, Step, Table, Track, Windows, step_table
-
-# Long recordings go through in parts of this many samples, so that progress shows and memory stays small. The result
-# does not depend on it.
-_PART_SAMPLES = 60_000
+from pdr_filter.types import (
+    CONTEXTS,
+    ImuBlock,
+    PositionFix,
+    Recording,
+    Step,
+    Table,
+    Track,
+    Windows,
+    read_only,
+    step_table,
+)
 
 
 def track(
     recording: Recording,
     config: Config | None = None,
-    weighting: str = "imm",
+    weighting: str | None = None,
     fixes: Sequence[PositionFix] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Track:
@@ -35,16 +42,18 @@ def track(
         From `read`.
     config : Config, optional
         A recipe; the default recipe if not given.
-    weighting : {"imm", "wc", "hc"}
-        How context probabilities become step lengths: interacting multiple model, weighted or highest context.
+    weighting : {"imm", "wc", "hc"}, optional
+        How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
+        recipe's own if not given; that of the default recipe is "imm".
     fixes : sequence of PositionFix
         Positions from elsewhere, each used when it was received.
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     """
-    config = (config or _default()).with_weighting(weighting)
-    received = [f.time_s if f.received_time_s is None else f.received_time_s for f in fixes]
-    state = replace(init(config), waiting_fixes=tuple(fixes[i] for i in np.argsort(received, kind="stable")))
+    config = config or _default()
+    if weighting is not None:
+        config = config.with_weighting(weighting)
+    state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: f.known_s)))
     updates: list[StepUpdate] = []
     windows: list[WindowContext] = []
 
@@ -62,6 +71,8 @@ def track(
     notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
     if state.tracker.rejected_fixes:
         notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
+    if state.waiting_fixes:
+        notes.append(f"{len(state.waiting_fixes)} position fixes came after the last sample and were not used")
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
     return _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
@@ -96,23 +107,18 @@ def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
-    n = len(block.time_s)
-    for start in range(0, n, _PART_SAMPLES):
-        part = slice(start, start + _PART_SAMPLES)
-        yield ImuBlock(
-            block.time_s[part],
-            block.specific_force_mps2[part],
-            block.angular_rate_radps[part],
-            block.magnetic_field_ut[part],
-        )
+    done, n = 0, len(block.time_s)
+    for part in parts(block):
+        yield part
+        done += len(part.time_s)
         if progress is not None:
-            progress(min(start + _PART_SAMPLES, n) / n)
+            progress(done / n)
 
 
 def _windows(found: Sequence[WindowContext]) -> Windows:
     return Windows(
-        time_s=np.array([w.time_s for w in found]),
-        context_prob=np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS)),
+        time_s=read_only(np.array([w.time_s for w in found])),
+        context_prob=read_only(np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS))),
         contexts=CONTEXTS,
         carrying_prob=np.empty((len(found), 0)),
         carrying_modes=(),
@@ -132,14 +138,14 @@ def _collect(
     steps = step_table([u.step for u in updates])
     return Track(
         name=name,
-        time_s=np.asarray(steps.time_s),
-        position_m=np.array([u.position_m for u in updates]).reshape(n, 2),
-        position_cov_m2=np.array([u.position_cov_m2 for u in updates]).reshape(n, 2, 2),
-        step_length_m=np.array([u.step_length_m for u in updates]),
-        walking_heading_rad=wrap_angle(np.array([u.walking_heading_rad for u in updates])),
-        context_prob=np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS)),
+        time_s=read_only(np.asarray(steps.time_s)),
+        position_m=read_only(np.array([u.position_m for u in updates]).reshape(n, 2)),
+        position_cov_m2=read_only(np.array([u.position_cov_m2 for u in updates]).reshape(n, 2, 2)),
+        step_length_m=read_only(np.array([u.step_length_m for u in updates])),
+        walking_heading_rad=read_only(wrap_angle(np.array([u.walking_heading_rad for u in updates]))),
+        context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS))),
         contexts=CONTEXTS,
-        mode_prob=np.array([u.mode_prob for u in updates]).reshape(n, n_modes),
+        mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, n_modes)),
         modes=tuple(m.name for m in config.tracker.modes),
         steps=steps,
         windows=windows,

@@ -136,7 +136,7 @@ def a_step(
     heading_rad: float = 0.0,
     duration_s: float = 0.5,
     variance: float = 4.0,
-    heading_known: bool = True,
+    heading_unknown_s: float = 0.0,
 ) -> Step:
     return Step(
         time_s=time_s,
@@ -151,5 +151,5 @@ def a_step(
         mean_abs_mps2=1.5,
         heading_change_rad=0.0,
         device_heading_rad=heading_rad,
-        heading_known=heading_known,
+        heading_unknown_s=heading_unknown_s,
     )

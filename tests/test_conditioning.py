@@ -321,3 +321,61 @@ def test_a_stream_in_disorder_is_put_in_order() -> None:
 def test_a_stream_of_one_sample_is_missing() -> None:
     block = merge_streams(recording(Samples(np.array([0.5]), np.ones((1, 3)))))
     assert np.isnan(block.angular_rate_radps).all()
+
+
+# --- clocks and spikes ----------------------------------------------------------------------------------------------
+
+
+def test_one_time_far_in_the_future_costs_one_sample() -> None:
+    time_s = np.arange(500) / 100
+    time_s[200] = 1e9
+    state, blocks = condition(Conditioner(), [imu(time_s)])
+    assert len(joined(blocks)["time_s"]) >= 480
+    assert [b.gap_before_s for b in blocks] == [np.inf]
+    assert state.report.n_not_increasing == 1
+    assert any("clock jumped 1 times" in note for note in state.report.notes())
+
+
+def test_a_clock_that_is_set_back_is_followed_after_half_a_second() -> None:
+    time_s = np.concatenate([np.arange(500), np.arange(500) - 360_000]) / 100
+    state, blocks = condition(Conditioner(), [imu(time_s)])
+    out_s = joined(blocks)["time_s"]
+    assert len(out_s) >= 920
+    assert (np.diff(out_s) > 0).all()
+    assert len(blocks) == 2
+    assert state.report.n_clock_jumps == 1
+
+
+@settings(max_examples=40, deadline=None)
+@given(cuts=st.lists(st.integers(0, 1200), max_size=60), seed=st.integers(0, 50))
+def test_jumping_clocks_do_not_make_the_output_depend_on_how_samples_arrive(cuts: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    time_s = np.concatenate([np.arange(500), np.arange(300) - 1000, np.arange(300, 600)]) / 100
+    time_s[rng.integers(0, len(time_s), 5)] += rng.choice([1e6, -50.0, 3.0], 5)
+    block = imu(time_s, linear(np.arange(len(time_s)) / 100))
+    whole_state, whole = condition(Conditioner(), [block])
+    state, pieces = condition(Conditioner(), cut(block, cuts))
+    assert_same_bits(joined(pieces), joined(whole))
+    assert state.report == whole_state.report
+
+
+def test_impossible_values_are_left_out_and_counted() -> None:
+    time_s = np.arange(300) / 100
+    force, rate = linear(time_s), np.zeros((300, 3))
+    clean = joined(condition(Conditioner(), [imu(time_s, force, rate)])[1])
+    force, rate = force.copy(), rate.copy()
+    force[100, 1], rate[150, 2] = 1e6, 1e4
+    state, blocks = condition(Conditioner(), [imu(time_s, force, rate)])
+    assert state.report.n_implausible == 2
+    assert_same_shape_and_near(joined(blocks), clean)
+
+
+def assert_same_shape_and_near(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
+    for name, values in expected.items():
+        np.testing.assert_allclose(found[name], values, atol=1e-9)
+
+
+def test_specific_force_in_g_is_said_to_be_wrong() -> None:
+    force = np.tile([0.0, 0.0, 1.0], (1000, 1))
+    state, _ = condition(Conditioner(), [imu(np.arange(1000) / 100, force)])
+    assert any("not in g" in note for note in state.report.notes())

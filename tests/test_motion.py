@@ -19,6 +19,7 @@ from pdr_filter.motion import (
     advance,
     grow_over_gap,
     initial_estimate,
+    second_order_error,
 )
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.types import Step
@@ -142,7 +143,7 @@ def test_heading_and_scale_drift_with_time_and_steps() -> None:
 
 def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
     noise = MotionNoise()
-    step = a_step(duration_s=0.5, heading_known=False)
+    step = a_step(duration_s=0.5, heading_unknown_s=0.5)
     _, cov = advance_one(np.zeros(4), step=step, noise=noise)
     assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.unknown_heading_rad_per_sqrt_s**2 * 0.5)
     mean = np.zeros(4)
@@ -244,3 +245,19 @@ def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> Non
         StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
     with pytest.raises(ValueError, match="context of mode 'fly'"):
         Mode("fly", "flying", known_length(1.0, 0.1))
+
+
+def test_the_second_order_error_is_that_of_a_normal_heading_error() -> None:
+    rng = np.random.default_rng(0)
+    for std in (0.1, 0.5, 1.8):
+        simulated = np.sqrt(((np.cos(std * rng.normal(size=400_000)) - 1) ** 2).mean())
+        assert second_order_error(std**2) == pytest.approx(simulated, rel=0.02)
+    assert second_order_error(0.0) == 0.0
+
+
+def test_the_heading_wanders_while_nobody_steps() -> None:
+    noise = MotionNoise()
+    step = a_step(duration_s=0.5)
+    arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), np.zeros(1), np.zeros(1), noise)
+    _, rested = advance(*arguments, elapsed_s=600.0)
+    assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift_rad_per_sqrt_s**2 * 600)

@@ -9,7 +9,7 @@ from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.motion import Mode, MotionNoise, advance, initial_estimate
+from pdr_filter.motion import Mode, MotionNoise, advance, initial_estimate, second_order_error
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.tracking import (
     StepUpdate,
@@ -176,8 +176,11 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     for window in windows[:3]:  # evidence for the only mode means nothing
         state, _ = single.on_window(state, window)
     rng = np.random.default_rng(0)
+    second_order_m, last_s = np.zeros(2), np.nan
     for k, step in enumerate(steps):
         state, [update] = single.on_step(state, step)
+        elapsed_s = step.duration_s if np.isnan(last_s) else step.time_s - last_s
+        last_s = step.time_s
         length, length_var = mode.step_length.predict(step)
         scaled, psi = length * np.exp(x[3]), step.device_heading_rad + x[2]
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
@@ -187,7 +190,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
             [
                 0,
                 0,
-                noise.heading_drift_rad_per_sqrt_s**2 * step.duration_s,
+                noise.heading_drift_rad_per_sqrt_s**2 * elapsed_s,
                 noise.log_scale_drift_per_sqrt_step**2,
             ]
         )
@@ -196,12 +199,17 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         )
         x[:2] += scaled * u
         P = F @ P @ F.T + Q
+        psi = step.device_heading_rad + x[2]
+        along = np.array([np.sin(psi), np.cos(psi)])
+        second_order_m += length * np.exp(x[3]) * second_order_error(P[2, 2]) * along
+        seen = P[:2, :2] + np.outer(second_order_m, second_order_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
-        np.testing.assert_allclose(update.position_cov_m2, P[:2, :2], atol=1e-9)
+        np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
             z, R = x[:2] + 0.3 * rng.normal(size=2), np.array([[0.5, 0.1], [0.1, 0.4]])
             state = single.on_fix(state, PositionFix(step.time_s, z, R))
             H = np.eye(2, 4)
+            P[:2, :2], second_order_m = seen, np.zeros(2)
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
             x, P = x + K @ (z - H @ x), (np.eye(4) - K @ H) @ P
             np.testing.assert_allclose(state.mean[0], x, atol=1e-9)
@@ -307,13 +315,13 @@ def test_a_fix_that_no_mode_explains_changes_nothing_but_its_count(weighting: st
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     """Steps 10 % longer than the population's: fixes along the way teach it."""
     filter_ = Tracker((modes()[WALKING],), np.ones((1, 1)))
-    state, step = filter_.init(), a_step(duration_s=0.5, variance=0.0)
+    state = filter_.init()
     true_north_m = 0.0
     for k in range(300):
-        state, _ = filter_.on_step(state, step)
+        state, _ = filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0))
         true_north_m += 1.1 * 0.7
         if k % 10 == 9:
-            state = filter_.on_fix(state, PositionFix(0.0, np.array([0.0, true_north_m]), 0.25 * np.eye(2)))
+            state = filter_.on_fix(state, PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2)))
     assert np.exp(state.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
     assert state.rejected_fixes == 0
 

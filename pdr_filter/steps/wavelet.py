@@ -33,15 +33,16 @@ class StepDetectorState:
     power_zi: FloatArray  # (1, 2) of the low-pass of the squared magnitude
     delay_line: FloatArray  # (2, L - 1) magnitude, and its smoothed squared deviation from gravity; empty at the start
     response: FloatArray  # (2,) last values of the transform
-    history: FloatArray  # (5, H): time, magnitude, vertical, device heading, angular rate known
+    history: FloatArray  # (5, H): time, magnitude, vertical, device heading, samples without angular rate so far
     last_contact: int  # index of the sample; negative before the first
     last_contact_s: float
+    last_unknown: float  # samples without angular rate up to the last contact
     peak_level_mps2: float  # running mean of accepted peaks
 
 
 @dataclass(frozen=True)
 class WaveletStepDetector:
-    """Causal step detector; a step is reported about 0.7 s after its contact.
+    """Causal step detector; a step is reported `latency_s`, 0.8 s, after its contact.
 
     Parameters
     ----------
@@ -119,6 +120,7 @@ class WaveletStepDetector:
             history=np.empty((5, 0)),
             last_contact=-1,
             last_contact_s=-np.inf,
+            last_unknown=0.0,
             peak_level_mps2=0.0,
         )
 
@@ -128,8 +130,9 @@ class WaveletStepDetector:
         """New state and the steps that became known, each with the index of the sample that revealed it."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
-        known = block.angular_rate_known.astype(float)
-        signals = np.stack([block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, known])
+        unknown_before = state.history[4, -1] if state.history.shape[1] else 0.0
+        unknown = unknown_before + np.cumsum(~block.angular_rate_known)
+        signals = np.stack([block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown])
         history = np.concatenate([state.history, signals], axis=1)
         state = replace(state, power_zi=power_zi, history=history)
         if state.n_samples == 0:
@@ -198,9 +201,12 @@ class WaveletStepDetector:
         start = contact - round(duration_s * self.rate_hz) if new_bout else state.last_contact
         signals = state.history[:, max(start - first, 0) : contact - first]
         known_s = float(state.history[0, min(known - first, state.history.shape[1] - 1)])
-        step = describe_step(signals, contact_s, known_s, duration_s)
+        unknown = float(state.history[4, contact - first])
+        unknown_s = (unknown - state.last_unknown) / self.rate_hz
+        step = describe_step(signals, contact_s, known_s, duration_s, unknown_s)
         level = float(peak[1]) if new_bout else 0.7 * level + 0.3 * float(peak[1])
-        return replace(state, last_contact=contact, last_contact_s=contact_s, peak_level_mps2=level), step
+        state = replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown)
+        return replace(state, peak_level_mps2=level), step
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
@@ -233,9 +239,11 @@ def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
     return np.sqrt(x * x + y * y + z * z)
 
 
-def describe_step(signals: FloatArray, contact_s: float, detected_s: float, duration_s: float) -> Step:
+def describe_step(
+    signals: FloatArray, contact_s: float, detected_s: float, duration_s: float, heading_unknown_s: float
+) -> Step:
     """The step that ends at a contact, from its samples (5, n), rows as in `StepDetectorState.history`."""
-    _, magnitude, vertical, heading, rate_known = signals
+    _, magnitude, vertical, heading, _ = signals
     return Step(
         time_s=contact_s,
         detected_time_s=detected_s,
@@ -249,5 +257,5 @@ def describe_step(signals: FloatArray, contact_s: float, detected_s: float, dura
         mean_abs_mps2=float(np.abs(magnitude - STANDARD_GRAVITY_MPS2).mean()),
         heading_change_rad=float(heading[-1] - heading[0]),
         device_heading_rad=float(heading.mean()),
-        heading_known=bool(rate_known.all()),
+        heading_unknown_s=heading_unknown_s,
     )
