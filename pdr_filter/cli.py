@@ -398,7 +398,7 @@ def _print_description(description: dict[str, Any]) -> None:
     typer.echo(f"{description['name']}: {description['duration_s']:.1f} s, from {description['source']}")
     table = _new_table("sensor", "unit", "samples", "rate", "gaps", "longest", "repeated", "backward", "empty")
     for stream in description["streams"]:
-        rate_hz = stream["rate_hz"]
+        rate_hz = stream["mean_rate_hz"]  # the median is wrong where times come in whole milliseconds
         table.add_row(
             stream["name"],
             stream["unit"],

@@ -48,6 +48,8 @@ class Demo:
         console.print()
         console.print(_context_bars(result))
         console.print()
+        if self.is_simulated:
+            console.print("note: its sideways steps are taken for walking: no public recording teaches the models them")
         for note in result.notes:
             console.print(f"note: {escape(note)}")
         if result.notes:

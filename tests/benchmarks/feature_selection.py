@@ -3,9 +3,9 @@
 usage: .venv/bin/python tests/benchmarks/feature_selection.py [--data ../shared/data] [--windows 30] [--jobs 2]
 
 The 23 features without magnetometer (MotionSense has none), a linear discriminant, folds of two people each out of 12,
-at most so many windows of each person in each context. Prints the curve as a markdown table, and the selected set beside
-those of the paper's 18 that need no magnetometer. The last column of the table is for people whom the search has not
-seen: it runs once more for each of three thirds of the people left out.
+at most so many windows of each person in each context. Prints the curve as a markdown table, and the selected set
+beside the paper's 18. The last column of the table is for people whom the search has not seen: it runs once more for
+each of three thirds of the people left out.
 """
 
 from __future__ import annotations
@@ -41,19 +41,21 @@ def thinned(windows: LabelledWindows, n_windows: int) -> IntArray:
     return np.array(sorted(rows))
 
 
-def search(X: FloatArray, y: np.ndarray, person: np.ndarray, n_folds: int, n_jobs: int) -> Selection:
+def search(features: FloatArray, y: np.ndarray, person: np.ndarray, n_folds: int, n_jobs: int) -> Selection:
     return select_features(
-        ESTIMATOR, X, y, groups=person, cv=GroupKFold(n_folds), names=WITHOUT_MAGNETOMETER, n_jobs=n_jobs
+        ESTIMATOR, features, y, groups=person, cv=GroupKFold(n_folds), names=WITHOUT_MAGNETOMETER, n_jobs=n_jobs
     )
 
 
-def unseen_scores(X: FloatArray, y: np.ndarray, person: np.ndarray, n_jobs: int) -> FloatArray:
+def unseen_scores(features: FloatArray, y: np.ndarray, person: np.ndarray, n_jobs: int) -> FloatArray:
     """Accuracy (3, F) on each third of the people, of subsets chosen and fitted on the others."""
     scores = []
-    for train, test in GroupKFold(3).split(X, y, person):
-        curve = search(X[train], y[train], person[train], 4, n_jobs).curve
+    for train, test in GroupKFold(3).split(features, y, person):
+        curve = search(features[train], y[train], person[train], 4, n_jobs).curve
         columns = [list(subset.columns) for subset in curve]
-        scores.append([ESTIMATOR.fit(X[train][:, c], y[train]).score(X[test][:, c], y[test]) for c in columns])
+        scores.append(
+            [ESTIMATOR.fit(features[train][:, c], y[train]).score(features[test][:, c], y[test]) for c in columns]
+        )
     return np.array(scores)
 
 
@@ -66,11 +68,11 @@ def main() -> None:
     start_s = time.perf_counter()
     windows = labelled_windows(sorted((arguments.data / "motionsense").glob("*.zip")))
     rows = thinned(windows, arguments.windows)
-    X, y, person = windows.features[rows][:, COLUMNS], windows.context[rows], windows.person[rows]
+    features, y, person = windows.features[rows][:, COLUMNS], windows.context[rows], windows.person[rows]
     print(f"{len(rows)} windows of {len(np.unique(person))} people, contexts {sorted(set(y.tolist()))}\n")
 
-    selection = search(X, y, person, 6, arguments.jobs)
-    unseen = unseen_scores(X, y, person, arguments.jobs)
+    selection = search(features, y, person, 6, arguments.jobs)
+    unseen = unseen_scores(features, y, person, arguments.jobs)
     print("| features | accuracy | std over folds | accuracy, unseen people |\n|---:|---:|---:|---:|")
     for subset, of_unseen in zip(selection.curve, unseen.T, strict=True):
         n = len(subset.columns)
@@ -78,7 +80,7 @@ def main() -> None:
 
     best, paper = selection.best, [n for n in SELECTED_18 if n in WITHOUT_MAGNETOMETER]
     columns = [WITHOUT_MAGNETOMETER.index(n) for n in paper]
-    of_paper = cross_val_score(ESTIMATOR, X[:, columns], y, groups=person, cv=GroupKFold(6))
+    of_paper = cross_val_score(ESTIMATOR, features[:, columns], y, groups=person, cv=GroupKFold(6))
     print(f"\nbest: {len(best.columns)} features, {100 * best.score:.1f} %")
     print(f"the paper's 18 less magnetometer: {len(paper)} features, {100 * of_paper.mean():.1f} %")
     removed = [c.name for c in selection.history if c.action == "remove"]
