@@ -293,8 +293,6 @@ def _print_json(value: dict[str, Any]) -> None:
 
 def _config(recipe: str, model: Path | None) -> Config:
     """The recipe of that name, with another context model if one is given."""
-    from dataclasses import replace
-
     from pdr_filter import recipes
     from pdr_filter.context.model import load_model
 
@@ -304,12 +302,12 @@ def _config(recipe: str, model: Path | None) -> Config:
     config: Config = known[recipe]()
     if model is None:
         return config
-    return replace(config, context_models=replace(config.context_models, with_gyroscope=load_model(model)))
+    return recipes.with_context_model(config, load_model(model))
 
 
 def _is_recipe(value: Any) -> bool:
-    """A recipe is a function that returns a configuration."""
-    return callable(value) and getattr(value, "__annotations__", {}).get("return") == "Config"
+    """A recipe is a function of nothing that returns a configuration."""
+    return callable(value) and getattr(value, "__annotations__", {}) == {"return": "Config"}
 
 
 def _origin(text: str | None) -> tuple[float, float] | None:

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
 from pdr_filter.context.model import ContextModel
-from pdr_filter.features.martinelli import NAMES
 from pdr_filter.features.windows import FeatureWindow
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, WindowContext, present_position
@@ -25,22 +24,16 @@ class ContextModels:
     with_gyroscope: ContextModel
     without_gyroscope: ContextModel
 
-    @cached_property
-    def _columns(self) -> tuple[IntArray, IntArray]:
-        return _columns(self.with_gyroscope), _columns(self.without_gyroscope)
-
     def classify(self, window: FeatureWindow) -> WindowContext:
         """Context probabilities of a window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
-        columns = self._columns[0 if window.has_gyroscope else 1]
+        columns = _columns(model.feature_names, window.names)
         return WindowContext(window.time_s, model.predict(window.features[columns]), model.training_prior)
 
 
-def _columns(model: ContextModel) -> IntArray:
-    missing = sorted(set(model.feature_names) - set(NAMES))
-    if missing:
-        raise ValueError(f"context model {model.name!r} needs features {missing}, which no stage computes")
-    return np.array([NAMES.index(name) for name in model.feature_names])
+@lru_cache
+def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
+    return np.array([names.index(name) for name in wanted])
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,6 +44,16 @@ class Config:
     sensing: Sensing
     context_models: ContextModels
     tracker: Tracker
+
+    def __post_init__(self) -> None:
+        windows = self.sensing.windows
+        for model in (self.context_models.with_gyroscope, self.context_models.without_gyroscope):
+            missing = sorted(set(model.feature_names) - set(windows.names))
+            if missing:
+                raise ValueError(
+                    f"context model {model.name!r} needs features {missing[:5]}, which feature_set "
+                    f"{windows.feature_set!r} does not have; use a model and windows of one set"
+                )
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""

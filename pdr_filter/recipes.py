@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import cache
 
 import numpy as np
 
 from pdr_filter.context.model import ContextModel, load_model
+from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.motion import Mode
 from pdr_filter.online import Config, ContextModels
 from pdr_filter.sensing import Sensing
@@ -77,17 +79,31 @@ def context_transitions() -> FloatArray:
     return rows
 
 
+# The accelerometer's own model of each feature set, for windows without angular rate.
+_WITHOUT_GYROSCOPE = {"invariant": "context_softmax_accelerometer", "martinelli": "context_forest_accelerometer"}
+
+
+def with_context_model(config: Config, model: ContextModel) -> Config:
+    """The configuration with another model for windows with gyroscope, and with the features that it needs."""
+    for feature_set, names in FEATURE_SETS.items():
+        if set(model.feature_names) <= set(names):
+            windows = replace(config.sensing.windows, feature_set=feature_set)
+            models = ContextModels(model, _model(_WITHOUT_GYROSCOPE[feature_set]))
+            return replace(config, sensing=replace(config.sensing, windows=windows), context_models=models)
+    raise ValueError(f"model {model.name!r} needs features that no set has; the sets are {tuple(FEATURE_SETS)}")
+
+
 @cache
 def _model(name: str) -> ContextModel:
     return load_model(name)
 
 
 def default() -> Config:
-    """The recipe to use: wavelet steps, random-forest contexts, one mode for each context."""
+    """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context."""
     return Config(
         name="default",
-        sensing=Sensing(),
-        context_models=ContextModels(_model("context_forest"), _model("context_forest_accelerometer")),
+        sensing=Sensing(windows=FeatureWindows("invariant")),
+        context_models=ContextModels(_model("context_softmax"), _model(_WITHOUT_GYROSCOPE["invariant"])),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
     )
 
@@ -102,6 +118,6 @@ def martinelli2018() -> Config:
     return Config(
         name="martinelli2018",
         sensing=Sensing(),
-        context_models=ContextModels(_model("context_rvm"), _model("context_forest_accelerometer")),
+        context_models=ContextModels(_model("context_rvm"), _model(_WITHOUT_GYROSCOPE["martinelli"])),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
     )

@@ -83,7 +83,7 @@ class Sensing:
         attitude_state, attitude = self.attitude.step(state.attitude, part)
         n_before = state.steps.n_samples
         step_state, steps = self.steps.step(state.steps, part, attitude)
-        window_state, windows = self.windows.step(state.windows, part)
+        window_state, windows = self.windows.step(state.windows, part, attitude)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order = sorted([*windows, *steps], key=lambda e: e[0])
         events: list[tuple[float, Event]] = [(float(part.time_s[i - n_before]), event) for i, event in in_order]

@@ -94,11 +94,11 @@ class Tracker:
     wc_threshold : float
         Second-highest over highest probability from which `wc` weights (Algorithm 2: 0.8).
     evidence_exponent : float
-        Tempering of the evidence of one window. Overlap alone gives hop over window length, 0.5; windows of one gait
-        also share its errors. 0.25 has the lowest log loss on people left out (docs/benchmarks.md).
+        Tempering of the evidence of one window: hop over window length, because overlapping windows repeat the same
+        second. It has the lowest log loss on people left out (docs/benchmarks.md).
     prior_exponent : float
-        How far the classifier's training prior is divided out. The forests are not calibrated: dividing all of it
-        out makes stairs of flat walking, none of it walking of stairs (docs/benchmarks.md).
+        How far the classifier's training prior is divided out. All of it makes stairs of other people's flat walking,
+        none of it walking of their stairs (docs/benchmarks.md).
     evidence_floor : float
         Probability below which a context is not pushed by one window.
     step_log_odds_stationary : float
@@ -117,8 +117,8 @@ class Tracker:
     transition_prob: FloatArray
     weighting: str = "imm"
     wc_threshold: float = 0.8
-    evidence_exponent: float = 0.25
-    prior_exponent: float = 0.5
+    evidence_exponent: float = 0.5
+    prior_exponent: float = 0.25
     evidence_floor: float = 0.01
     step_log_odds_stationary: float = -1.9
     window_hop_s: float = 1.0

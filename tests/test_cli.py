@@ -94,8 +94,9 @@ def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
 def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:
     path = MODELS / "context_forest_accelerometer.npz"
     result = run("track", "--json", "--model", path, walk)
-    config = pdr.recipes.default()
-    config = replace(config, context_models=replace(config.context_models, with_gyroscope=load_model(path)))
+    config = pdr.recipes.with_context_model(pdr.recipes.default(), load_model(path))
+    assert config.context_models.with_gyroscope.name == "context_forest_accelerometer"
+    assert config.sensing.windows.feature_set == "martinelli"
     assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
     assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()
 

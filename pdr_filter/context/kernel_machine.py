@@ -15,11 +15,12 @@ from numpy.typing import ArrayLike, NDArray
 from pdr_filter.types import FloatArray, IntArray, read_only
 
 KERNELS = ("rbf", "linear")
+LINKS = ("sigmoid", "softmax")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelevanceVectors:
-    """One-against-all relevance vector machines that share their relevance vectors.
+    """Relevance vector machines, one for each class, that share their relevance vectors.
 
     Machine k has the logit t_k(x) = sum_m weights[k, m] phi[basis[k, m]](x) (eq. 4 of Martinelli et al. 2018), where
     phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). Machines that use fewer than m vectors are filled up
@@ -40,6 +41,9 @@ class RelevanceVectors:
     cov_factor : (K, m, m)
         Factor G of the weights' posterior covariance Delta = G^T G (eq. 10): the variance of the logit is
         phi^T Delta phi = ||G phi||^2. All zeros: no moderation.
+    link : str
+        From logits to probabilities. "sigmoid": each machine knows its class from all others, `normalised_sigmoids`.
+        "softmax": the logits compete, `moderated_softmax`.
     """
 
     kernel: str
@@ -48,6 +52,7 @@ class RelevanceVectors:
     basis: IntArray
     weights: FloatArray
     cov_factor: FloatArray
+    link: str = "sigmoid"
 
     def __post_init__(self) -> None:
         for name in ("vectors", "weights", "cov_factor"):
@@ -71,7 +76,7 @@ class RelevanceVectors:
         return len(self.weights)
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K): sigmoids of the moderated logits, normalised.
+        """Class probabilities of rows, (N, F) to (N, K), each row summing to one.
 
         Every row goes through the same computation on its own, so it has the same bits alone and in any batch.
         Raises ValueError for NaN or infinite features.
@@ -85,24 +90,26 @@ class RelevanceVectors:
             raise ValueError(
                 f"feature {column} is {rows[row, column]} in row {row}: leave such rows out or fill in a value"
             )
+        probabilities = normalised_sigmoids if self.link == "sigmoid" else moderated_softmax
         result = np.empty((len(rows), self.n_classes))
         for row, features in enumerate(rows):
-            result[row] = normalised_sigmoids(*self._logits(features))
+            result[row] = probabilities(*self._logits(features))
         return result
 
     def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variance of every machine's logit, (K,) each, for one row (F,).
 
-        Sums run over the last axis of freshly made arrays, never through BLAS, whose order depends on the shapes.
+        Sums are NumPy's own over the last axis of whole arrays, never BLAS, whose order depends on the shapes.
         """
         phi = np.ones(len(self.vectors) + 1)
         if self.kernel == "rbf":
-            phi[1:] = np.exp(((self.vectors - features) ** 2).sum(axis=1) / (-2.0 * self.width**2))
+            difference = self.vectors - features
+            phi[1:] = np.exp(np.einsum("rf,rf->r", difference, difference) / (-2.0 * self.width**2))
         else:
-            phi[1:] = (self.vectors * features).sum(axis=1)
+            phi[1:] = np.einsum("rf,f->r", self.vectors, features)
         own = phi.take(self.basis)  # (K, m)
-        projected = (self.cov_factor * own[:, None, :]).sum(axis=2)  # G phi
-        return (self.weights * own).sum(axis=1), (projected**2).sum(axis=1)
+        projected = np.einsum("kij,kj->ki", self.cov_factor, own)  # G phi
+        return np.einsum("km,km->k", self.weights, own), np.einsum("km,km->k", projected, projected)
 
     def to_arrays(self) -> dict[str, NDArray[Any]]:
         """Return the plain arrays that `from_arrays` takes."""
@@ -113,6 +120,7 @@ class RelevanceVectors:
             "basis": self.basis.astype(np.int32),
             "weights": self.weights,
             "cov_factor": self.cov_factor,
+            "link": np.array(self.link),
         }
 
     @classmethod
@@ -125,6 +133,7 @@ class RelevanceVectors:
             basis=arrays["basis"],
             weights=arrays["weights"],
             cov_factor=arrays["cov_factor"],
+            link=str(arrays["link"]) if "link" in arrays else "sigmoid",  # files of version 0.1 have none
         )
 
 
@@ -140,10 +149,27 @@ def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
     return relative / relative.sum()
 
 
+def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
+    """Class probabilities (K,) from competing logits and their variances, (K,) each.
+
+    p_k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k - logit_j)), j over all classes, with
+    kappa as in `normalised_sigmoids` and 1 for j = k (a mean-field form of Lu, Ie and Sha 2020). With no
+    variance it is the softmax, with two classes the moderated sigmoid of the difference.
+    """
+    kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
+    advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k
+    most = advantage.max(axis=1)  # not negative: a class has no advantage over itself
+    log_share = -most - np.log(np.exp(advantage - most[:, None]).sum(axis=1))
+    relative = np.exp(log_share - log_share.max())
+    return relative / relative.sum()
+
+
 def _check(machine: RelevanceVectors) -> None:
     """Raise ValueError unless the arrays belong together and are finite."""
     if machine.kernel not in KERNELS:
         raise ValueError(f"kernel must be one of {KERNELS}, got {machine.kernel!r}")
+    if machine.link not in LINKS:
+        raise ValueError(f"link must be one of {LINKS}, got {machine.link!r}")
     if not (np.isfinite(machine.width) and machine.width > 0):
         raise ValueError(f"width must be positive and finite, got {machine.width}")
     if machine.vectors.ndim != 2 or machine.weights.ndim != 2 or len(machine.weights) < 2:

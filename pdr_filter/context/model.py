@@ -22,13 +22,17 @@ from numpy.typing import NDArray
 
 from pdr_filter.context.forest import Forest
 from pdr_filter.context.kernel_machine import RelevanceVectors
+from pdr_filter.context.softmax import SoftmaxRegression
 from pdr_filter.types import CONTEXTS, FloatArray, read_only
 
 FORMAT_VERSION = 1
 
-_MACHINES: dict[str, type[Forest] | type[RelevanceVectors]] = {
+Machine = Forest | RelevanceVectors | SoftmaxRegression
+
+_MACHINES: dict[str, type[Forest] | type[RelevanceVectors] | type[SoftmaxRegression]] = {
     "forest": Forest,
     "relevance_vectors": RelevanceVectors,
+    "softmax": SoftmaxRegression,
 }
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
 _MACHINE_PREFIX = "machine_"  # of the machine's arrays in the .npz
@@ -54,7 +58,7 @@ class ContextModel:
         Shares of `CONTEXTS` in the training data, summing to one; zero for contexts that the model has not seen.
     feature_mean, feature_scale : (F,)
         The machine sees (features - mean) / scale; zeros and ones for a forest.
-    machine : Forest or RelevanceVectors
+    machine : Forest, RelevanceVectors or SoftmaxRegression
         Class probabilities in the order of `classes`.
     card : dict
         What people should know: data, date, versions, metrics. Anything that JSON holds.
@@ -66,7 +70,7 @@ class ContextModel:
     training_prior: FloatArray
     feature_mean: FloatArray
     feature_scale: FloatArray
-    machine: Forest | RelevanceVectors
+    machine: Machine
     card: dict[str, Any]
 
     def __post_init__(self) -> None:

@@ -1,4 +1,4 @@
-"""Sliding windows over the magnitudes of all sensors: one feature vector a window, causal.
+"""Sliding windows over the signals of all sensors: one feature vector a window, causal.
 
 Windows of 2 s with 50 % overlap (Martinelli et al. 2018, section V and Fig. 12) start with the segment; a window that a
 gap would cut does not exist.
@@ -12,8 +12,9 @@ from functools import cached_property
 import numpy as np
 from scipy.signal import butter, sosfilt, sosfilt_zi
 
+from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
-from pdr_filter.features.martinelli import features_28
+from pdr_filter.features import invariant, martinelli
 from pdr_filter.steps.wavelet import specific_force_magnitude
 from pdr_filter.types import FloatArray
 
@@ -23,7 +24,8 @@ class FeatureWindow:
     """Features of one window."""
 
     time_s: float  # end of the window
-    features: FloatArray  # (28,)
+    names: tuple[str, ...]
+    features: FloatArray  # (F,) in the order of the names
     has_gyroscope: bool
     has_magnetometer: bool
 
@@ -34,7 +36,10 @@ class WindowState:
 
     n_samples: int
     zi: FloatArray | None
-    buffer: FloatArray  # (7, B): time, four magnitudes, angular rate known, magnetic field known
+    buffer: FloatArray  # (16, B): time, four magnitudes, two sensors known or not, `invariant.SIGNALS`
+
+
+FEATURE_SETS: dict[str, tuple[str, ...]] = {"martinelli": martinelli.NAMES, "invariant": invariant.NAMES}
 
 
 @dataclass(frozen=True)
@@ -43,6 +48,8 @@ class FeatureWindows:
 
     Parameters
     ----------
+    feature_set : {"martinelli", "invariant"}
+        The 28 features of Martinelli et al. 2018, or those that do not change with the phone's attitude.
     rate_hz : float
         Sampling rate of the blocks.
     window_s, hop_s : float
@@ -51,10 +58,20 @@ class FeatureWindows:
         Cutoff of the low-pass of Table II, which the paper does not give: 5 Hz keeps the first harmonics of a step.
     """
 
+    feature_set: str = "martinelli"
     rate_hz: float = 100.0
     window_s: float = 2.0
     hop_s: float = 1.0
     low_pass_hz: float = 5.0
+
+    def __post_init__(self) -> None:
+        if self.feature_set not in FEATURE_SETS:
+            raise ValueError(f"feature_set must be one of {tuple(FEATURE_SETS)}, got {self.feature_set!r}")
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return FEATURE_SETS[self.feature_set]
 
     @property
     def window_samples(self) -> int:
@@ -72,9 +89,11 @@ class FeatureWindows:
 
     def init(self) -> WindowState:
         """State at the start of a segment."""
-        return WindowState(0, None, np.empty((7, 0)))
+        return WindowState(0, None, np.empty((16, 0)))
 
-    def step(self, state: WindowState, block: UniformBlock) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
+    def step(
+        self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
         """New state and the windows that became complete, each with the index of its last sample."""
         force = specific_force_magnitude(block.specific_force_mps2)
         zi = state.zi if state.zi is not None else sosfilt_zi(self._sos) * force[0]
@@ -88,6 +107,10 @@ class FeatureWindows:
                 specific_force_magnitude(block.magnetic_field_ut),
                 block.angular_rate_known.astype(float),
                 block.magnetic_field_known.astype(float),
+                attitude.vertical_mps2,
+                *attitude.horizontal_mps2.T,
+                *block.angular_rate_radps.T,
+                *attitude.up_sensor.T,
             ]
         )
         buffer = np.concatenate([state.buffer, new], axis=1)
@@ -106,8 +129,13 @@ class FeatureWindows:
     def _describe(self, samples: FloatArray) -> FeatureWindow:
         return FeatureWindow(
             time_s=float(samples[0, -1]) + 0.5 / self.rate_hz,
+            names=self.names,
             # contiguous, so that reductions take the same path for every window
-            features=features_28(np.ascontiguousarray(samples[1:5]), self.rate_hz),
+            features=(
+                martinelli.features_28(np.ascontiguousarray(samples[1:5]), self.rate_hz)
+                if self.feature_set == "martinelli"
+                else invariant.invariant_features(np.ascontiguousarray(samples[7:]), self.rate_hz)
+            ),
             has_gyroscope=bool(samples[5].all()),
             has_magnetometer=bool(samples[6].all()),
         )

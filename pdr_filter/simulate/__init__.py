@@ -119,7 +119,7 @@ def demo_walk(seed: int = 0) -> Recording:
         Leg("walking", distance_m=14.0, turn_rad=-right),
         Leg("stationary", duration_s=5.0),
     ]
-    return simulate(legs, seed=seed, name="demo_walk")
+    return simulate(legs, Gait(height_m=1.86), seed=seed, name="demo_walk")
 
 
 def _modes(legs: Sequence[Leg], carrying_mode: str) -> list[str]:

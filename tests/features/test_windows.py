@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, imu, sensed, uniform_block
+from helpers import cut_uniform, flat_attitude, imu, sensed, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi
@@ -16,7 +16,7 @@ from pdr_filter.sensing import Sensing
 def windows_of(stage: FeatureWindows, blocks: list[UniformBlock]) -> list[tuple[int, FeatureWindow]]:
     state, found = stage.init(), []
     for block in blocks:
-        state, windows = stage.step(state, block)
+        state, windows = stage.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
         found += windows
     return found
 
