@@ -240,7 +240,7 @@ class Tracker:
 
     @property
     def fix_delay_s(self) -> float:
-        """How long after its own time a fix waits for the steps before it to become final, less their detection."""
+        """Time after a step's detection until it is final: two windows with `hc` and `wc`, none with `imm`."""
         return 0.0 if self.weighting == "imm" else 2 * self.window_hop_s
 
     def finish(self, state: TrackerState) -> tuple[TrackerState, list[StepUpdate]]:

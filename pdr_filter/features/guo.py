@@ -19,6 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.features.sliding import check_window, take_windows
 from pdr_filter.types import FloatArray
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
@@ -119,8 +120,7 @@ class PoseWindows:
     hop_s: float = 0.6
 
     def __post_init__(self) -> None:
-        if not 1 <= self.hop_samples <= self.window_samples:
-            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
+        check_window(self.window_samples, self.hop_samples)
 
     @property
     def window_samples(self) -> int:
@@ -161,12 +161,9 @@ class PoseWindows:
         light = unknown if light_lux is None else light_lux
         proximity = unknown if proximity_cm is None else proximity_cm
         new = np.stack([time_s, *pitch_and_roll(up_sensor), light, proximity])
-        buffer, first = np.concatenate([state.buffer, new], axis=1), state.first
-        windows: list[tuple[int, PoseWindow]] = []
-        while buffer.shape[1] >= self.window_samples:
-            samples = np.ascontiguousarray(buffer[:, : self.window_samples])
-            windows.append((first + self.window_samples - 1, self._describe(samples)))
-            buffer, first = buffer[:, self.hop_samples :], first + self.hop_samples
+        buffer = np.concatenate([state.buffer, new], axis=1)
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        windows = [(last, self._describe(samples)) for last, samples in cut]
         return PoseWindowState(first, buffer), windows
 
     def _describe(self, samples: FloatArray) -> PoseWindow:

@@ -28,6 +28,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 from scipy.signal.windows import hann
 
 from pdr_filter.conditioning import UniformBlock
+from pdr_filter.features.sliding import check_window, take_windows
 from pdr_filter.steps.wavelet import specific_force_magnitude
 from pdr_filter.types import FloatArray
 
@@ -119,8 +120,7 @@ class MotionWindows:
     low_pass_hz: float = 15.0
 
     def __post_init__(self) -> None:
-        if not 1 <= self.hop_samples <= self.window_samples:
-            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
+        check_window(self.window_samples, self.hop_samples)
         if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
             raise ValueError(
                 f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz: "
@@ -153,11 +153,9 @@ class MotionWindows:
         line = np.concatenate([state.delay_line, norms], axis=1)
         deviation = norms - self._moving_mean(line, state.n_samples)
         new = np.vstack([block.time_s, deviation, block.angular_rate_known.astype(float)])
-        buffer, first = np.concatenate([state.buffer, new], axis=1), state.first
-        windows: list[tuple[int, MotionWindow]] = []
-        while buffer.shape[1] >= self.window_samples:
-            windows.append((first + self.window_samples - 1, self._describe(buffer[:, : self.window_samples])))
-            buffer, first = buffer[:, self.hop_samples :], first + self.hop_samples
+        buffer = np.concatenate([state.buffer, new], axis=1)
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        windows = [(last, self._describe(samples)) for last, samples in cut]
         n_samples = state.n_samples + norms.shape[1]
         return MotionWindowState(n_samples, zi, line[:, norms.shape[1] :], first, buffer), windows
 

@@ -15,6 +15,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features import invariant, martinelli
+from pdr_filter.features.sliding import check_window, take_windows
 from pdr_filter.steps.wavelet import specific_force_magnitude
 from pdr_filter.types import FloatArray
 
@@ -34,7 +35,7 @@ class FeatureWindow:
 class WindowState:
     """Samples that later windows still need."""
 
-    n_samples: int
+    first: int  # index of the first sample in the buffer
     zi: FloatArray | None
     buffer: FloatArray  # (16, B): time, four magnitudes, two sensors known or not, `invariant.SIGNALS`
 
@@ -67,6 +68,7 @@ class FeatureWindows:
     def __post_init__(self) -> None:
         if self.feature_set not in FEATURE_SETS:
             raise ValueError(f"feature_set must be one of {tuple(FEATURE_SETS)}, got {self.feature_set!r}")
+        check_window(self.window_samples, self.hop_samples)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -114,27 +116,17 @@ class FeatureWindows:
             ]
         )
         buffer = np.concatenate([state.buffer, new], axis=1)
-        end = state.n_samples + new.shape[1]
-        first = end - buffer.shape[1]  # index of the first sample in the buffer
-        windows: list[tuple[int, FeatureWindow]] = []
-        # ends are window + k hop; the first one after the samples already seen
-        hops_done = max(0, (state.n_samples - self.window_samples) // self.hop_samples + 1)
-        next_end = self.window_samples + hops_done * self.hop_samples
-        while next_end <= end:
-            samples = buffer[:, next_end - self.window_samples - first : next_end - first]
-            windows.append((next_end - 1, self._describe(samples)))
-            next_end += self.hop_samples
-        return WindowState(end, zi, buffer[:, -self.window_samples :]), windows
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        return WindowState(first, zi, buffer), [(last, self._describe(samples)) for last, samples in cut]
 
     def _describe(self, samples: FloatArray) -> FeatureWindow:
         return FeatureWindow(
             time_s=float(samples[0, -1]) + 0.5 / self.rate_hz,
             names=self.names,
-            # contiguous, so that reductions take the same path for every window
             features=(
-                martinelli.features_28(np.ascontiguousarray(samples[1:5]), self.rate_hz)
+                martinelli.features_28(samples[1:5], self.rate_hz)
                 if self.feature_set == "martinelli"
-                else invariant.invariant_features(np.ascontiguousarray(samples[7:]), self.rate_hz)
+                else invariant.invariant_features(samples[7:], self.rate_hz)
             ),
             has_gyroscope=bool(samples[5].all()),
             has_magnetometer=bool(samples[6].all()),

@@ -27,6 +27,7 @@ import numpy as np
 from scipy.signal import firwin
 
 from pdr_filter.conditioning import UniformBlock
+from pdr_filter.features.sliding import check_window, take_windows
 from pdr_filter.steps.wavelet import specific_force_magnitude
 from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray
 
@@ -114,8 +115,7 @@ class BehaviourWindows:
     low_pass_s: float = 0.5
 
     def __post_init__(self) -> None:
-        if not 1 <= self.hop_samples <= self.window_samples:
-            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
+        check_window(self.window_samples, self.hop_samples)
         if not 1 <= self.static_samples <= self.window_samples:
             raise ValueError(f"static_s must be positive and at most window_s, got {self.static_s} and {self.window_s}")
         if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
@@ -170,11 +170,9 @@ class BehaviourWindows:
         line = np.concatenate([before, a])
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         new = np.stack([rows[:, 0], np.convolve(line, self._taps, mode="valid")])
-        buffer, first = np.concatenate([state.buffer, new], axis=1), state.first
-        windows: list[tuple[int, BehaviourWindow]] = []
-        while buffer.shape[1] >= self.window_samples:
-            windows.append((first + self.window_samples - 1, self._describe(buffer[:, : self.window_samples])))
-            buffer, first = buffer[:, self.hop_samples :], first + self.hop_samples
+        buffer = np.concatenate([state.buffer, new], axis=1)
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        windows = [(last, self._describe(samples)) for last, samples in cut]
         return BehaviourState(np.empty((0, 4)), bias, line[len(a) :], first, buffer), windows
 
     def _bias(self, start_mps2: FloatArray) -> FloatArray:

@@ -118,7 +118,7 @@ def main() -> None:
         for site in ("humolire", "ms_indoor")
     }
     theta, cov = fit(legs["humolire"] + legs["ms_indoor"])
-    print(f"both sites: theta {theta.round(4).tolist()}, std {np.sqrt(np.diag(cov)).round(4).tolist()}")
+    print(f"both sites: theta {theta.round(4).tolist()}, covariance {cov.tolist()}")
     for site, own in legs.items():
         print(f"  in sample, {site}: {report(theta, own)}")
     for site, own in legs.items():
