@@ -57,3 +57,9 @@ def test_the_temperature_that_made_probabilities_too_sure_is_found(temperature: 
     label = (prob.cumsum(axis=1) > rng.random((len(prob), 1))).argmax(axis=1)
     sharp = prob**temperature / (prob**temperature).sum(axis=1, keepdims=True)
     assert fit_temperature(sharp, label) == pytest.approx(temperature, rel=0.05)
+
+
+def test_the_temperature_divides_the_logits() -> None:
+    weights = np.array([[2.0, 0.0], [0.0, 1.0]])
+    warm = SoftmaxRegression(weights, np.array([0.5, 0.0]), 2.0, 4.0).predict_proba([[1.0, 3.0]])[0]
+    assert np.log(warm[0] / warm[1]) == pytest.approx((2.5 - 3.0) / 2.0)
