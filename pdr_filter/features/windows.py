@@ -14,7 +14,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
-from pdr_filter.features import invariant, martinelli
+from pdr_filter.features import carrying, invariant, martinelli
 from pdr_filter.features.sliding import check_window, take_windows
 from pdr_filter.steps.wavelet import specific_force_magnitude
 from pdr_filter.types import FloatArray
@@ -37,10 +37,14 @@ class WindowState:
 
     first: int  # index of the first sample in the buffer
     zi: FloatArray | None
-    buffer: FloatArray  # (16, B): time, four magnitudes, two sensors known or not, `invariant.SIGNALS`
+    buffer: FloatArray  # (19, B): time, four magnitudes, two sensors known or not, `invariant.SIGNALS`
 
 
-FEATURE_SETS: dict[str, tuple[str, ...]] = {"martinelli": martinelli.NAMES, "invariant": invariant.NAMES}
+# "invariant" are the attitude-free features for the context, followed by those for the carrying mode.
+FEATURE_SETS: dict[str, tuple[str, ...]] = {
+    "martinelli": martinelli.NAMES,
+    "invariant": (*invariant.NAMES, *carrying.NAMES),
+}
 
 
 @dataclass(frozen=True)
@@ -91,7 +95,7 @@ class FeatureWindows:
 
     def init(self) -> WindowState:
         """State at the start of a segment."""
-        return WindowState(0, None, np.empty((16, 0)))
+        return WindowState(0, None, np.empty((19, 0)))
 
     def step(
         self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock
@@ -113,21 +117,31 @@ class FeatureWindows:
                 *attitude.horizontal_mps2.T,
                 *block.angular_rate_radps.T,
                 *attitude.up_sensor.T,
+                *block.specific_force_mps2.T,
             ]
         )
         buffer = np.concatenate([state.buffer, new], axis=1)
         buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
-        return WindowState(first, zi, buffer), [(last, self._describe(samples)) for last, samples in cut]
+        if not cut:
+            return WindowState(first, zi, buffer), []
+        ends, samples = zip(*cut, strict=True)
+        return WindowState(first, zi, buffer), list(zip(ends, self._describe(np.stack(samples)), strict=True))
 
-    def _describe(self, samples: FloatArray) -> FeatureWindow:
-        return FeatureWindow(
-            time_s=float(samples[0, -1]) + 0.5 / self.rate_hz,
-            names=self.names,
-            features=(
-                martinelli.features_28(samples[1:5], self.rate_hz)
-                if self.feature_set == "martinelli"
-                else invariant.invariant_features(samples[7:], self.rate_hz)
-            ),
-            has_gyroscope=bool(samples[5].all()),
-            has_magnetometer=bool(samples[6].all()),
+    def _describe(self, samples: FloatArray) -> list[FeatureWindow]:
+        """The windows of samples (W, 19, N)."""
+        features = (
+            np.array([martinelli.features_28(window, self.rate_hz) for window in samples[:, 1:5]])
+            if self.feature_set == "martinelli"
+            else np.hstack(
+                [
+                    invariant.invariant_features(samples[:, 7:], self.rate_hz),
+                    carrying.carrying_features(samples[:, 7:], self.rate_hz),
+                ]
+            )
         )
+        time_s = samples[:, 0, -1] + 0.5 / self.rate_hz
+        known = samples[:, 5:7].min(axis=2) > 0
+        return [
+            FeatureWindow(float(time_s[i]), self.names, features[i], bool(known[i, 0]), bool(known[i, 1]))
+            for i in range(len(samples))
+        ]
