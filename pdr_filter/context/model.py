@@ -20,22 +20,30 @@ from typing import Any, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.context.blend import Blend
+from pdr_filter.context.calibration import slipped, tempered
+from pdr_filter.context.familiarity import Familiarity
 from pdr_filter.context.forest import Forest
 from pdr_filter.context.kernel_machine import RelevanceVectors
 from pdr_filter.context.softmax import SoftmaxRegression
-from pdr_filter.types import CONTEXTS, FloatArray, read_only
+from pdr_filter.types import CARRYING_MODES, CONTEXTS, FloatArray, read_only
 
-FORMAT_VERSION = 1
+FORMAT_VERSION = 2  # 2: heads, temperature, limit of the features, familiarity
 
-Machine = Forest | RelevanceVectors | SoftmaxRegression
+# What a model tells apart: the activity, or where the phone is.
+HEADS: dict[str, tuple[str, ...]] = {"context": CONTEXTS, "carrying_mode": CARRYING_MODES}
 
-_MACHINES: dict[str, type[Forest] | type[RelevanceVectors] | type[SoftmaxRegression]] = {
+Machine = Blend | Forest | RelevanceVectors | SoftmaxRegression
+
+_MACHINES: dict[str, type[Blend] | type[Forest] | type[RelevanceVectors] | type[SoftmaxRegression]] = {
+    "blend": Blend,
     "forest": Forest,
     "relevance_vectors": RelevanceVectors,
     "softmax": SoftmaxRegression,
 }
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
 _MACHINE_PREFIX = "machine_"  # of the machine's arrays in the .npz
+_FAMILIARITY_PREFIX = "familiarity_"
 
 # In a wheel the models are inside the package, in a checkout at the top level.
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -44,7 +52,7 @@ _SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ContextModel:
-    """Features of one window in, context probabilities out.
+    """Features of one window in, calibrated probabilities out.
 
     Parameters
     ----------
@@ -53,15 +61,26 @@ class ContextModel:
     feature_names : (F,)
         Features in the order that `predict` takes them.
     classes : (K,)
-        The contexts that the machine tells apart, a part of `CONTEXTS`, in the machine's order.
-    training_prior : (6,)
-        Shares of `CONTEXTS` in the training data, summing to one; zero for contexts that the model has not seen.
+        The labels that the machine tells apart, a part of `labels`, in the machine's order.
+    training_prior : (L,)
+        Shares of `labels` in the training data, summing to one; zero for labels that the model has not seen.
     feature_mean, feature_scale : (F,)
         The machine sees (features - mean) / scale; zeros and ones for a forest.
-    machine : Forest, RelevanceVectors or SoftmaxRegression
+    machine : Blend, Forest, RelevanceVectors or SoftmaxRegression
         Class probabilities in the order of `classes`.
     card : dict
         What people should know: data, date, versions, metrics. Anything that JSON holds.
+    head : {"context", "carrying_mode"}
+        What is told apart.
+    temperature : float
+        Divides the logits, `calibration.tempered`; fitted on people not in training.
+    slip : float
+        Probability that a window is something else and any class alike, `calibration.slipped`; fitted with it.
+    feature_limit : float
+        Standardised features are cut at plus and minus this: what training has not seen must not be able to outvote
+        everything that it has.
+    familiarity : Familiarity, optional
+        Knows how far from the training windows a window is; without it nothing is ever unknown.
     """
 
     name: str
@@ -72,6 +91,11 @@ class ContextModel:
     feature_scale: FloatArray
     machine: Machine
     card: dict[str, Any]
+    head: str = "context"
+    temperature: float = 1.0
+    slip: float = 0.0
+    feature_limit: float = np.inf
+    familiarity: Familiarity | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feature_names", tuple(self.feature_names))
@@ -80,10 +104,23 @@ class ContextModel:
             object.__setattr__(self, name, read_only(getattr(self, name)))
         _check(self)
 
-    def predict(self, features: FloatArray) -> FloatArray:
-        """Probabilities in the order of `CONTEXTS`, (6,), summing to one, from the features of one window (F,).
+    @property
+    def labels(self) -> tuple[str, ...]:
+        """Labels in the order of `predict`: `CONTEXTS` or `CARRYING_MODES`."""
+        return HEADS[self.head]
 
-        Contexts that the model has not seen get zero. Raises ValueError for NaN, naming the feature.
+    def predict(self, features: FloatArray) -> FloatArray:
+        """Probabilities in the order of `labels`, (L,), summing to one, from the features of one window (F,).
+
+        Labels that the model has not seen get zero. Raises ValueError for NaN, naming the feature.
+        """
+        return self.assess(features)[0]
+
+    def assess(self, features: FloatArray) -> tuple[FloatArray, float]:
+        """Probabilities as `predict` gives them, and the share of them that is unknown, 0 to 1.
+
+        The share says how far outside of what the model was trained on the window is (`Familiarity`); the
+        probabilities do not yet take it into account.
         """
         values = np.asarray(features, dtype=np.float64)
         if values.shape != (len(self.feature_names),):
@@ -98,9 +135,12 @@ class ContextModel:
                 "leave such windows out or fill in a value"
             )
         standardised = (values - self.feature_mean) / self.feature_scale
-        prob = np.zeros(len(CONTEXTS))
-        prob[[CONTEXTS.index(c) for c in self.classes]] = self.machine.predict_proba(standardised[None])[0]
-        return prob / prob.sum()
+        unknown = 0.0 if self.familiarity is None else self.familiarity.unknown_share(standardised)
+        cut = np.clip(standardised, -self.feature_limit, self.feature_limit)
+        prob = np.zeros(len(self.labels))
+        known = slipped(tempered(self.machine.predict_proba(cut[None])[0], self.temperature), self.slip)
+        prob[[self.labels.index(c) for c in self.classes]] = known
+        return prob / prob.sum(), unknown
 
     def save(self, folder: str | Path) -> Path:
         """Write `<name>.npz` and `<name>.json` into the folder and return the path of the .npz."""
@@ -108,7 +148,12 @@ class ContextModel:
             "training_prior": self.training_prior,
             "feature_mean": self.feature_mean,
             "feature_scale": self.feature_scale,
+            "temperature": np.array(self.temperature),
+            "slip": np.array(self.slip),
+            "feature_limit": np.array(self.feature_limit),
         }
+        if self.familiarity is not None:
+            arrays |= {_FAMILIARITY_PREFIX + name: array for name, array in self.familiarity.to_arrays().items()}
         arrays |= {_MACHINE_PREFIX + name: array for name, array in self.machine.to_arrays().items()}
         buffer = io.BytesIO()
         np.savez_compressed(buffer, allow_pickle=False, **cast(Any, arrays))
@@ -116,6 +161,7 @@ class ContextModel:
         description = {
             "format_version": FORMAT_VERSION,
             "name": self.name,
+            "head": self.head,
             "machine": next(kind for kind, cls in _MACHINES.items() if isinstance(self.machine, cls)),
             "feature_names": list(self.feature_names),
             "classes": list(self.classes),
@@ -204,7 +250,11 @@ def _assemble(description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
     kind = description["machine"]
     if kind not in _MACHINES:
         raise ValueError(f"machine is {kind!r}, not one of {tuple(_MACHINES)}")
-    own = {name.removeprefix(_MACHINE_PREFIX): a for name, a in arrays.items() if name.startswith(_MACHINE_PREFIX)}
+
+    def starting_with(prefix: str) -> dict[str, NDArray[Any]]:
+        return {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
+
+    familiarity = starting_with(_FAMILIARITY_PREFIX)
     return ContextModel(
         name=description["name"],
         feature_names=tuple(description["feature_names"]),
@@ -212,8 +262,13 @@ def _assemble(description: Mapping[str, Any], arrays: Mapping[str, NDArray[Any]]
         training_prior=arrays["training_prior"],
         feature_mean=arrays["feature_mean"],
         feature_scale=arrays["feature_scale"],
-        machine=_MACHINES[kind].from_arrays(own),
+        machine=_MACHINES[kind].from_arrays(starting_with(_MACHINE_PREFIX)),
         card=dict(description["card"]),
+        head=description["head"],
+        temperature=float(arrays["temperature"]),
+        slip=float(arrays["slip"]),
+        feature_limit=float(arrays["feature_limit"]),
+        familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
     )
 
 
@@ -221,13 +276,15 @@ def _check(model: ContextModel) -> None:
     """Raise ValueError unless the parts of the model fit together."""
     if not _NAME.fullmatch(model.name):
         raise ValueError(f"name {model.name!r} must be letters, digits, dots, dashes: it becomes a file name")
+    if model.head not in HEADS:
+        raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
     n_features, n_classes = len(model.feature_names), len(model.classes)
     if len(set(model.feature_names)) != n_features or not all(
         isinstance(f, str) for f in cast(Any, model.feature_names)
     ):
         raise ValueError("feature_names must be different strings")
-    if len(set(model.classes)) != n_classes or not set(model.classes) <= set(CONTEXTS):
-        raise ValueError(f"classes must be different contexts out of {CONTEXTS}, got {model.classes}")
+    if len(set(model.classes)) != n_classes or not set(model.classes) <= set(model.labels):
+        raise ValueError(f"classes must be different labels out of {model.labels}, got {model.classes}")
     if (model.machine.n_features, model.machine.n_classes) != (n_features, n_classes):
         raise ValueError(
             f"the machine has {model.machine.n_features} features and {model.machine.n_classes} classes, "
@@ -239,10 +296,18 @@ def _check(model: ContextModel) -> None:
         raise ValueError("feature_mean and feature_scale must be finite")
     if not (model.feature_scale > 0).all():
         raise ValueError("feature_scale must be positive; use one for a feature that does not vary")
+    if not (np.isfinite(model.temperature) and model.temperature > 0 and model.feature_limit > 0):
+        raise ValueError(
+            f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"
+        )
+    if not 0 <= model.slip <= 1:
+        raise ValueError(f"slip must be a probability, got {model.slip}")
+    if model.familiarity is not None and model.familiarity.axes.shape[1] != n_features:
+        raise ValueError(f"familiarity is of {model.familiarity.axes.shape[1]} features, the names say {n_features}")
     prior = model.training_prior
-    if prior.shape != (len(CONTEXTS),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
-        raise ValueError(f"training_prior must be {len(CONTEXTS)} probabilities that sum to one, got {prior}")
-    seen = tuple(c for c, p in zip(CONTEXTS, prior, strict=True) if p > 0)
+    if prior.shape != (len(model.labels),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
+        raise ValueError(f"training_prior must be {len(model.labels)} probabilities that sum to one, got {prior}")
+    seen = tuple(c for c, p in zip(model.labels, prior, strict=True) if p > 0)
     if set(seen) != set(model.classes):
         raise ValueError(f"training_prior is positive for {seen}, but the classes are {model.classes}")
 

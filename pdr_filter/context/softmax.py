@@ -8,14 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.optimize import minimize_scalar
 
-from pdr_filter.types import FloatArray, IntArray, read_only
+from pdr_filter.types import FloatArray, read_only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoftmaxRegression:
-    """p_k = softmax_k((w_k . clip(x) + b_k) / T).
+    """p_k = softmax_k(w_k . x + b_k).
 
     Parameters
     ----------
@@ -23,17 +22,10 @@ class SoftmaxRegression:
         w, for standardised features.
     intercept : (K,)
         b.
-    temperature : float
-        T; above one makes the probabilities less sure (Guo et al., "On calibration of modern neural networks", 2017).
-    limit : float
-        Features are cut to plus and minus this many standard deviations: what training has not seen must not be able
-        to outvote everything that it has.
     """
 
     weights: FloatArray
     intercept: FloatArray
-    temperature: float
-    limit: float
 
     def __post_init__(self) -> None:
         for name in ("weights", "intercept"):
@@ -45,8 +37,6 @@ class SoftmaxRegression:
             )
         if not (np.isfinite(self.weights).all() and np.isfinite(self.intercept).all()):
             raise ValueError("weights and intercept must be finite")
-        if not (self.temperature > 0 and self.limit > 0):
-            raise ValueError(f"temperature and limit must be positive, got {self.temperature} and {self.limit}")
 
     @property
     def n_features(self) -> int:
@@ -66,8 +56,8 @@ class SoftmaxRegression:
         if np.isnan(rows).any():
             raise ValueError(f"feature {np.argwhere(np.isnan(rows))[0, 1]} is NaN: leave such windows out")
         result = np.empty((len(rows), self.n_classes))
-        for i, row in enumerate(np.clip(rows, -self.limit, self.limit)):
-            logit = ((self.weights * row).sum(axis=1) + self.intercept) / self.temperature
+        for i, row in enumerate(rows):
+            logit = (self.weights * row).sum(axis=1) + self.intercept
             relative = np.exp(logit - logit.max())
             result[i] = relative / relative.sum()
         return result
@@ -77,29 +67,9 @@ class SoftmaxRegression:
         return {
             "weights": self.weights,
             "intercept": self.intercept,
-            "temperature": np.array(self.temperature),
-            "limit": np.array(self.limit),
         }
 
     @classmethod
     def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SoftmaxRegression:
         """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
-        return cls(arrays["weights"], arrays["intercept"], float(arrays["temperature"]), float(arrays["limit"]))
-
-
-def fit_temperature(prob: FloatArray, label: IntArray) -> float:
-    """Temperature that minimises the log loss of probabilities (N, K) for labels (N,), 0.2 to 5.
-
-    p_k(T) is proportional to p_k^(1 / T), which for a softmax is division of its logits. The probabilities must be of
-    people whom the classifier has not seen; of its own people it would find T = 1 or less.
-    """
-    log_prob = np.log(np.maximum(prob, 1e-300))
-
-    def log_loss(log_temperature: float) -> float:
-        scaled = log_prob / np.exp(log_temperature)
-        scaled -= scaled.max(axis=1, keepdims=True)
-        total = np.log(np.exp(scaled).sum(axis=1))
-        return float(-(scaled[np.arange(len(label)), label] - total).mean())
-
-    found: Any = minimize_scalar(log_loss, bounds=(np.log(0.2), np.log(5.0)), method="bounded")
-    return float(np.exp(found.x))
+        return cls(arrays["weights"], arrays["intercept"])

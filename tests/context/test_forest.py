@@ -3,7 +3,7 @@ from __future__ import annotations
 
 import subprocess
 import sys
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
@@ -76,6 +76,41 @@ def test_a_feature_is_compared_after_rounding_to_float32() -> None:
     np.testing.assert_array_equal(stump.predict_proba([[1.0 + 1e-9], [1.0 + 1e-6]]), [[1, 0], [0, 1]])
 
 
+EDGES = [0.0, -0.0, 1e-50, -1e-50, 1.0, 1 + 1e-9, 1 - 1e-9, 1.0000001, 3.4028234e38, 3.4028236e38, 1e39, -1e39, -1e300]
+
+
+@pytest.mark.parametrize("threshold", EDGES)  # most of them no float32, some beyond its range
+def test_thresholds_are_not_rounded_to_float32(threshold: float) -> None:
+    stump = Forest(1, [0], [0, -1, -1], [threshold, 0, 0], [1, -1, -1], [2, -1, -1], [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
+    values = np.array(EDGES)
+    with np.errstate(over="ignore"):
+        in_float32 = values.astype(np.float32).astype(np.float64)
+        values = np.concatenate([values, np.nextafter(in_float32.astype(np.float32), np.float32(1)).astype(np.float64)])
+        values = values[np.isfinite(values)]
+        goes_left = values.astype(np.float32).astype(np.float64) <= threshold
+    np.testing.assert_array_equal(stump.predict_proba(values[:, None])[:, 0] == 1, goes_left)
+
+
+@pytest.mark.parametrize("goes_deep", ["left", "right"])
+@pytest.mark.parametrize("n_inner", [1, 2, 5, 13, 40])
+def test_every_leaf_of_a_very_uneven_tree_is_reached(goes_deep: str, n_inner: int) -> None:
+    # inner node i is 2 i, with a leaf at 2 i + 1 and the next node at 2 i + 2; the deepest leaf is the last node
+    inner = 2 * np.arange(n_inner)
+    leaf, deeper = np.full((2, 2 * n_inner + 1), -1)
+    leaf[inner], deeper[inner] = inner + 1, inner + 2
+    threshold = np.zeros(2 * n_inner + 1)
+    threshold[inner] = np.arange(n_inner) * (1.0 if goes_deep == "right" else -1.0)
+    left, right = (leaf, deeper) if goes_deep == "right" else (deeper, leaf)
+    leaves = np.array([*(inner + 1), 2 * n_inner])
+    probability = np.zeros((2 * n_inner + 1, n_inner + 1))
+    probability[leaves] = np.eye(n_inner + 1)
+    tree = Forest(1, np.array([0]), np.zeros_like(left), threshold, left, right, probability)
+    rows = (np.arange(n_inner + 1) - 0.5)[:, None] * (1.0 if goes_deep == "right" else -1.0)
+    np.testing.assert_array_equal(tree.predict_proba(rows), np.eye(n_inner + 1))
+    for i, row in enumerate(rows):
+        np.testing.assert_array_equal(tree.predict_proba(row[None])[0], np.eye(n_inner + 1)[i])
+
+
 def test_a_row_has_the_same_bits_alone_and_in_any_batch(
     trained: tuple[RandomForestClassifier, Forest, np.ndarray],
 ) -> None:
@@ -84,6 +119,35 @@ def test_a_row_has_the_same_bits_alone_and_in_any_batch(
     np.testing.assert_array_equal(np.vstack([forest.predict_proba(row[None]) for row in rows]), together)
     np.testing.assert_array_equal(forest.predict_proba(rows[3:17]), together[3:17])
     np.testing.assert_array_equal(forest.predict_proba(np.asfortranarray(rows)), together)
+
+
+def test_a_large_forest_has_the_same_bits_for_a_row_alone_and_in_any_batch() -> None:
+    X, y = problem(0, 600)
+    oracle = RandomForestClassifier(200, min_samples_leaf=2, random_state=0).fit(X, y)
+    forest = Forest.from_sklearn(oracle)
+    together = forest.predict_proba(X)
+    np.testing.assert_array_equal(together, oracle.predict_proba(X))
+    np.testing.assert_array_equal(np.vstack([forest.predict_proba(row[None]) for row in X]), together)
+    for size in (2, 81, 82, 599):
+        np.testing.assert_array_equal(forest.predict_proba(X[-size:]), together[-size:])
+
+
+def test_more_trees_than_go_down_together() -> None:
+    n = 20_000  # stumps, half of them the other way round
+    left, right = np.full((2, 3 * n), -1)
+    left[::3], right[::3] = 3 * np.arange(n) + 1, 3 * np.arange(n) + 2
+    probability = np.tile([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 1.0], [1.0, 0.0]], (n // 2, 1))
+    forest = Forest(1, left[::3] - 1, np.zeros(3 * n, int), np.zeros(3 * n), left, right, probability)
+    np.testing.assert_array_equal(forest.predict_proba([[-1.0], [1.0], [0.0]]), np.full((3, 2), 0.5))
+
+
+def test_all_arrays_are_read_only(trained: tuple[RandomForestClassifier, Forest, np.ndarray]) -> None:
+    owners = trained[1], trained[1]._trees
+    arrays = [
+        array for owner in owners for f in fields(owner) if isinstance(array := getattr(owner, f.name), np.ndarray)
+    ]
+    assert len(arrays) == 6 + 7
+    assert not any(array.flags.writeable for array in arrays)
 
 
 def test_no_rows_give_no_probabilities(trained: tuple[RandomForestClassifier, Forest, np.ndarray]) -> None:

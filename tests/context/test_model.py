@@ -15,10 +15,11 @@ from sklearn.datasets import make_blobs
 from sklearn.ensemble import RandomForestClassifier
 
 from pdr_filter.context import model as model_module
+from pdr_filter.context.familiarity import fit_familiarity
 from pdr_filter.context.forest import Forest
 from pdr_filter.context.model import ContextModel, available_models, load_model
 from pdr_filter.context.rvm import RelevanceVectorClassifier
-from pdr_filter.types import CONTEXTS
+from pdr_filter.types import CARRYING_MODES, CONTEXTS
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
 CLASSES = ("running", "upstairs", "walking")
@@ -67,6 +68,48 @@ def test_features_are_standardised_before_the_machine_sees_them() -> None:
     X, y = rows_and_labels()
     best = [CONTEXTS[model.predict(row).argmax()] for row in X]
     assert np.mean(np.array(best) == y) > 0.8
+
+
+def test_a_temperature_limit_and_familiarity_come_back_with_the_model(tmp_path: Path) -> None:
+    rng = np.random.default_rng(0)
+    familiarity = fit_familiarity(rng.normal(size=(200, 4)), 1.3)
+    model = replace(build("rvm"), temperature=1.7, feature_limit=3.0, familiarity=familiarity)
+    again = load_model(model.save(tmp_path))
+    for row in 20 * rng.normal(size=(20, 4)):
+        assert again.assess(row)[1] == model.assess(row)[1]
+        np.testing.assert_array_equal(again.predict(row), model.predict(row))
+    assert model.assess(np.full(4, 1e6))[1] > 0.5
+
+
+def test_the_temperature_makes_probabilities_less_sure_without_changing_their_order() -> None:
+    cold = build("rvm")
+    warm = replace(cold, temperature=2.0)
+    for row in rows_and_labels()[0][:30]:
+        p, q = cold.predict(row), warm.predict(row)
+        assert q.max() <= p.max()
+        np.testing.assert_array_equal(np.argsort(p), np.argsort(q))
+
+
+def test_a_feature_beyond_the_limit_counts_as_the_limit() -> None:
+    model = replace(build("rvm"), feature_limit=3.0)
+    far, edge = model.feature_mean.copy(), model.feature_mean.copy()
+    far[1], edge[1] = 1e9, model.feature_mean[1] + 3.0 * model.feature_scale[1]
+    np.testing.assert_allclose(model.predict(far), model.predict(edge), rtol=1e-9)
+
+
+def test_a_carrying_mode_model_has_the_carrying_modes_as_labels(tmp_path: Path) -> None:
+    model = build("forest")
+    prior = np.array([0.25, 0.25, 0.5, 0.0, 0.0])
+    carrying = replace(
+        model, head="carrying_mode", classes=("swinging", "calling", "texting"), training_prior=prior, name="carrying"
+    )
+    again = load_model(carrying.save(tmp_path))
+    assert again.labels == CARRYING_MODES
+    assert again.predict(model.feature_mean).shape == (5,)
+    with pytest.raises(ValueError, match="head must be one of"):
+        replace(carrying, head="activity")
+    with pytest.raises(ValueError, match="classes must be different labels"):
+        replace(carrying, head="context")
 
 
 def test_a_saved_model_predicts_the_same_bits(model: ContextModel, tmp_path: Path) -> None:
@@ -123,7 +166,7 @@ def test_another_number_of_features_is_refused(forest_model: ContextModel) -> No
         ({"name": "../evil"}, "becomes a file name"),
         ({"feature_names": ("mean", "mean", "energy", "peak")}, "different strings"),
         ({"feature_names": ("mean", "energy", "peak")}, "machine has 4 features"),
-        ({"classes": ("running", "upstairs", "flying")}, "different contexts"),
+        ({"classes": ("running", "upstairs", "flying")}, "different labels"),
         ({"classes": ("running", "walking")}, "and 3 classes"),
         ({"classes": ("running", "downstairs", "walking")}, "training_prior is positive for"),
         ({"training_prior": np.full(6, 0.2)}, "sum to one"),
@@ -236,7 +279,7 @@ def test_a_single_array_instead_of_an_archive_is_refused(forest_model: ContextMo
         ("machine_n_features", np.array([4, 4]), "not a usable"),
         ("machine_left", np.zeros(3), "integers"),
         ("machine_left", np.zeros((3, 2), dtype=int), "one entry for each node"),
-        ("machine_probability", np.ones((3, 3)), "one entry for each node"),
+        ("machine_probability", np.ones((3, 3)), "a row for each of"),
     ],
 )
 def test_arrays_that_are_missing_or_wrong_are_refused(
