@@ -1,0 +1,165 @@
+"""The gate for irregular motion (`pdr_filter.context.irregular`) on people and sites, with and without gyroscope.
+
+usage: .venv/bin/python tests/benchmarks/irregular_motion.py [--data ../shared/data]
+
+Without gyroscope means that it is taken out of the recordings, so that the attitude is found without it too.
+
+Ubicomp13: gait is a window inside the walk interval, irregular motion one that is more than 1 s away from it; the gate
+was fitted on people 1 to 6, figures are of people 7 to 13. Windows that the stillness rule takes are neither. A recall
+is at the threshold that so many per cent of these people's gait windows exceed.
+
+Other sets: share of windows with p above 0.5 by context and carrying mode, which is of false alarms. They were in the
+fit as examples of gait, except for standing and sitting, and for the windows slower than 0.5 m/s, which motion capture
+(tyrex) tells.
+"""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from sklearn.metrics import log_loss, roc_auc_score
+
+import pdr_filter as pdr
+from pdr_filter.context.irregular import irregular_prob
+from pdr_filter.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing import Sensing
+from pdr_filter.whole import sensed_events
+
+FloatArray = NDArray[np.float64]
+
+SENSING = Sensing(windows=FeatureWindows("invariant"))
+OTHER_SETS = ("humolire", "motionsense", "ms_indoor", "oxford", "tyrex")
+SLOW_MPS = 0.5
+
+
+@dataclass(frozen=True)
+class Window:
+    """One window: what the gate says, and what is true."""
+
+    person: int  # 0 where it does not matter
+    kind: str
+    is_irregular: bool
+    prob: float  # exactly zero: still
+
+
+def gated(recording: pdr.Recording, with_gyroscope: bool) -> list[tuple[float, float]]:
+    """End and probability of the windows that have the sensors of the gate."""
+    if not with_gyroscope:
+        recording = replace(recording, gyroscope=None)
+    windows = [e for e in sensed_events(SENSING, recording) if isinstance(e, FeatureWindow)]
+    return [
+        (w.time_s, irregular_prob(w.names, w.features, with_gyroscope))
+        for w in windows
+        if w.has_gyroscope == with_gyroscope
+    ]
+
+
+def walks_and_handling(data: Path, with_gyroscope: bool) -> list[Window]:
+    """Windows of ubicomp13; kind is how the phone is carried."""
+    result: list[Window] = []
+    for path in sorted((data / "ubicomp13").glob("*.zip")):
+        recording = pdr.read(path)
+        segment = recording.truth.segments[0]
+        start_s, end_s = float(segment["start_s"]), float(segment["end_s"])
+        _, person, _, kind = path.stem.split("_", 3)
+        for time_s, prob in gated(recording, with_gyroscope):
+            first_s = time_s - SENSING.windows.window_s
+            if first_s >= start_s and time_s <= end_s:
+                result.append(Window(int(person[1:]), kind, False, prob))
+            elif time_s < start_s - 1 or first_s > end_s + 1:
+                result.append(Window(int(person[1:]), kind, True, prob))
+    return result
+
+
+def of_other_sets(data: Path, with_gyroscope: bool) -> list[Window]:
+    """Windows wholly inside a label; kind is data set, context, carrying mode, and whether it is slow."""
+    result: list[Window] = []
+    for name in OTHER_SETS:
+        for path in sorted((data / name).glob("*.zip")):
+            recording = pdr.read(path)
+            for time_s, prob in gated(recording, with_gyroscope):
+                first_s = time_s - SENSING.windows.window_s
+                label = label_of(recording, first_s, time_s)
+                if label:
+                    slow = speed_mps(recording, first_s, time_s) < SLOW_MPS
+                    kind = f"{name} | {label} | below {SLOW_MPS} m/s" if slow else f"{name} | {label} |"
+                    result.append(Window(0, kind, False, prob))
+    return result
+
+
+def label_of(recording: pdr.Recording, start_s: float, end_s: float) -> str:
+    """Context and carrying mode, empty where unknown; 0.02 s of slack, as in training."""
+    for label in recording.truth.labels:
+        if label["start_s"] - 0.02 <= start_s and end_s <= label["end_s"] + 0.02 and label["context"]:
+            return f"{label['context']} {label['carrying_mode']}".strip()
+    return ""
+
+
+def speed_mps(recording: pdr.Recording, start_s: float, end_s: float) -> float:
+    """Mean of the speeds over eighths of the window, infinite where no motion capture tells it."""
+    position = recording.truth.position
+    if position is None:
+        return np.inf
+    edges_s = np.linspace(start_s, end_s, 9)
+    near = (position.time_s >= start_s - 0.3) & (position.time_s <= end_s + 0.3)
+    if near.sum() < 15:
+        return np.inf
+    at = np.column_stack([np.interp(edges_s, position.time_s, c) for c in (position.east_m, position.north_m)])
+    return float(np.hypot(*np.diff(at, axis=0).T).mean() / np.diff(edges_s)[0])
+
+
+def print_people(windows: list[Window]) -> None:
+    print("| people | irregular | gait | AUC | log loss | recall at 1, 2, 5 % | recall, false alarms % at p > 0.5 |")
+    print("|---|---|---|---|---|---|---|")
+    moving = [w for w in windows if w.prob > 0]
+    unseen = [w for w in moving if w.person >= 7]
+    groups = {
+        "1 to 6 (fitted on)": [w for w in moving if w.person <= 6],
+        "7 to 13": unseen,
+        **{str(k): [w for w in unseen if w.person == k] for k in range(7, 14)},
+    }
+    for name, group in groups.items():
+        truth, prob = np.array([w.is_irregular for w in group]), np.array([w.prob for w in group])
+        thresholds = np.quantile(prob[~truth], [0.99, 0.98, 0.95])
+        recall = ", ".join(f"{(prob[truth] > t).mean():.3f}" for t in thresholds)
+        print(
+            f"| {name} | {truth.sum()} | {(~truth).sum()} | {roc_auc_score(truth, prob):.4f} | "
+            f"{log_loss(truth, prob):.3f} | {recall} | {(prob[truth] > 0.5).mean():.3f}, "
+            f"{100 * (prob[~truth] > 0.5).mean():.1f} |"
+        )
+    print("\n| people 7 to 13, carried | gait | false alarms % | irregular | recall |\n|---|---|---|---|---|")
+    for kind in sorted({w.kind for w in unseen}):
+        gait = np.array([w.prob for w in unseen if w.kind == kind and not w.is_irregular])
+        irregular = np.array([w.prob for w in unseen if w.kind == kind and w.is_irregular])
+        print(
+            f"| {kind} | {len(gait)} | {100 * (gait > 0.5).mean():.1f} | {len(irregular)} | "
+            f"{(irregular > 0.5).mean():.2f} |"
+        )
+    still = [w for w in windows if w.prob == 0]
+    n_of_walks = sum(not w.is_irregular for w in still)
+    print(f"\nstill, of people 1 to 13: {n_of_walks} windows of walks, {len(still) - n_of_walks} outside\n")
+
+
+def print_other_sets(windows: list[Window]) -> None:
+    print("| set | context, carrying mode | | windows | p > 0.5 % | still % |\n|---|---|---|---|---|---|")
+    for kind in sorted({w.kind for w in windows}):
+        prob = np.array([w.prob for w in windows if w.kind == kind])
+        print(f"| {kind} | {len(prob)} | {100 * (prob > 0.5).mean():.1f} | {100 * (prob == 0).mean():.1f} |")
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    data = parser.parse_args().data
+    for with_gyroscope in (True, False):
+        print(f"\n## {'with gyroscope' if with_gyroscope else 'accelerometer alone'}\n")
+        print_people(walks_and_handling(data, with_gyroscope))
+        print_other_sets(of_other_sets(data, with_gyroscope))
+
+
+if __name__ == "__main__":
+    main()
