@@ -2,38 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from bisect import bisect_right
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
-from pdr_filter.context.model import ContextModel
+from pdr_filter.context.stage import ContextModels, WindowContext
+from pdr_filter.features.barometric import Climb, ClimbRate, ClimbState
 from pdr_filter.features.windows import FeatureWindow
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
-from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, WindowContext, present_position
-from pdr_filter.types import FloatArray, ImuBlock, IntArray, PositionFix
+from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
+from pdr_filter.types import CONTEXTS, FloatArray, ImuBlock, PositionFix
 
-
-@dataclass(frozen=True, eq=False)
-class ContextModels:
-    """The context models of a filter: which one classifies a window depends on the sensors that it has."""
-
-    with_gyroscope: ContextModel
-    without_gyroscope: ContextModel
-
-    def classify(self, window: FeatureWindow) -> WindowContext:
-        """Context probabilities of a window."""
-        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
-        columns = _columns(model.feature_names, window.names)
-        return WindowContext(window.time_s, model.predict(window.features[columns]), model.training_prior)
-
-
-@lru_cache
-def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
-    return np.array([names.index(name) for name in wanted])
+_STATIONARY = CONTEXTS.index("stationary")
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,10 +28,11 @@ class Config:
     sensing: Sensing
     context_models: ContextModels
     tracker: Tracker
+    climb_rate: ClimbRate = field(default_factory=ClimbRate)
 
     def __post_init__(self) -> None:
         windows = self.sensing.windows
-        for model in (self.context_models.with_gyroscope, self.context_models.without_gyroscope):
+        for model in self.context_models.models:
             missing = sorted(set(model.feature_names) - set(windows.names))
             if missing:
                 raise ValueError(
@@ -60,12 +45,36 @@ class Config:
         return replace(self, tracker=replace(self.tracker, weighting=weighting))
 
 
+@dataclass(frozen=True, slots=True)
+class WindowCounts:
+    """How many windows there were, and how many of them were odd."""
+
+    n: int = 0
+    without_gyroscope: int = 0
+    unknown: int = 0
+    irregular: int = 0
+
+    def plus(self, window: WindowContext, without_gyroscope: str) -> WindowCounts:
+        """With one window more; `without_gyroscope` is the name of the model for those without angular rate."""
+        irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
+        return WindowCounts(
+            self.n + 1,
+            self.without_gyroscope + (window.model == without_gyroscope),
+            self.unknown + (window.unknown_share > 0.5),
+            self.irregular + int(irregular),
+        )
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
     """Everything about a filter that changes."""
 
     sensing: SensingState
     tracker: TrackerState
+    carrying_prob: FloatArray  # (5,) of `CARRYING_MODES`
+    barometer: ClimbState
+    seen: WindowCounts = WindowCounts()
+    climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
     waiting_fixes: tuple[PositionFix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     finished: bool = False
 
@@ -80,7 +89,7 @@ class Output:
 
 def init(config: Config) -> State:
     """State of a filter before its first sample."""
-    return State(config.sensing.init(), config.tracker.init())
+    return State(config.sensing.init(), config.tracker.init(), config.context_models.init(), config.climb_rate.init())
 
 
 def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
@@ -115,6 +124,54 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
         )
 
 
+def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
+    """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
+
+    Give the pressure of a time before the other samples of that time: a window that is classified is not seen anew.
+    """
+    barometer, climbs = config.climb_rate.step(state.barometer, time_s, pressure_hpa)
+    return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
+
+
+# Share of all windows, and number, above which it is worth saying that something is odd about them.
+_NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
+
+
+def context_notes(config: Config, seen: WindowCounts) -> list[str]:
+    """Which model a missing sensor made necessary, and where the classifiers do not know what they see."""
+    notes: list[str] = []
+    if seen.without_gyroscope:
+        notes.append(
+            f"contexts of {seen.without_gyroscope} of {seen.n} windows by "
+            f"{config.context_models.without_gyroscope.name}, trained without gyroscope: there was no angular rate"
+        )
+    if seen.unknown > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
+        notes.append(
+            f"{seen.unknown} of {seen.n} windows are unlike all that the context model was trained on: "
+            "contexts are unsure there"
+        )
+    if seen.irregular > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
+        notes.append(
+            f"in {seen.irregular} of {seen.n} windows the phone seems to be handled, not carried by somebody who "
+            "walks: steps there may be false"
+        )
+    return notes
+
+
+# A window and the climb rate that it uses share at least half of their seconds.
+_CLIMB_AGE_S = 1.0
+
+
+def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
+    """The last climb rate at or before a time, if it is recent enough."""
+    i = bisect_right(climbs, time_s, key=_time_s)
+    return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
+
+
+def _time_s(climb: Climb) -> float:
+    return climb.time_s
+
+
 def finish(config: Config, state: State) -> tuple[State, Output]:
     """New state and output when no further sample will come: late steps are found, waiting ones become final.
 
@@ -133,12 +190,15 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
-    tracker, fixes = state.tracker, state.waiting_fixes
+    tracker, fixes, carrying_prob, seen = state.tracker, state.waiting_fixes, state.carrying_prob, state.seen
     for known_s, event in events:
         tracker, fixes = _apply_fixes(config, tracker, fixes, known_s)
         if isinstance(event, FeatureWindow):
-            context = config.context_models.classify(event)
+            carrying_prob, context = config.context_models.step(
+                carrying_prob, event, climb_at(state.climbs, event.time_s)
+            )
             output.windows.append(context)
+            seen = seen.plus(context, config.context_models.without_gyroscope.name)
             tracker, updates = config.tracker.on_window(tracker, context)
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(tracker, event.duration_s)
@@ -146,7 +206,9 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             tracker, updates = config.tracker.on_step(tracker, event)
         output.updates.extend(updates)
     tracker, fixes = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
-    return replace(state, tracker=tracker, waiting_fixes=fixes), output
+    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
+    state = replace(state, tracker=tracker, waiting_fixes=fixes, carrying_prob=carrying_prob, climbs=climbs, seen=seen)
+    return state, output
 
 
 def _apply_fixes(
@@ -214,6 +276,14 @@ class OnlineFilter:
         """
         return self._advance(imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)).updates
 
+    def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
+        """Take samples of a barometer, (N,) each: the climb rate tells stairs from flat walking.
+
+        Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
+        """
+        time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
+        self.state = add_pressure(self.config, self.state, time, pressure)
+
     def _advance(self, block: ImuBlock) -> Output:
         self.state, output = step(self.config, self.state, block)
         return output
@@ -243,7 +313,11 @@ class OnlineFilter:
         """What was wrong with the samples so far, in plain words."""
         rejected = self.state.tracker.rejected_fixes
         fixes = (f"{rejected} position fixes were rejected as outliers",) if rejected else ()
-        return (*self.state.sensing.conditioner.report.notes(), *fixes)
+        return (
+            *self.state.sensing.conditioner.report.notes(),
+            *context_notes(self.config, self.state.seen),
+            *fixes,
+        )
 
     def save(self) -> bytes:
         """Bytes from which `load` continues as if nothing had happened, configuration and models included."""

@@ -8,9 +8,10 @@ from functools import cache
 import numpy as np
 
 from pdr_filter.context.model import ContextModel, load_model
+from pdr_filter.context.stage import ContextModels
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.motion import Mode
-from pdr_filter.online import Config, ContextModels
+from pdr_filter.online import Config
 from pdr_filter.sensing import Sensing
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.tracking import Tracker
@@ -82,18 +83,25 @@ def context_transitions() -> FloatArray:
     return rows
 
 
-# The accelerometer's own model of each feature set, for windows without angular rate.
-_WITHOUT_GYROSCOPE = {"invariant": "context_softmax_accelerometer", "martinelli": "context_forest_accelerometer"}
+# The context model of each feature set for windows without angular rate.
+_CONTEXT_WITHOUT_GYROSCOPE = {"invariant": "context_accelerometer", "martinelli": "context_martinelli_forest"}
 
 
 def with_context_model(config: Config, model: ContextModel) -> Config:
-    """The configuration with another model for windows with gyroscope, and with the features that it needs."""
+    """The configuration with another context model for windows with gyroscope, and with the features that it needs."""
     for feature_set, names in FEATURE_SETS.items():
         if set(model.feature_names) <= set(names):
             windows = replace(config.sensing.windows, feature_set=feature_set)
-            models = ContextModels(model, _model(_WITHOUT_GYROSCOPE[feature_set]))
+            models = _context_models(model, feature_set)
             return replace(config, sensing=replace(config.sensing, windows=windows), context_models=models)
     raise ValueError(f"model {model.name!r} needs features that no set has; the sets are {tuple(FEATURE_SETS)}")
+
+
+def _context_models(with_gyroscope: ContextModel, feature_set: str) -> ContextModels:
+    without_gyroscope = _model(_CONTEXT_WITHOUT_GYROSCOPE[feature_set])
+    if feature_set != "invariant":
+        return ContextModels(with_gyroscope, without_gyroscope)
+    return ContextModels(with_gyroscope, without_gyroscope, _model("carrying"), _model("carrying_accelerometer"))
 
 
 @cache
@@ -106,7 +114,7 @@ def default() -> Config:
     return Config(
         name="default",
         sensing=Sensing(windows=FeatureWindows("invariant")),
-        context_models=ContextModels(_model("context_softmax"), _model(_WITHOUT_GYROSCOPE["invariant"])),
+        context_models=_context_models(_model("context"), "invariant"),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
     )
 
@@ -121,6 +129,6 @@ def martinelli2018() -> Config:
     return Config(
         name="martinelli2018",
         sensing=Sensing(),
-        context_models=ContextModels(_model("context_rvm"), _model(_WITHOUT_GYROSCOPE["martinelli"])),
+        context_models=_context_models(_model("context_martinelli_rvm"), "martinelli"),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
     )

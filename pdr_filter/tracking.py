@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter import imm
+from pdr_filter.context.stage import WindowContext
 from pdr_filter.motion import (
     EAST,
     HEADING_OFFSET,
@@ -51,15 +52,6 @@ class StepUpdate:
     walking_heading_rad: float  # clockwise, not wrapped
     context_prob: FloatArray  # (C,)
     mode_prob: FloatArray  # (M,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WindowContext:
-    """Context probabilities of a window, and the prior of the classifier that gave them."""
-
-    time_s: float  # end of the window
-    prob: FloatArray  # (C,)
-    training_prior: FloatArray  # (C,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -25,6 +25,9 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 # Order of the contexts everywhere: C1..C6 of Martinelli et al. 2018, Table I.
 CONTEXTS: tuple[str, ...] = ("stationary", "walking", "upstairs", "downstairs", "sideways", "running")
 
+# Order of the carrying modes everywhere.
+CARRYING_MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket", "bag")
+
 
 def read_only(values: ArrayLike) -> FloatArray:
     """Return a read-only contiguous float64 copy."""
@@ -183,8 +186,12 @@ class Windows:
     time_s: FloatArray  # (W,) window ends
     context_prob: FloatArray  # (W, C)
     contexts: tuple[str, ...]
-    carrying_prob: FloatArray  # (W, D); D = 0 where the model has no carrying-mode head
+    carrying_prob: FloatArray  # (W, D) after each window, of all windows so far
     carrying_modes: tuple[str, ...]
+    unknown_share: FloatArray  # (W,) how unlike the classifier's training windows, 0 to 1; `context_prob` has it in
+    irregular_prob: FloatArray  # (W,) that the motion moves nobody: the phone taken out, turned, put away
+    climb_rate_mps: FloatArray  # (W,) from the barometer, up positive; NaN without
+    model: tuple[str, ...]  # (W,) name of the model that classified the context
 
     def __len__(self) -> int:
         return len(self.time_s)

@@ -9,11 +9,14 @@ import numpy as np
 
 from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
+from pdr_filter.context.stage import WindowContext
+from pdr_filter.features.barometric import Climb
 from pdr_filter.features.windows import FeatureWindow
-from pdr_filter.online import Config, Output, finish, init, parts, step
+from pdr_filter.online import Config, Output, climb_at, context_notes, finish, init, parts, step
 from pdr_filter.sensing import Event, Sensing
-from pdr_filter.tracking import StepUpdate, WindowContext
+from pdr_filter.tracking import StepUpdate
 from pdr_filter.types import (
+    CARRYING_MODES,
     CONTEXTS,
     ImuBlock,
     PositionFix,
@@ -54,6 +57,7 @@ def track(
     if weighting is not None:
         config = config.with_weighting(weighting)
     state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: f.known_s)))
+    state = replace(state, climbs=_climbs(config, recording))
     updates: list[StepUpdate] = []
     windows: list[WindowContext] = []
 
@@ -68,7 +72,7 @@ def track(
     collect(output)
 
     report = state.sensing.conditioner.report
-    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
+    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates), *context_notes(config, state.seen)]
     if state.tracker.rejected_fixes:
         notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
     if state.waiting_fixes:
@@ -85,10 +89,25 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
-    """Context probabilities of all windows of a recording."""
+    """Context and carrying-mode probabilities of all windows of a recording."""
     config = config or _default()
-    events = sensed_events(config.sensing, recording)
-    return _windows([config.context_models.classify(e) for e in events if isinstance(e, FeatureWindow)])
+    carrying_prob = config.context_models.init()
+    found: list[WindowContext] = []
+    climbs = _climbs(config, recording)
+    for event in sensed_events(config.sensing, recording):
+        if isinstance(event, FeatureWindow):
+            climb = climb_at(climbs, event.time_s)
+            carrying_prob, context = config.context_models.step(carrying_prob, event, climb)
+            found.append(context)
+    return _windows(found)
+
+
+def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
+    """Climb rates of the barometer, if there is one."""
+    barometer = recording.barometer
+    if barometer is None:
+        return ()
+    return tuple(config.climb_rate.step(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
 
 
 def _default() -> Config:
@@ -120,8 +139,12 @@ def _windows(found: Sequence[WindowContext]) -> Windows:
         time_s=read_only(np.array([w.time_s for w in found])),
         context_prob=read_only(np.array([w.prob for w in found]).reshape(-1, len(CONTEXTS))),
         contexts=CONTEXTS,
-        carrying_prob=np.empty((len(found), 0)),
-        carrying_modes=(),
+        carrying_prob=read_only(np.array([w.carrying_prob for w in found]).reshape(-1, len(CARRYING_MODES))),
+        carrying_modes=CARRYING_MODES,
+        unknown_share=read_only(np.array([w.unknown_share for w in found])),
+        irregular_prob=read_only(np.array([w.irregular_prob for w in found])),
+        climb_rate_mps=read_only(np.array([w.climb_rate_mps for w in found])),
+        model=tuple(w.model for w in found),
     )
 
 

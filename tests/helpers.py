@@ -11,7 +11,16 @@ import numpy as np
 from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing import Event, Sensing
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Recording, Step
+from pdr_filter.types import (
+    CARRYING_MODES,
+    CONTEXTS,
+    STANDARD_GRAVITY_MPS2,
+    FloatArray,
+    ImuBlock,
+    Recording,
+    Step,
+    Windows,
+)
 
 
 def imu(
@@ -152,4 +161,13 @@ def a_step(
         heading_change_rad=0.0,
         device_heading_rad=heading_rad,
         heading_unknown_s=heading_unknown_s,
+    )
+
+
+def windows_of(time_s: np.ndarray, context_prob: np.ndarray, contexts: tuple[str, ...] = CONTEXTS) -> Windows:
+    """Windows of which only the contexts are known."""
+    n = len(time_s)
+    none = np.full(n, np.nan)
+    return Windows(
+        time_s, context_prob, contexts, np.full((n, 5), 0.2), CARRYING_MODES, np.zeros(n), np.zeros(n), none, ("",) * n
     )

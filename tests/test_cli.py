@@ -92,10 +92,10 @@ def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
 
 
 def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:
-    path = MODELS / "context_forest_accelerometer.npz"
+    path = MODELS / "context_martinelli_forest.npz"
     result = run("track", "--json", "--model", path, walk)
     config = pdr.recipes.with_context_model(pdr.recipes.default(), load_model(path))
-    assert config.context_models.with_gyroscope.name == "context_forest_accelerometer"
+    assert config.context_models.with_gyroscope.name == "context_martinelli_forest"
     assert config.sensing.windows.feature_set == "martinelli"
     assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
     assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()

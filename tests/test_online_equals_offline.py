@@ -402,7 +402,7 @@ def test_all_faults_at_once_are_tracked(short_walk: Recording) -> None:
         track = pdr.track(recording, weighting=weighting)
         updates = stream(online_filter(weighting), cut_randomly(pdr.merge_streams(recording), 6))
         assert_updates_are_the_track(updates, track)
-    assert len(track.notes) == 4
+    assert len(track.notes) == 5
 
 
 def test_a_gap_widens_the_covariance_by_what_may_have_been_walked(short_walk: Recording) -> None:
@@ -418,6 +418,50 @@ def test_without_a_gyroscope_the_heading_is_said_to_be_unknown(short_walk: Recor
     assert not track.steps.heading_unknown_s.any()
     np.testing.assert_array_equal(blind.time_s, track.time_s)
     assert np.trace(blind.position_cov_m2[-1]) > 5 * np.trace(track.position_cov_m2[-1])
+
+
+def with_barometer(recording: Recording, climb_rate_mps: float, rate_hz: float = 10.0) -> Recording:
+    """The recording with a barometer that climbs steadily, with the noise of a phone's."""
+    time_s = np.arange(0.0, recording.duration_s, 1 / rate_hz)
+    noise_hpa = 0.01 * np.random.default_rng(0).normal(size=len(time_s))
+    pressure = 1013.25 * np.exp(-climb_rate_mps * time_s / 8434.0) + noise_hpa
+    return changed(recording, barometer=Samples(time_s, pressure[:, None]))
+
+
+def test_a_barometer_that_climbs_makes_stairs_more_probable_and_a_level_one_less(short_walk: Recording) -> None:
+    plain = pdr.classify(short_walk)
+    up, down, level = (pdr.classify(with_barometer(short_walk, rate)) for rate in (0.27, -0.27, 0.0))
+    assert np.isnan(plain.climb_rate_mps).all()
+    np.testing.assert_allclose(up.climb_rate_mps[3:], 0.27, atol=0.045)  # four standard deviations
+    for name, windows in (("upstairs", up), ("downstairs", down)):
+        column = plain.contexts.index(name)
+        walked = windows.time_s > 6.0
+        assert (windows.context_prob[walked, column] > plain.context_prob[walked, column]).all()
+        assert (level.context_prob[walked, column] < plain.context_prob[walked, column]).all()
+    np.testing.assert_allclose(up.context_prob.sum(axis=1), 1.0)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk: Recording, weighting: str) -> None:
+    recording = with_barometer(short_walk, 0.2)
+    assert recording.barometer is not None
+    time_s, pressure = recording.barometer.time_s, recording.barometer.values[:, 0]
+    online, updates, given = online_filter(weighting), [], 0
+    for block in cut_randomly(pdr.merge_streams(recording), 3):
+        upto = int(np.searchsorted(time_s, block.time_s[-1], side="right")) if len(block.time_s) else given
+        online.push_pressure(time_s[given:upto], pressure[given:upto])
+        given = max(given, upto)
+        updates += push(online, block)
+    updates += online.finish()
+    assert_updates_are_the_track(updates, pdr.track(recording, weighting=weighting))
+    assert len(online.state.climbs) < 5
+
+
+def test_pressure_in_pascal_is_refused_and_changes_nothing(short_walk: Recording) -> None:
+    online = online_filter("imm")
+    with pytest.raises(ValueError, match="divide by 100"):
+        online.push_pressure([0.0, 0.1], [101_325.0, 101_320.0])
+    assert_updates_are_the_track(stream(online, [pdr.merge_streams(short_walk)]), pdr.track(short_walk))
 
 
 @pytest.mark.parametrize("n", [0, 1, 3, 12])

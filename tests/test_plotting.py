@@ -10,11 +10,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import windows_of
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.stats import chi2
 
 from pdr_filter.plotting import context_colours, plot_track
-from pdr_filter.types import CONTEXTS, Step, Track, Windows, step_table
+from pdr_filter.types import CONTEXTS, Step, Track, step_table
 
 PNG = b"\x89PNG"
 
@@ -36,7 +37,7 @@ def make_track(n_steps: int, n_windows: int, notes: tuple[str, ...] = ()) -> Tra
         mode_prob=prob[number % 6],
         modes=CONTEXTS,
         steps=step_table([replace(step, time_s=0.5 * float(k)) for k in number]),
-        windows=Windows(1.0 + np.arange(1, n_windows + 1), prob[np.arange(n_windows) % 6], CONTEXTS, np.empty(0), ()),
+        windows=windows_of(1.0 + np.arange(1, n_windows + 1), prob[np.arange(n_windows) % 6]),
         start_time_s=0.0,
         duration_s=max(0.5 * n_steps, n_windows + 1.0),
         weighting="imm",

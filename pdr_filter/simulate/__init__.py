@@ -9,18 +9,18 @@ fitted, and real people are less regular. Never quote accuracy measured on simul
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, StepPlan, plan_steps
-from pdr_filter.simulate.motion import CARRYING, Motion, build_motion
+from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
 from pdr_filter.simulate.sensors import SensorError, SensorErrors
 from pdr_filter.types import FloatArray, Recording, Samples, Table, Truth, table
 
-__all__ = ["Gait", "Leg", "Motion", "SensorError", "SensorErrors", "demo_walk", "phone_motion", "simulate"]
+__all__ = ["Carrying", "Gait", "Leg", "Motion", "SensorError", "SensorErrors", "demo_walk", "phone_motion", "simulate"]
 
 MAGNETOMETER_RATE_HZ = 50.0
 # East, north, up; about that of central Europe, north being magnetic north.
@@ -34,15 +34,17 @@ def phone_motion(
     *,
     seed: int = 0,
     start_heading_rad: float = 0.0,
+    carrying: Mapping[str, Carrying] | None = None,
 ) -> Motion:
     """Exact motion behind `simulate` with the same arguments: position, attitude, specific force at any time."""
     if not legs:
         raise ValueError("a walk needs at least one leg, got none")
     gait = gait or Gait()
-    modes = _modes(legs, carrying_mode)
+    places = CARRYING if carrying is None else carrying
+    modes = _modes(legs, carrying_mode, places)
     plan_seed, motion_seed, _ = np.random.SeedSequence(seed).spawn(3)
     plan = plan_steps(legs, gait, np.random.default_rng(plan_seed))
-    return build_motion(legs, modes, gait, plan, np.random.default_rng(motion_seed), start_heading_rad)
+    return build_motion(legs, modes, places, gait, plan, np.random.default_rng(motion_seed), start_heading_rad)
 
 
 def simulate(
@@ -55,6 +57,7 @@ def simulate(
     seed: int = 0,
     start_heading_rad: float = 0.0,
     name: str = "simulated_walk",
+    carrying: Mapping[str, Carrying] | None = None,
 ) -> Recording:
     """Recording of a walk along the legs, with accelerometer, gyroscope, magnetometer and exact truth.
 
@@ -76,6 +79,9 @@ def simulate(
         Clockwise from north.
     name : str
         Name of the recording.
+    carrying : mapping of str to Carrying, optional
+        Where the phone is in each carrying mode, for persons who carry it in their own way; the typical places
+        `motion.CARRYING` if not given.
 
     Returns
     -------
@@ -87,7 +93,7 @@ def simulate(
         raise ValueError(f"rate_hz must be from 20 to 500, got {rate_hz}: steps need 20 Hz, phones give up to 500 Hz")
     errors = errors or SensorErrors()
     gait = gait or Gait()
-    motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad)
+    motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
     accelerometer, gyroscope, magnetometer = _streams(motion, rate_hz, errors, rng)
     return Recording(
@@ -95,7 +101,7 @@ def simulate(
         accelerometer=accelerometer,
         gyroscope=gyroscope,
         magnetometer=magnetometer,
-        truth=_truth(motion, legs, _modes(legs, carrying_mode)),
+        truth=_truth(motion, legs, _modes(legs, carrying_mode, CARRYING if carrying is None else carrying)),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
     )
@@ -122,13 +128,13 @@ def demo_walk(seed: int = 0) -> Recording:
     return simulate(legs, Gait(height_m=1.86), seed=seed, name="demo_walk")
 
 
-def _modes(legs: Sequence[Leg], carrying_mode: str) -> list[str]:
+def _modes(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[str]:
     """Carrying mode of each leg."""
     modes: list[str] = []
     for leg in legs:
         carrying_mode = leg.carrying_mode or carrying_mode
-        if carrying_mode not in CARRYING:
-            raise ValueError(f"carrying_mode must be one of {', '.join(CARRYING)}, got {carrying_mode!r}")
+        if carrying_mode not in places:
+            raise ValueError(f"carrying_mode must be one of {', '.join(places)}, got {carrying_mode!r}")
         modes.append(carrying_mode)
     return modes
 

@@ -8,7 +8,7 @@ same spline, so they agree with position and attitude to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -260,23 +260,28 @@ def tremor(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 def build_motion(
     legs: Sequence[Leg],
     modes: Sequence[str],
+    places: Mapping[str, Carrying],
     gait: Gait,
     plan: StepPlan,
     rng: np.random.Generator,
     start_heading_rad: float,
 ) -> Motion:
-    """Motion of body and phone along the planned steps; `modes` has the carrying mode of each leg."""
+    """Motion of body and phone along the planned steps.
+
+    `modes` has the carrying mode of each leg, `places` where the phone is in each mode.
+    """
     n = round((plan.leg_end_s[-1] + 2 * MARGIN_S) * GRID_HZ) + 1
     time_s = np.arange(n) / GRID_HZ - MARGIN_S
     phase = through_contacts(time_s, plan, np.ones(len(plan.leg)))
     context = _blended(leg_blend(time_s, plan, legs, CONTEXT_BLEND_S), [_context_row(leg, gait) for leg in legs])
-    carrying = _blended(leg_blend(time_s, plan, legs, CARRYING_BLEND_S), [_carrying_row(m, gait) for m in modes])
+    rows = [_carrying_row(mode, places[mode], gait) for mode in modes]
+    carrying = _blended(leg_blend(time_s, plan, legs, CARRYING_BLEND_S), rows)
     facing, travel = heading_course(time_s, plan, legs, start_heading_rad)
     body = body_path(time_s, plan, travel, context["surge_m"], phase)
     limb = _limb_angle(phase, context, carrying)
     angles = _phone_angles(time_s, phase, facing, limb, context, carrying, gait, rng)
     offset = _phone_offset(time_s, phase, limb, context, carrying, gait, rng)
-    shift, rotation = _heel_strikes(time_s, plan, legs, modes, gait, rng)
+    shift, rotation = _heel_strikes(time_s, plan, legs, [places[mode] for mode in modes], gait, rng)
     offset += shift
     angles[:, 1:] += rotation
     position = body + _about("Z", -facing).apply(offset)
@@ -313,9 +318,8 @@ def _context_row(leg: Leg, gait: Gait) -> dict[str, float]:
 _VECTORS = ("pivot", "lever")
 
 
-def _carrying_row(mode: str, gait: Gait) -> dict[str, float]:
+def _carrying_row(mode: str, carrying: Carrying, gait: Gait) -> dict[str, float]:
     """Place of the phone on this person, lengths in metres."""
-    carrying = CARRYING[mode]
     row: dict[str, float] = {f.name: getattr(carrying, f.name) for f in fields(Carrying) if f.name not in _VECTORS}
     for name in _VECTORS:
         for axis, value in zip("xyz", getattr(carrying, name), strict=True):
@@ -412,14 +416,14 @@ def _heel_strikes(
     time_s: FloatArray,
     plan: StepPlan,
     legs: Sequence[Leg],
-    modes: Sequence[str],
+    places: Sequence[Carrying],
     gait: Gait,
     rng: np.random.Generator,
 ) -> tuple[FloatArray, FloatArray]:
     """What the shocks after the contacts do: shift in the body frame, change of pitch, roll, twist, both (N, 3)."""
     n = len(plan.leg)
     strength = np.array([CONTEXT_GAITS[leg.context].impact_mps2 for leg in legs])[plan.leg]
-    where = [CARRYING[modes[int(k)]] for k in plan.leg]
+    where = [places[int(k)] for k in plan.leg]
     arrives = np.array([c.impact for c in where])
     # Contacts with odd index end the steps of the right leg, where the pocket is.
     own_leg = np.where(np.arange(n) % 2 == 1, 1.0, -1.0) * np.array([c.one_sided for c in where])

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.context.train import PLANS, LabelledWindows, labelled_windows
+from pdr_filter.context.train import PLANS, LabelledWindows, fit, labelled_windows
 from pdr_filter.features.windows import FEATURE_SETS
 from pdr_filter.imm import update_mode_prob
 from pdr_filter.recipes import context_transitions
@@ -35,7 +35,9 @@ def unseen_prob(windows: LabelledWindows) -> tuple[FloatArray, FloatArray]:
     people = [windows.person == p for p in np.unique(windows.person[windows.dataset == "motionsense"])]
     for test in [*people, windows.dataset == "ubicomp13", windows.dataset == "tyrex"]:
         rest = train & ~test
-        prob[test] = PLAN.fit(features[rest], windows.context[rest], windows.person[rest]).prob(features[test])
+        y = windows.context[rest]
+        fitted = fit(PLAN.machine_fit, CONTEXTS, features[rest], y, windows.person[rest], np.ones(len(y)))
+        prob[test] = fitted.prob(features[test])
         prior[test] = [np.mean(windows.context[rest] == c) for c in CONTEXTS]
     return prob, prior
 

@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.recipes import default
 from pdr_filter.types import Samples
 
 
@@ -39,6 +40,21 @@ def long_walk(hours: float) -> pdr.Recording:
     )
 
 
+def features_s(recording: pdr.Recording) -> tuple[float, int]:
+    """Time of all features of a recording, the signals given, and the number of windows."""
+    sensing = default().sensing
+    _, uniform = sensing.conditioner.step(sensing.conditioner.init(), pdr.merge_streams(recording))
+    state, parts = sensing.attitude.init(), []
+    for part in uniform:
+        state, attitude = sensing.attitude.step(state, part)
+        parts.append((part, attitude))
+    start, n, windows = time.perf_counter(), 0, sensing.windows.init()
+    for part, attitude in parts:
+        windows, found = sensing.windows.step(windows, part, attitude)
+        n += len(found)
+    return time.perf_counter() - start, n
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--hours", type=float, default=1.0)
@@ -54,6 +70,8 @@ def main() -> None:
             f"{weighting}: {recording.duration_s:.0f} s of data, {track.n_steps} steps, in {best:.2f} s: "
             f"{recording.duration_s / best:.0f} times real time"
         )
+    best, n_windows = min(features_s(recording) for _ in range(3))
+    print(f"all {len(default().sensing.windows.names)} features of {n_windows} windows: {best:.2f} s")
     block = pdr.merge_streams(recording)
     online = pdr.OnlineFilter()
     cost: list[float] = []

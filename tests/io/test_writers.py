@@ -12,9 +12,10 @@ from xml.etree import ElementTree
 import numpy as np
 import pymap3d
 import pytest
+from helpers import windows_of
 
 from pdr_filter.io import writers
-from pdr_filter.types import Step, Track, Windows, step_table
+from pdr_filter.types import Step, Track, step_table
 
 ORIGIN = (48.137, 11.575)
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}
@@ -24,7 +25,7 @@ def small_track(n: int = 3) -> Track:
     """Steps to the east, to the north, and to the west again."""
     steps = [Step(**{f.name: 0.5 for f in fields(Step)}) for _ in range(n)]
     covariance = np.array([[0.1, 0.02], [0.02, 0.2]]) * np.arange(1, n + 1)[:, None, None]
-    windows = Windows(np.empty(0), np.empty((0, 2)), ("stationary", "walking"), np.empty((0, 0)), ())
+    windows = windows_of(np.empty(0), np.empty((0, 2)), ("stationary", "walking"))
     return Track(
         name="small <walk>",
         time_s=np.array([1.5, 2.0, 2.5])[:n],

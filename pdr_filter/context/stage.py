@@ -1,0 +1,132 @@
+"""Feature windows in, context and carrying-mode probabilities out: which model classifies what, and what is unknown."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import lru_cache
+
+import numpy as np
+
+from pdr_filter.context.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
+from pdr_filter.context.model import ContextModel
+from pdr_filter.features.barometric import Climb, climb_log_evidence
+from pdr_filter.features.windows import FeatureWindow
+from pdr_filter.types import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, read_only
+
+# A window of the barometer is twice as long as one of features, at the same hop: its seconds would vote twice as often.
+CLIMB_EXPONENT = 0.5
+_STATIONARY = CONTEXTS.index("stationary")
+_EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowContext:
+    """What the classifiers say of a window."""
+
+    time_s: float  # end of the window
+    prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
+    training_prior: FloatArray  # (C,) of the classifier that gave them
+    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
+    unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
+    irregular_prob: float = 0.0  # that its motion moves nobody
+    model: str = ""  # name of the context model
+    climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
+
+
+@dataclass(frozen=True, eq=False)
+class ContextModels:
+    """The models of a filter: which ones classify a window depends on the sensors that it has.
+
+    Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
+    of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
+    in which a window counts by how much of it is motion.
+
+    Parameters
+    ----------
+    with_gyroscope, without_gyroscope : ContextModel
+        Of the context.
+    carrying_with_gyroscope, carrying_without_gyroscope : ContextModel, optional
+        Of the carrying mode; without them all modes stay equally probable.
+    carrying_stay_prob : float
+        That the mode is the same a window later: half a minute to a minute between changes, at a window a second.
+    carrying_exponent : float
+        Of a window's evidence: hop over window, because overlapping windows repeat the same second of data.
+    """
+
+    with_gyroscope: ContextModel
+    without_gyroscope: ContextModel
+    carrying_with_gyroscope: ContextModel | None = None
+    carrying_without_gyroscope: ContextModel | None = None
+    carrying_stay_prob: float = 0.98
+    carrying_exponent: float = 0.5
+
+    @property
+    def models(self) -> tuple[ContextModel, ...]:
+        """All models that there are."""
+        carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
+        return (self.with_gyroscope, self.without_gyroscope, *(model for model in carrying if model is not None))
+
+    def init(self) -> FloatArray:
+        """Carrying-mode probabilities (5,) before the first window: all modes that are known, alike."""
+        model = self.carrying_with_gyroscope or self.carrying_without_gyroscope
+        known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
+        return read_only(known / known.sum())
+
+    def step(
+        self, carrying_prob: FloatArray, window: FeatureWindow, climb: Climb | None = None
+    ) -> tuple[FloatArray, WindowContext]:
+        """New carrying-mode probabilities (5,), and what is said of the window; `climb` is that of a barometer."""
+        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
+        prob, unknown = model.assess(_features(model, window))
+        prob = (1 - unknown) * prob + unknown * model.training_prior
+        climb_rate_mps = np.nan
+        if climb is not None:
+            climb_rate_mps = climb.climb_rate_mps
+            evidence = climb_log_evidence(climb_rate_mps, climb.std_mps)
+            prob = update_prob(prob, CLIMB_EXPONENT * evidence)
+        irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
+        carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
+        return carrying_prob, WindowContext(
+            window.time_s,
+            prob,
+            model.training_prior,
+            carrying_prob,
+            unknown,
+            irregular,
+            model.name,
+            np.nan if climb is None else climb.climb_rate_mps,
+        )
+
+    def _follow(self, carrying_prob: FloatArray, window: FeatureWindow, moving: float) -> FloatArray:
+        """p_k ~ (sum_j p_j t_jk) (l_k / prior_k)^(exponent x moving), over the modes that the model knows."""
+        model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
+        if model is None:
+            return carrying_prob
+        known = model.training_prior > 0
+        leave = (1 - self.carrying_stay_prob) / max(known.sum() - 1, 1)
+        predicted = np.where(known, carrying_prob * (self.carrying_stay_prob - leave) + leave, 0.0)
+        prob, unknown = model.assess(_features(model, window))
+        ratio = np.maximum(prob[known], 1e-9) / model.training_prior[known]
+        predicted[known] *= ratio ** (self.carrying_exponent * moving * (1 - unknown))
+        return read_only(predicted / predicted.sum())
+
+
+def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
+    """p_k ~ p_k exp(e_k); what is impossible stays impossible."""
+    relative = prob * np.exp(log_evidence - log_evidence.max())
+    return relative / relative.sum()
+
+
+@lru_cache
+def _gated(names: tuple[str, ...]) -> bool:
+    """Whether a feature set has what the gate for irregular motion needs."""
+    return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
+
+
+def _features(model: ContextModel, window: FeatureWindow) -> FloatArray:
+    return window.features[_columns(model.feature_names, window.names)]
+
+
+@lru_cache
+def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
+    return np.array([names.index(name) for name in wanted])
