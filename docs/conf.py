@@ -30,23 +30,33 @@ def model_card(description: dict[str, Any]) -> str:
     """One model as a heading and a table."""
     card = description.get("card", {})
     scores = card.get("leave_one_subject_out", {})
+    sites = card.get("site_left_out", {}).items()
     rows = {
-        "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
-        f"{sum(card.get('n_windows', {}).values()):,} windows",
-        "people left out": scores.get("people"),
-        "accuracy": scores.get("accuracy"),
-        "macro recall": scores.get("macro_recall"),
-        "recall": ", ".join(f"{context} {recall:.2f}" for context, recall in scores.get("recall", {}).items()),
-        "log loss": scores.get("log_loss"),
-        "site left out": ", ".join(
-            f"{site}: walking recall {site_scores.get('walking_recall')}"
-            for site, site_scores in card.get("site_left_out", {}).items()
-        ),
+        "tells apart": f"{', '.join(description['classes'])} ({description['head'].replace('_', ' ')})",
+        "for": card.get("intended_use"),
         "limits": card.get("limits"),
+        "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
+        f"{sum(card.get('n_windows', {}).values()):,} windows, {card.get('n_features')} features",
+        "people left out": scores.get("people"),
+        "accuracy, worst person": f"{scores.get('accuracy')}, {scores.get('worst_person_accuracy')}",
+        "macro recall": scores.get("macro_recall"),
+        "recall": shares(scores.get("recall", {})),
+        "log loss, Brier score, calibration error": ", ".join(
+            str(scores.get(key)) for key in ("log_loss", "brier", "expected_calibration_error")
+        ),
+        "site left out, recall": "; ".join(
+            f"{site}: {shares(of_site.get('recall') or {'walking': of_site.get('walking_recall')})}"
+            for site, of_site in sites
+        ),
         "made": f"{card.get('date')}, scikit-learn {card.get('versions', {}).get('scikit-learn')}",
     }
     lines = [f"| {key} | {value} |" for key, value in rows.items() if value not in (None, "")]
     return "\n".join([f"## {description['name']}", "", card.get("description", ""), "", "| | |", "|---|---|", *lines])
+
+
+def shares(values: dict[str, float]) -> str:
+    """Names with numbers of two digits."""
+    return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
 cards = sorted(Path(__file__).resolve().parents[1].joinpath("models").glob("*.json"))

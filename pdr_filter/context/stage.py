@@ -15,6 +15,10 @@ from pdr_filter.types import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, rea
 
 # A window of the barometer is twice as long as one of features, at the same hop: its seconds would vote twice as often.
 CLIMB_EXPONENT = 0.5
+# Half a minute to a minute between changes of the carrying mode, at a window a second.
+CARRYING_STAY_PROB = 0.98
+# Hop over window: overlapping windows repeat the same second of data.
+CARRYING_EXPONENT = 0.5
 _STATIONARY = CONTEXTS.index("stationary")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
@@ -48,17 +52,24 @@ class ContextModels:
     carrying_with_gyroscope, carrying_without_gyroscope : ContextModel, optional
         Of the carrying mode; without them all modes stay equally probable.
     carrying_stay_prob : float
-        That the mode is the same a window later: half a minute to a minute between changes, at a window a second.
+        That the mode is the same a window later.
     carrying_exponent : float
-        Of a window's evidence: hop over window, because overlapping windows repeat the same second of data.
+        Of a window's evidence.
     """
 
     with_gyroscope: ContextModel
     without_gyroscope: ContextModel
     carrying_with_gyroscope: ContextModel | None = None
     carrying_without_gyroscope: ContextModel | None = None
-    carrying_stay_prob: float = 0.98
-    carrying_exponent: float = 0.5
+    carrying_stay_prob: float = CARRYING_STAY_PROB
+    carrying_exponent: float = CARRYING_EXPONENT
+
+    def __post_init__(self) -> None:
+        carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
+        heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
+        for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:
+            if model.head != head:
+                raise ValueError(f"model {model.name!r} tells the {model.head} apart, not the {head}; give another one")
 
     @property
     def models(self) -> tuple[ContextModel, ...]:
@@ -98,17 +109,27 @@ class ContextModels:
         )
 
     def _follow(self, carrying_prob: FloatArray, window: FeatureWindow, moving: float) -> FloatArray:
-        """p_k ~ (sum_j p_j t_jk) (l_k / prior_k)^(exponent x moving), over the modes that the model knows."""
+        """Carrying-mode probabilities after one window more; a window counts by how much of it is known motion."""
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
         if model is None:
             return carrying_prob
-        known = model.training_prior > 0
-        leave = (1 - self.carrying_stay_prob) / max(known.sum() - 1, 1)
-        predicted = np.where(known, carrying_prob * (self.carrying_stay_prob - leave) + leave, 0.0)
         prob, unknown = model.assess(_features(model, window))
-        ratio = np.maximum(prob[known], 1e-9) / model.training_prior[known]
-        predicted[known] *= ratio ** (self.carrying_exponent * moving * (1 - unknown))
-        return read_only(predicted / predicted.sum())
+        exponent = self.carrying_exponent * moving * (1 - unknown)
+        return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
+
+
+def follow_mode(
+    before: FloatArray, window_prob: FloatArray, prior: FloatArray, stay_prob: float, exponent: float
+) -> FloatArray:
+    """p_k ~ (sum_j p_j t_jk) (w_k / prior_k)^exponent, (D,), over the modes that the classifier knows (prior > 0).
+
+    t has `stay_prob` on its diagonal and shares the rest alike.
+    """
+    known = prior > 0
+    leave = (1 - stay_prob) / max(int(known.sum()) - 1, 1)
+    predicted = np.where(known, before * (stay_prob - leave) + leave, 0.0)
+    predicted[known] *= (np.maximum(window_prob[known], 1e-9) / prior[known]) ** exponent
+    return read_only(predicted / predicted.sum())
 
 
 def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:

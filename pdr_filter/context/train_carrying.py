@@ -31,6 +31,7 @@ from pdr_filter.context.calibration import fit_temperature, tempered
 from pdr_filter.context.familiarity import fit_familiarity
 from pdr_filter.context.model import ContextModel, Machine
 from pdr_filter.context.softmax import SoftmaxRegression
+from pdr_filter.context.stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
 from pdr_filter.context.train import (
     FEATURE_LIMIT,
     SCORED_DATASET,
@@ -438,11 +439,28 @@ def _carrying_card(
 
 
 def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> dict[str, Any]:
-    """Scores of some windows: `train.score`, the number of windows of each mode, and the recall of the worst person."""
+    """Scores of some windows: `train.score`, the number of windows of each mode, and the recall of the worst person.
+
+    "followed" are the probabilities after each window, as `ContextModels` follows the mode through a recording.
+    """
     truth, person = windows.carrying_mode[use], windows.person[use]
     right = np.array(CARRYING_MODES)[prob[use].argmax(axis=1)] == truth
+    followed = score(truth, _followed(windows.recording[use], prob[use]), CARRYING_MODES)
     return {
         **score(truth, prob[use], CARRYING_MODES),
+        "followed_recall": followed["recall"],
+        "followed_log_loss": followed["log_loss"],
         "n": {mode: int((truth == mode).sum()) for mode in MODES if (truth == mode).any()},
         "worst_person_accuracy": round(float(min(right[person == p].mean() for p in np.unique(person))), 4),
     }
+
+
+def _followed(recording: TextArray, prob: FloatArray) -> FloatArray:
+    """Probabilities (W, L) after each window of its recording, all modes alike before the first."""
+    prior = np.array([float(mode in MODES) for mode in CARRYING_MODES])
+    prior /= prior.sum()
+    result = np.zeros_like(prob)
+    for i in range(len(prob)):
+        before = result[i - 1] if i and recording[i] == recording[i - 1] else prior
+        result[i] = follow_mode(before, prob[i], prior, CARRYING_STAY_PROB, CARRYING_EXPONENT)
+    return result

@@ -123,7 +123,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
     parser.add_argument("--figure", type=Path)
-    parser.add_argument("--only", nargs="*", help="rows whose names contain one of these")
+    parser.add_argument("--only", nargs="*", help="rows of these names")
     args = parser.parse_args()
     datasets = sorted({d for plan in PLANS for d in plan.datasets} | {"ubicomp13"})
     paths = [p for d in datasets for p in sorted((args.data / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
@@ -132,7 +132,7 @@ def main() -> None:
     rows: dict[str, dict[str, Any]] = {}
     probs: dict[str, tuple[FloatArray, BoolArray]] = {}
     for name, plan in ROWS.items():
-        if args.only and not any(part in name for part in args.only):
+        if args.only and name not in args.only:
             continue
         w = windows[plan.feature_set]
         names = FEATURE_SETS[plan.feature_set]

@@ -113,3 +113,10 @@ def test_a_feature_set_without_the_features_of_the_gate_calls_nothing_irregular(
     models = ContextModels(model, model)
     event = FeatureWindow(2.0, names, np.zeros(len(names)), True, False)
     assert models.step(models.init(), event)[1].irregular_prob == 0.0
+
+
+def test_a_model_of_the_wrong_head_is_refused() -> None:
+    with pytest.raises(ValueError, match="tells the carrying_mode apart, not the context"):
+        ContextModels(CARRYING, CONTEXT)
+    with pytest.raises(ValueError, match="tells the context apart, not the carrying_mode"):
+        ContextModels(CONTEXT, CONTEXT, CONTEXT)
