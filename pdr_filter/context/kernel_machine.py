@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdr_filter.context.rows import checked_rows
 from pdr_filter.types import FloatArray, IntArray, read_only
 
 KERNELS = ("rbf", "linear")
@@ -81,15 +82,7 @@ class RelevanceVectors:
         Every row goes through the same computation on its own, so it has the same bits alone and in any batch.
         Raises ValueError for NaN or infinite features.
         """
-        rows = np.asarray(X, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.n_features:
-            raise ValueError(f"X must be (N, {self.n_features}), got {rows.shape}: give the features of the training")
-        finite = np.isfinite(rows)
-        if not finite.all():
-            row, column = np.argwhere(~finite)[0]
-            raise ValueError(
-                f"feature {column} is {rows[row, column]} in row {row}: leave such rows out or fill in a value"
-            )
+        rows = checked_rows(X, self.n_features)
         probabilities = normalised_sigmoids if self.link == "sigmoid" else moderated_softmax
         result = np.empty((len(rows), self.n_classes))
         for row, features in enumerate(rows):

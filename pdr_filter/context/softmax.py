@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdr_filter.context.rows import checked_rows
 from pdr_filter.types import FloatArray, read_only
 
 
@@ -50,11 +51,7 @@ class SoftmaxRegression:
 
     def predict_proba(self, X: ArrayLike) -> FloatArray:
         """Class probabilities of rows, (N, F) to (N, K), each row computed on its own: the same bits in any batch."""
-        rows = np.asarray(X, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.n_features:
-            raise ValueError(f"X must be (N, {self.n_features}), got {rows.shape}: give the features of the training")
-        if np.isnan(rows).any():
-            raise ValueError(f"feature {np.argwhere(np.isnan(rows))[0, 1]} is NaN: leave such windows out")
+        rows = checked_rows(X, self.n_features)
         result = np.empty((len(rows), self.n_classes))
         for i, row in enumerate(rows):
             logit = (self.weights * row).sum(axis=1) + self.intercept

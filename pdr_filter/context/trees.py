@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from pdr_filter.context.rows import checked_rows
 from pdr_filter.types import BoolArray, FloatArray, IntArray, read_only
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
@@ -115,15 +116,7 @@ class Trees:
 
         Raises ValueError for NaN or infinite features.
         """
-        rows = np.asarray(X, dtype=np.float64)
-        if rows.ndim != 2 or rows.shape[1] != self.n_features:
-            raise ValueError(f"X must be (N, {self.n_features}), got {rows.shape}: give the features of the training")
-        finite = np.isfinite(rows)
-        if not finite.all():
-            row, column = np.argwhere(~finite)[0]
-            raise ValueError(
-                f"feature {column} is {rows[row, column]} in row {row}: leave such rows out or fill in a value"
-            )
+        rows = checked_rows(X, self.n_features)
         with np.errstate(over="ignore"):  # beyond the range of float32 is infinite and goes right
             values = rows.astype(np.float32)
         at_once = max(1, _WALKS_AT_ONCE // len(self.roots))
