@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 from scipy.optimize import minimize, minimize_scalar
+from scipy.special import expit
 
 from pdr_filter.types import BoolArray, FloatArray, IntArray
 
@@ -57,13 +58,13 @@ def fit_calibration(prob: FloatArray, label: IntArray) -> tuple[float, float]:
     chosen = np.arange(len(label)), label
 
     def log_loss(parameters: FloatArray) -> float:
-        temperature, slip = np.exp(np.clip(parameters[0], -1.6, 1.6)), 1 / (1 + np.exp(-parameters[1]))
+        temperature, slip = np.exp(np.clip(parameters[0], -1.6, 1.6)), expit(parameters[1])
         calibrated = slipped(tempered(prob, float(temperature)), float(slip))
         return float(-np.log(np.maximum(calibrated[chosen], 1e-300)).mean())
 
     options = {"xatol": 1e-3, "fatol": 1e-7}
     found: Any = minimize(log_loss, np.array([0.0, -4.0]), method="Nelder-Mead", options=options)
-    return float(np.exp(np.clip(found.x[0], -1.6, 1.6))), float(1 / (1 + np.exp(-found.x[1])))
+    return float(np.exp(np.clip(found.x[0], -1.6, 1.6))), float(expit(found.x[1]))
 
 
 @dataclass(frozen=True, slots=True, eq=False)

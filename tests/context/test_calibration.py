@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sklearn.metrics import brier_score_loss
 
-from pdr_filter.context.calibration import brier_score, fit_temperature, reliability, tempered
+from pdr_filter.context.calibration import brier_score, fit_calibration, fit_temperature, reliability, slipped, tempered
 
 
 def calibrated(n: int, seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -70,3 +70,29 @@ def test_the_brier_score_of_two_classes_is_twice_that_of_scikit_learn() -> None:
     p, label = rng.random(200), rng.integers(0, 2, 200)
     ours = brier_score(np.column_stack([1 - p, p]), label)
     assert ours == pytest.approx(2 * brier_score_loss(label, p))
+
+
+@pytest.mark.parametrize(("temperature", "slip"), [(1.0, 0.0), (2.0, 0.03), (0.7, 0.1)])
+def test_temperature_and_slip_are_found_together(temperature: float, slip: float) -> None:
+    prob, label = calibrated(60_000, 2)
+    rng = np.random.default_rng(3)
+    other = rng.random(len(label)) < slip
+    label = np.where(other, rng.integers(0, 4, len(label)), label)
+    found = fit_calibration(tempered(prob, 1 / temperature), label)
+    assert found[0] == pytest.approx(temperature, rel=0.06)
+    assert found[1] == pytest.approx(slip, abs=0.012)
+
+
+def test_certain_and_right_probabilities_are_left_alone_without_a_warning() -> None:
+    label = np.arange(300) % 3
+    prob = tempered(np.eye(3)[label] * 0.9 + 0.1 / 3, 0.3)
+    with np.errstate(all="raise"):
+        temperature, slip = fit_calibration(prob, label)
+    assert slip < 1e-3
+    assert temperature <= 1.0
+
+
+def test_a_slip_is_shared_alike_by_all_classes() -> None:
+    np.testing.assert_allclose(slipped(np.array([1.0, 0.0, 0.0, 0.0]), 0.2), [0.85, 0.05, 0.05, 0.05])
+    prob = np.array([0.3, 0.7])
+    assert slipped(prob, 0.0) is prob
