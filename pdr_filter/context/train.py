@@ -254,7 +254,7 @@ PLANS: tuple[Plan, ...] = (
         fit_blend,
         "Mean of logistic regression and boosted trees on the attitude-free features of the accelerometer.",
         "Windows without angular rate, however the phone is carried.",
-        f"{_NO_SIDEWAYS} {_FROM_POCKETS} One stair in three is taken for walking.",
+        f"{_NO_SIDEWAYS} {_FROM_POCKETS} One window on stairs in three is missed.",
     ),
     Plan(
         "context_pocket",
