@@ -10,9 +10,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
-from pdr_filter.context.stage import ContextModels, WindowContext
+from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb, ClimbRate, ClimbState
-from pdr_filter.features.windows import FeatureWindow
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
 from pdr_filter.types import CONTEXTS, FloatArray, ImuBlock, PositionFix
@@ -26,19 +25,8 @@ class Config:
 
     name: str
     sensing: Sensing
-    context_models: ContextModels
     tracker: Tracker
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
-
-    def __post_init__(self) -> None:
-        windows = self.sensing.windows
-        for model in self.context_models.models:
-            missing = sorted(set(model.feature_names) - set(windows.names))
-            if missing:
-                raise ValueError(
-                    f"context model {model.name!r} needs features {missing[:5]}, which feature_set "
-                    f"{windows.feature_set!r} does not have; use a model and windows of one set"
-                )
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""
@@ -54,12 +42,12 @@ class WindowCounts:
     unknown: int = 0
     irregular: int = 0
 
-    def plus(self, window: WindowContext, without_gyroscope: str) -> WindowCounts:
-        """With one window more; `without_gyroscope` is the name of the model for those without angular rate."""
+    def plus(self, window: WindowContext) -> WindowCounts:
+        """With one window more."""
         irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
         return WindowCounts(
             self.n + 1,
-            self.without_gyroscope + (window.model == without_gyroscope),
+            self.without_gyroscope + (not window.has_gyroscope),
             self.unknown + (window.unknown_share > 0.5),
             self.irregular + int(irregular),
         )
@@ -71,7 +59,6 @@ class State:
 
     sensing: SensingState
     tracker: TrackerState
-    carrying_prob: FloatArray  # (5,) of `CARRYING_MODES`
     barometer: ClimbState
     seen: WindowCounts = WindowCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
@@ -89,7 +76,7 @@ class Output:
 
 def init(config: Config) -> State:
     """State of a filter before its first sample."""
-    return State(config.sensing.init(), config.tracker.init(), config.context_models.init(), config.climb_rate.init())
+    return State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
 
 
 def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
@@ -137,13 +124,13 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
 
-def context_notes(config: Config, seen: WindowCounts) -> list[str]:
-    """Which model a missing sensor made necessary, and where the classifiers do not know what they see."""
+def context_notes(seen: WindowCounts) -> list[str]:
+    """Where a sensor was missing, and where the classifiers do not know what they see."""
     notes: list[str] = []
     if seen.without_gyroscope:
         notes.append(
-            f"contexts of {seen.without_gyroscope} of {seen.n} windows by "
-            f"{config.context_models.without_gyroscope.name}, trained without gyroscope: there was no angular rate"
+            f"contexts of {seen.without_gyroscope} of {seen.n} windows without gyroscope, which are less sure: there "
+            "was no angular rate"
         )
     if seen.unknown > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
         notes.append(
@@ -190,15 +177,13 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
-    tracker, fixes, carrying_prob, seen = state.tracker, state.waiting_fixes, state.carrying_prob, state.seen
+    tracker, fixes, seen = state.tracker, state.waiting_fixes, state.seen
     for known_s, event in events:
         tracker, fixes = _apply_fixes(config, tracker, fixes, known_s)
-        if isinstance(event, FeatureWindow):
-            carrying_prob, context = config.context_models.step(
-                carrying_prob, event, climb_at(state.climbs, event.time_s)
-            )
+        if isinstance(event, WindowContext):
+            context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)
-            seen = seen.plus(context, config.context_models.without_gyroscope.name)
+            seen = seen.plus(context)
             tracker, updates = config.tracker.on_window(tracker, context)
         elif isinstance(event, Gap):
             tracker, updates = config.tracker.on_gap(tracker, event.duration_s)
@@ -207,7 +192,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         output.updates.extend(updates)
     tracker, fixes = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
     climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
-    state = replace(state, tracker=tracker, waiting_fixes=fixes, carrying_prob=carrying_prob, climbs=climbs, seen=seen)
+    state = replace(state, tracker=tracker, waiting_fixes=fixes, climbs=climbs, seen=seen)
     return state, output
 
 
@@ -215,8 +200,8 @@ def _apply_fixes(
     config: Config, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
 ) -> tuple[TrackerState, tuple[PositionFix, ...]]:
     # A fix waits until the step that it falls into is known: compared with an earlier place it would pull ahead.
-    steps = config.sensing.steps
-    delay_s = steps.latency_s + steps.first_step_s + config.tracker.fix_delay_s
+    sensing = config.sensing
+    delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
     while fixes and max(fixes[0].known_s, fixes[0].time_s + delay_s) <= until_s:
         state, fixes = config.tracker.on_fix(state, fixes[0]), fixes[1:]
     return state, fixes
@@ -315,7 +300,7 @@ class OnlineFilter:
         fixes = (f"{rejected} position fixes were rejected as outliers",) if rejected else ()
         return (
             *self.state.sensing.conditioner.report.notes(),
-            *context_notes(self.config, self.state.seen),
+            *context_notes(self.state.seen),
             *fixes,
         )
 

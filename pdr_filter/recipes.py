@@ -7,6 +7,7 @@ from functools import cache
 
 import numpy as np
 
+from pdr_filter.context.learned import LearnedContexts
 from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.stage import ContextModels
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
@@ -91,17 +92,17 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
     """The configuration with another context model for windows with gyroscope, and with the features that it needs."""
     for feature_set, names in FEATURE_SETS.items():
         if set(model.feature_names) <= set(names):
-            windows = replace(config.sensing.windows, feature_set=feature_set)
-            models = _context_models(model, feature_set)
-            return replace(config, sensing=replace(config.sensing, windows=windows), context_models=models)
+            return replace(config, sensing=replace(config.sensing, contexts=learned_contexts(model, feature_set)))
     raise ValueError(f"model {model.name!r} needs features that no set has; the sets are {tuple(FEATURE_SETS)}")
 
 
-def _context_models(with_gyroscope: ContextModel, feature_set: str) -> ContextModels:
+def learned_contexts(with_gyroscope: ContextModel, feature_set: str) -> LearnedContexts:
+    """Context stage with a model for windows with gyroscope, and the shipped models for all else."""
     without_gyroscope = _model(_CONTEXT_WITHOUT_GYROSCOPE[feature_set])
-    if feature_set != "invariant":
-        return ContextModels(with_gyroscope, without_gyroscope)
-    return ContextModels(with_gyroscope, without_gyroscope, _model("carrying"), _model("carrying_accelerometer"))
+    models = ContextModels(with_gyroscope, without_gyroscope)
+    if feature_set == "invariant":
+        models = ContextModels(with_gyroscope, without_gyroscope, _model("carrying"), _model("carrying_accelerometer"))
+    return LearnedContexts(FeatureWindows(feature_set), models)
 
 
 @cache
@@ -113,8 +114,7 @@ def default() -> Config:
     """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context."""
     return Config(
         name="default",
-        sensing=Sensing(windows=FeatureWindows("invariant")),
-        context_models=_context_models(_model("context"), "invariant"),
+        sensing=Sensing(contexts=learned_contexts(_model("context"), "invariant")),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
     )
 
@@ -128,7 +128,6 @@ def martinelli2018() -> Config:
     """
     return Config(
         name="martinelli2018",
-        sensing=Sensing(),
-        context_models=_context_models(_model("context_martinelli_rvm"), "martinelli"),
+        sensing=Sensing(contexts=learned_contexts(_model("context_martinelli_rvm"), "martinelli")),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
     )

@@ -9,9 +9,8 @@ import numpy as np
 
 from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
-from pdr_filter.context.stage import WindowContext
+from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb
-from pdr_filter.features.windows import FeatureWindow
 from pdr_filter.online import Config, Output, climb_at, context_notes, finish, init, parts, step
 from pdr_filter.sensing import Event, Sensing
 from pdr_filter.tracking import StepUpdate
@@ -72,7 +71,7 @@ def track(
     collect(output)
 
     report = state.sensing.conditioner.report
-    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates), *context_notes(config, state.seen)]
+    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates), *context_notes(state.seen)]
     if state.tracker.rejected_fixes:
         notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
     if state.waiting_fixes:
@@ -91,15 +90,9 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
     config = config or _default()
-    carrying_prob = config.context_models.init()
-    found: list[WindowContext] = []
     climbs = _climbs(config, recording)
-    for event in sensed_events(config.sensing, recording):
-        if isinstance(event, FeatureWindow):
-            climb = climb_at(climbs, event.time_s)
-            carrying_prob, context = config.context_models.step(carrying_prob, event, climb)
-            found.append(context)
-    return _windows(found)
+    events = sensed_events(config.sensing, recording)
+    return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
 
 
 def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
@@ -117,7 +110,7 @@ def _default() -> Config:
 
 
 def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
-    """Steps, feature windows and gaps of a recording in the order in which they became known."""
+    """Steps, contexts and gaps of a recording in the order in which they became known."""
     state = sensing.init()
     for part in _parts(merge_streams(recording), None):
         state, events = sensing.step(state, part)

@@ -16,6 +16,7 @@ from typer.testing import CliRunner, Result
 import pdr_filter as pdr
 from pdr_filter.cli import app
 from pdr_filter.context import train as training
+from pdr_filter.context.learned import LearnedContexts
 from pdr_filter.context.model import load_model
 from pdr_filter.io.own_format import write_recording
 
@@ -95,8 +96,10 @@ def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> No
     path = MODELS / "context_martinelli_forest.npz"
     result = run("track", "--json", "--model", path, walk)
     config = pdr.recipes.with_context_model(pdr.recipes.default(), load_model(path))
-    assert config.context_models.with_gyroscope.name == "context_martinelli_forest"
-    assert config.sensing.windows.feature_set == "martinelli"
+    contexts = config.sensing.contexts
+    assert isinstance(contexts, LearnedContexts)
+    assert contexts.models.with_gyroscope.name == "context_martinelli_forest"
+    assert contexts.windows.feature_set == "martinelli"
     assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
     assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()
 

@@ -155,9 +155,9 @@ def test_a_fix_moves_the_steps_that_become_known_after_it_was_received_and_no_ea
 def test_a_fix_waits_for_the_step_that_it_falls_into(short_walk: Recording) -> None:
     block = pdr.merge_streams(short_walk)
     steps = pdr.track(short_walk).steps
-    detector = pdr.OnlineFilter().config.sensing.steps
+    sensing = pdr.OnlineFilter().config.sensing
     fix_s = float(steps.time_s[12])
-    due = fix_s + detector.latency_s + detector.first_step_s
+    due = fix_s + sensing.step_latency_s + sensing.steps.first_step_s
     early, late = np.searchsorted(block.time_s, [due - 0.15, due + 0.15])
     walk, around, _ = cut(block, [int(early), int(late)])
     online = online_filter("imm")

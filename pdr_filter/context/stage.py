@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import lru_cache
+from typing import Any, Protocol
 
 import numpy as np
 
+from pdr_filter.attitude import AttitudeBlock
+from pdr_filter.conditioning import UniformBlock
 from pdr_filter.context.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
 from pdr_filter.context.model import ContextModel
 from pdr_filter.features.barometric import Climb, climb_log_evidence
@@ -35,6 +39,48 @@ class WindowContext:
     irregular_prob: float = 0.0  # that its motion moves nobody
     model: str = ""  # name of the context model
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
+    has_gyroscope: bool = True  # that angular rate was measured all through the window
+
+
+class ContextStage(Protocol):
+    """A causal stage that says of each window what the person does and where the phone is.
+
+    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
+    into blocks.
+    """
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the blocks."""
+        ...
+
+    def init(self) -> Any:
+        """State before the first sample."""
+        ...
+
+    def after_gap(self, state: Any) -> Any:
+        """State at the start of a new segment: what lasts over a time without samples, and nothing else."""
+        ...
+
+    def step(
+        self, state: Any, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[Any, list[tuple[int, WindowContext]]]:
+        """New state and the windows that became known, each with the number of its last sample."""
+        ...
+
+
+def known_context(
+    time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
+) -> WindowContext:
+    """What a rule says of a window: probabilities by name, those not named zero.
+
+    `contexts` are all those that the rule can tell apart, alike before it has seen anything. Where the carrying mode
+    is unknown (an empty mapping) all modes are alike.
+    """
+    prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
+    carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
+    prior = np.array([float(c in contexts) for c in CONTEXTS])
+    return WindowContext(time_s, read_only(prob), read_only(prior / prior.sum()), read_only(carrying), model=name)
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,18 +129,11 @@ class ContextModels:
         known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
         return read_only(known / known.sum())
 
-    def step(
-        self, carrying_prob: FloatArray, window: FeatureWindow, climb: Climb | None = None
-    ) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities (5,), and what is said of the window; `climb` is that of a barometer."""
+    def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
+        """New carrying-mode probabilities (5,), and what is said of the window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         prob, unknown = model.assess(_features(model, window))
         prob = (1 - unknown) * prob + unknown * model.training_prior
-        climb_rate_mps = np.nan
-        if climb is not None:
-            climb_rate_mps = climb.climb_rate_mps
-            evidence = climb_log_evidence(climb_rate_mps, climb.std_mps)
-            prob = update_prob(prob, CLIMB_EXPONENT * evidence)
         irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
         carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
         return carrying_prob, WindowContext(
@@ -105,7 +144,7 @@ class ContextModels:
             unknown,
             irregular,
             model.name,
-            np.nan if climb is None else climb.climb_rate_mps,
+            has_gyroscope=window.has_gyroscope,
         )
 
     def _follow(self, carrying_prob: FloatArray, window: FeatureWindow, moving: float) -> FloatArray:
@@ -130,6 +169,15 @@ def follow_mode(
     predicted = np.where(known, before * (stay_prob - leave) + leave, 0.0)
     predicted[known] *= (np.maximum(window_prob[known], 1e-9) / prior[known]) ** exponent
     return read_only(predicted / predicted.sum())
+
+
+def with_climb(window: WindowContext, climb: Climb | None) -> WindowContext:
+    """The window with the climb rate of a barometer, if there is one, as evidence for stairs."""
+    if climb is None:
+        return window
+    evidence = climb_log_evidence(climb.climb_rate_mps, climb.std_mps)
+    prob = update_prob(window.prob, CLIMB_EXPONENT * evidence)
+    return replace(window, prob=prob, climb_rate_mps=climb.climb_rate_mps)
 
 
 def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:

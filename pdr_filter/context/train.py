@@ -25,6 +25,7 @@ from sklearn.linear_model import LogisticRegression
 from sklearn.model_selection import GroupKFold
 from threadpoolctl import threadpool_limits
 
+from pdr_filter.conditioning import merge_streams
 from pdr_filter.context.blend import Blend
 from pdr_filter.context.boosting import BoostedTrees
 from pdr_filter.context.calibration import brier_score, fit_calibration, reliability, slipped, tempered
@@ -34,11 +35,10 @@ from pdr_filter.context.model import HEADS, ContextModel, Machine
 from pdr_filter.context.rvm import RelevanceVectorClassifier, stratified_rows
 from pdr_filter.context.softmax import SoftmaxRegression
 from pdr_filter.features import carrying, invariant, martinelli
-from pdr_filter.features.windows import FEATURE_SETS, FeatureWindow, FeatureWindows
+from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.io import read
-from pdr_filter.sensing import Sensing
+from pdr_filter.sensing import feature_windows
 from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, Recording
-from pdr_filter.whole import sensed_events
 
 Progress = Callable[[str, float], None]
 TextArray = NDArray[np.str_]
@@ -352,19 +352,18 @@ def labelled_windows(
     with_gyroscope: bool = True,
 ) -> LabelledWindows:
     """Windows of recordings that lie wholly inside a label with a known context, with or without their gyroscopes."""
-    sensing = Sensing(windows=FeatureWindows(feature_set))
+    stage = FeatureWindows(feature_set)
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
         recording = read(path)
         if not with_gyroscope:
             recording = replace(recording, gyroscope=None)
         person = f"{recording.meta.get('dataset', '')}/{recording.subject.id}"
-        for event in sensed_events(sensing, recording):
-            if isinstance(event, FeatureWindow):
-                label = label_of(recording, event.time_s - sensing.windows.window_s, event.time_s)
-                if label is not None:
-                    dataset = str(recording.meta.get("dataset", ""))
-                    rows.append((event.features, *label, person, dataset, recording.name, event.has_gyroscope))
+        for window in feature_windows(stage, [merge_streams(recording)]):
+            label = label_of(recording, window.time_s - stage.window_s, window.time_s)
+            if label is not None:
+                dataset = str(recording.meta.get("dataset", ""))
+                rows.append((window.features, *label, person, dataset, recording.name, window.has_gyroscope))
         if progress is not None:
             progress(f"features of {path.stem}", (i + 1) / len(paths))
     if not rows:

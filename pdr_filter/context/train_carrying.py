@@ -27,6 +27,7 @@ from scipy.spatial.transform import Rotation
 from sklearn.linear_model import LogisticRegression
 from threadpoolctl import threadpool_limits
 
+from pdr_filter.conditioning import merge_streams
 from pdr_filter.context.calibration import fit_temperature, tempered
 from pdr_filter.context.familiarity import fit_familiarity
 from pdr_filter.context.model import ContextModel, Machine
@@ -47,10 +48,9 @@ from pdr_filter.context.train import (
 from pdr_filter.features import carrying, invariant
 from pdr_filter.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.io import read
-from pdr_filter.sensing import Sensing
+from pdr_filter.sensing import feature_windows
 from pdr_filter.simulate.people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
 from pdr_filter.types import CARRYING_MODES, BoolArray, FloatArray, Recording
-from pdr_filter.whole import sensed_events
 
 SIMULATED, TURNED, WEAK = "simulated", "turned", "weak"
 # Simulated people in each mode: as many as two cores make in a minute.
@@ -211,16 +211,15 @@ class _Signals:
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
     """What of a recording the plan is made of."""
-    sensing = Sensing(windows=SignalWindows("invariant"))
+    stage = SignalWindows("invariant")
     recording = recording if plan.has_gyroscope else replace(recording, gyroscope=None)
     rows: dict[str, list[tuple[FloatArray, str, bool]]] = {}
-    for event in sensed_events(sensing, recording):
-        if isinstance(event, FeatureWindow):
-            context, mode = label_of(recording, event.time_s - sensing.windows.window_s, event.time_s) or ("", "")
-            usable = event.has_gyroscope or not plan.has_gyroscope
-            if usable and context not in ("", "stationary") and mode in MODES:
-                samples = event.features.reshape(len(invariant.SIGNALS), -1)
-                rows.setdefault(mode, []).append((samples, context, event.has_gyroscope))
+    for window in feature_windows(stage, [merge_streams(recording)]):
+        context, mode = label_of(recording, window.time_s - stage.window_s, window.time_s) or ("", "")
+        usable = window.has_gyroscope or not plan.has_gyroscope
+        if usable and context not in ("", "stationary") and mode in MODES:
+            samples = window.features.reshape(len(invariant.SIGNALS), -1)
+            rows.setdefault(mode, []).append((samples, context, window.has_gyroscope))
     result: list[_Signals] = []
     for mode, found in rows.items():
         samples, context, has_gyroscope = zip(*found, strict=True)

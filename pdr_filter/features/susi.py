@@ -29,7 +29,7 @@ from scipy.signal.windows import hann
 
 from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features.sliding import check_window, take_windows
-from pdr_filter.steps.wavelet import specific_force_magnitude
+from pdr_filter.steps.detector import specific_force_magnitude
 from pdr_filter.types import FloatArray
 
 _OF = ("acc", "gyro")

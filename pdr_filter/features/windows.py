@@ -16,7 +16,7 @@ from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features import carrying, invariant, martinelli
 from pdr_filter.features.sliding import check_window, take_windows
-from pdr_filter.steps.wavelet import specific_force_magnitude
+from pdr_filter.steps.detector import specific_force_magnitude
 from pdr_filter.types import FloatArray
 
 

@@ -28,7 +28,7 @@ from scipy.signal import firwin
 
 from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features.sliding import check_window, take_windows
-from pdr_filter.steps.wavelet import specific_force_magnitude
+from pdr_filter.steps.detector import specific_force_magnitude
 from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray
 
 NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")

@@ -22,21 +22,19 @@ from scipy.signal import butter, firwin, sosfilt
 
 from pdr_filter.attitude import AttitudeBlock
 from pdr_filter.conditioning import UniformBlock
+from pdr_filter.steps.detector import ModeBlock, StepLog, StepLogState, specific_force_magnitude
 from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class StepDetectorState:
-    """Filter memories, the signals of the last seconds, and the last contact."""
+class WaveletDetectorState:
+    """Filter memories, and the last contact."""
 
-    n_samples: int  # seen so far in this segment
+    log: StepLogState
+    n_samples: int  # that went through the transform
     power_zi: FloatArray  # (1, 2) of the low-pass of the squared magnitude
     delay_line: FloatArray  # (2, L - 1) magnitude, and its smoothed squared deviation from gravity; empty at the start
     response: FloatArray  # (2,) last values of the transform
-    history: FloatArray  # (5, H): time, magnitude, vertical, device heading, samples without angular rate so far
-    last_contact: int  # index of the sample; negative before the first
-    last_contact_s: float
-    last_unknown: float  # samples without angular rate up to the last contact
     peak_level_mps2: float  # running mean of accepted peaks
 
 
@@ -106,55 +104,48 @@ class WaveletStepDetector:
         """Time from a contact to its detection."""
         return (self._delay_samples + 1) / self.rate_hz
 
-    @property
-    def _history_samples(self) -> int:
-        return self._delay_samples + 2 + int(np.ceil(self.max_interval_s * self.rate_hz))
+    @cached_property
+    def _log(self) -> StepLog:
+        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
 
-    def init(self) -> StepDetectorState:
+    def init(self) -> WaveletDetectorState:
         """State before the first sample of a segment."""
-        return StepDetectorState(
+        return WaveletDetectorState(
+            log=self._log.init(),
             n_samples=0,
             power_zi=np.zeros((1, 2)),
             delay_line=np.empty((2, 0)),
             response=np.zeros(2),
-            history=np.empty((5, 0)),
-            last_contact=-1,
-            last_contact_s=-np.inf,
-            last_unknown=0.0,
             peak_level_mps2=0.0,
         )
 
     def step(
-        self, state: StepDetectorState, block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[StepDetectorState, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the index of the sample that revealed it."""
+        self, state: WaveletDetectorState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
+    ) -> tuple[WaveletDetectorState, list[tuple[int, Step]]]:
+        """New state and the steps that became known, each with the number of the sample that revealed it."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
-        unknown_before = state.history[4, -1] if state.history.shape[1] else 0.0
-        unknown = unknown_before + np.cumsum(~block.angular_rate_known)
-        signals = np.stack([block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown])
-        history = np.concatenate([state.history, signals], axis=1)
-        state = replace(state, power_zi=power_zi, history=history)
+        state = replace(state, log=self._log.extend(state.log, block, attitude), power_zi=power_zi)
         if state.n_samples == 0:
             # What was before the first sample is taken to be like it: a zero there would look like a blow.
             before = np.tile([[magnitude[0]], [0.0]], len(self._kernels[0]) - 1)
             state = replace(state, delay_line=before)
-        state, steps = self._detect(state, np.stack([magnitude, power]), state.n_samples + len(magnitude))
-        return replace(state, history=state.history[:, -self._history_samples :]), steps
+        state, steps = self._detect(state, np.stack([magnitude, power]))
+        return replace(state, log=self._log.trim(state.log)), steps
 
-    def finish(self, state: StepDetectorState) -> list[tuple[int, Step]]:
+    def finish(self, state: WaveletDetectorState) -> list[tuple[int, Step]]:
         """Steps in the last `latency_s` before a gap or the end, whose last value is taken to stay."""
         if state.n_samples == 0:
             return []
-        last_s = float(state.history[0, -1])
         end = state.n_samples
-        _, steps = self._detect(state, np.tile(state.delay_line[:, -1:], self._delay_samples + 1), end)
+        last_s = self._log.time_s(state.log, end - 1)
+        _, steps = self._detect(state, np.tile(state.delay_line[:, -1:], self._delay_samples + 1))
         return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
 
     def _detect(
-        self, state: StepDetectorState, signals: FloatArray, history_end: int
-    ) -> tuple[StepDetectorState, list[tuple[int, Step]]]:
-        """Detect in further samples of magnitude and power; the history ends before sample `history_end`."""
+        self, state: WaveletDetectorState, signals: FloatArray
+    ) -> tuple[WaveletDetectorState, list[tuple[int, Step]]]:
+        """Detect in further samples of magnitude and power."""
         line = np.concatenate([state.delay_line, signals], axis=1)
         n_new, n_kernel = signals.shape[1], len(self._kernels[0])
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
@@ -167,7 +158,7 @@ class WaveletStepDetector:
         steps: list[tuple[int, Step]] = []
         for i in np.flatnonzero(is_peak):
             known = n_before + int(i)  # the sample that made response[i + 2]
-            state, step = self._accept(state, response[i : i + 3], known, history_end)
+            state, step = self._accept(state, response[i : i + 3], known)
             if step is not None:
                 steps.append((known, step))
         return (
@@ -181,32 +172,23 @@ class WaveletStepDetector:
         )
 
     def _accept(
-        self, state: StepDetectorState, peak: FloatArray, known: int, history_end: int
-    ) -> tuple[StepDetectorState, Step | None]:
+        self, state: WaveletDetectorState, peak: FloatArray, known: int
+    ) -> tuple[WaveletDetectorState, Step | None]:
         """The step that a local maximum of the response makes, if it makes one."""
-        first = history_end - state.history.shape[1]  # index of the first sample in the history
         contact = known - 1 - self._delay_samples
-        if contact <= max(first, 0) or contact >= history_end:
+        if contact <= max(self._log.first_sample(state.log), 0) or contact >= state.log.n_samples:
             return state, None
         # vertex of the parabola through the three values: contact times finer than the sampling interval
         curvature = peak[0] - 2 * peak[1] + peak[2]
-        fraction = 0.5 * (peak[0] - peak[2]) / curvature if curvature < 0 else 0.0
-        contact_s = float(state.history[0, contact - first] + fraction / self.rate_hz)
-        interval_s = contact_s - state.last_contact_s
-        new_bout = interval_s > self.max_interval_s
+        fraction = float(0.5 * (peak[0] - peak[2]) / curvature) if curvature < 0 else 0.0
+        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
+        new_bout = self._log.starts_bout(state.log, contact_s)
         level = 0.0 if new_bout else state.peak_level_mps2
-        if interval_s < self.min_interval_s or peak[1] < self.relative_peak * level:
+        if contact_s - state.log.last_contact_s < self.min_interval_s or peak[1] < self.relative_peak * level:
             return state, None
-        duration_s = self.first_step_s if new_bout else interval_s
-        start = contact - round(duration_s * self.rate_hz) if new_bout else state.last_contact
-        signals = state.history[:, max(start - first, 0) : contact - first]
-        known_s = float(state.history[0, min(known - first, state.history.shape[1] - 1)])
-        unknown = float(state.history[4, contact - first])
-        unknown_s = (unknown - state.last_unknown) / self.rate_hz
-        step = describe_step(signals, contact_s, known_s, duration_s, unknown_s)
+        log, step = self._log.add(state.log, contact, known, fraction)
         level = float(peak[1]) if new_bout else 0.7 * level + 0.3 * float(peak[1])
-        state = replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown)
-        return replace(state, peak_level_mps2=level), step
+        return replace(state, log=log, peak_level_mps2=level), step
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
@@ -231,31 +213,3 @@ def step_kernel(wavelet: str, frequency_hz: float, low_pass_hz: float, rate_hz: 
 def _with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> FloatArray:
     offset_s = (np.arange(len(kernel)) - len(kernel) // 2) / rate_hz
     return np.asarray(kernel / np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offset_s)))
-
-
-def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
-    """|f| of (N, 3) samples, m/s2 (eq. 1)."""
-    x, y, z = specific_force_mps2.T
-    return np.sqrt(x * x + y * y + z * z)
-
-
-def describe_step(
-    signals: FloatArray, contact_s: float, detected_s: float, duration_s: float, heading_unknown_s: float
-) -> Step:
-    """The step that ends at a contact, from its samples (5, n), rows as in `StepDetectorState.history`."""
-    _, magnitude, vertical, heading, _ = signals
-    return Step(
-        time_s=contact_s,
-        detected_time_s=detected_s,
-        duration_s=duration_s,
-        frequency_hz=1.0 / duration_s,
-        variance=float(np.var(magnitude)),
-        vertical_max_mps2=float(vertical.max()),
-        vertical_min_mps2=float(vertical.min()),
-        magnitude_max_mps2=float(magnitude.max()),
-        magnitude_min_mps2=float(magnitude.min()),
-        mean_abs_mps2=float(np.abs(magnitude - STANDARD_GRAVITY_MPS2).mean()),
-        heading_change_rad=float(heading[-1] - heading[0]),
-        device_heading_rad=float(heading.mean()),
-        heading_unknown_s=heading_unknown_s,
-    )

@@ -24,9 +24,7 @@ import pdr_filter as pdr
 from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.train_carrying import FEATURE_NAMES, MODES, PLANS, SignalWindows, features_of, train_carrying
 from pdr_filter.features import invariant
-from pdr_filter.features.windows import FeatureWindow
-from pdr_filter.sensing import Sensing
-from pdr_filter.whole import sensed_events
+from pdr_filter.sensing import feature_windows
 
 
 def left_out(card: dict[str, Any]) -> None:
@@ -49,13 +47,11 @@ def left_out(card: dict[str, Any]) -> None:
 def features_while_walking(recording: pdr.Recording) -> np.ndarray:
     """Features (W, F) of the windows inside the walk interval."""
     walk = recording.truth.segments[0]
-    sensing = Sensing(windows=SignalWindows("invariant"))
+    stage = SignalWindows("invariant")
     windows = [
-        event.features.reshape(len(invariant.SIGNALS), -1)
-        for event in sensed_events(sensing, recording)
-        if isinstance(event, FeatureWindow)
-        and walk["start_s"] <= event.time_s - sensing.windows.window_s
-        and event.time_s <= walk["end_s"]
+        window.features.reshape(len(invariant.SIGNALS), -1)
+        for window in feature_windows(stage, [pdr.merge_streams(recording)])
+        if walk["start_s"] <= window.time_s - stage.window_s and window.time_s <= walk["end_s"]
     ]
     return features_of(np.array(windows))
 

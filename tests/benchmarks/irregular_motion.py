@@ -25,13 +25,12 @@ from sklearn.metrics import log_loss, roc_auc_score
 
 import pdr_filter as pdr
 from pdr_filter.context.irregular import irregular_prob
-from pdr_filter.features.windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing import Sensing
-from pdr_filter.whole import sensed_events
+from pdr_filter.features.windows import FeatureWindows
+from pdr_filter.sensing import feature_windows
 
 FloatArray = NDArray[np.float64]
 
-SENSING = Sensing(windows=FeatureWindows("invariant"))
+WINDOWS = FeatureWindows("invariant")
 OTHER_SETS = ("humolire", "motionsense", "ms_indoor", "oxford", "tyrex")
 SLOW_MPS = 0.5
 
@@ -50,7 +49,7 @@ def gated(recording: pdr.Recording, with_gyroscope: bool) -> list[tuple[float, f
     """End and probability of the windows that have the sensors of the gate."""
     if not with_gyroscope:
         recording = replace(recording, gyroscope=None)
-    windows = [e for e in sensed_events(SENSING, recording) if isinstance(e, FeatureWindow)]
+    windows = list(feature_windows(WINDOWS, [pdr.merge_streams(recording)]))
     return [
         (w.time_s, irregular_prob(w.names, w.features, with_gyroscope))
         for w in windows
@@ -67,7 +66,7 @@ def walks_and_handling(data: Path, with_gyroscope: bool) -> list[Window]:
         start_s, end_s = float(segment["start_s"]), float(segment["end_s"])
         _, person, _, kind = path.stem.split("_", 3)
         for time_s, prob in gated(recording, with_gyroscope):
-            first_s = time_s - SENSING.windows.window_s
+            first_s = time_s - WINDOWS.window_s
             if first_s >= start_s and time_s <= end_s:
                 result.append(Window(int(person[1:]), kind, False, prob))
             elif time_s < start_s - 1 or first_s > end_s + 1:
@@ -82,7 +81,7 @@ def of_other_sets(data: Path, with_gyroscope: bool) -> list[Window]:
         for path in sorted((data / name).glob("*.zip")):
             recording = pdr.read(path)
             for time_s, prob in gated(recording, with_gyroscope):
-                first_s = time_s - SENSING.windows.window_s
+                first_s = time_s - WINDOWS.window_s
                 label = label_of(recording, first_s, time_s)
                 if label:
                     slow = speed_mps(recording, first_s, time_s) < SLOW_MPS

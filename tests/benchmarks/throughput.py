@@ -17,6 +17,7 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.recipes import default
 from pdr_filter.types import Samples
 
@@ -42,15 +43,15 @@ def long_walk(hours: float) -> pdr.Recording:
 
 def features_s(recording: pdr.Recording) -> tuple[float, int]:
     """Time of all features of a recording, the signals given, and the number of windows."""
-    sensing = default().sensing
+    sensing, stage = default().sensing, FeatureWindows("invariant")
     _, uniform = sensing.conditioner.step(sensing.conditioner.init(), pdr.merge_streams(recording))
     state, parts = sensing.attitude.init(), []
     for part in uniform:
         state, attitude = sensing.attitude.step(state, part)
         parts.append((part, attitude))
-    start, n, windows = time.perf_counter(), 0, sensing.windows.init()
+    start, n, windows = time.perf_counter(), 0, stage.init()
     for part, attitude in parts:
-        windows, found = sensing.windows.step(windows, part, attitude)
+        windows, found = stage.step(windows, part, attitude)
         n += len(found)
     return time.perf_counter() - start, n
 
@@ -71,7 +72,7 @@ def main() -> None:
             f"{recording.duration_s / best:.0f} times real time"
         )
     best, n_windows = min(features_s(recording) for _ in range(3))
-    print(f"all {len(default().sensing.windows.names)} features of {n_windows} windows: {best:.2f} s")
+    print(f"all {len(FEATURE_SETS['invariant'])} features of {n_windows} windows: {best:.2f} s")
     block = pdr.merge_streams(recording)
     online = pdr.OnlineFilter()
     cost: list[float] = []

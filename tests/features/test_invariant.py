@@ -2,15 +2,15 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cut_randomly, imu, sensed
+from helpers import cut_randomly, imu
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.features.invariant import NAMES, STEP_LAGS_S, WITHOUT_GYROSCOPE, invariant_features
-from pdr_filter.features.windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing import Sensing
+from pdr_filter.features.windows import FeatureWindows
+from pdr_filter.sensing import feature_windows
 from pdr_filter.types import ImuBlock
 
-SENSING = Sensing(windows=FeatureWindows("invariant"))
+WINDOWS = FeatureWindows("invariant")
 
 
 def walk_block(turn: Rotation | None = None, seed: int = 0) -> ImuBlock:
@@ -31,8 +31,7 @@ def walk_block(turn: Rotation | None = None, seed: int = 0) -> ImuBlock:
 
 
 def features(block: ImuBlock) -> np.ndarray:
-    events = sensed(SENSING, [block])
-    return np.array([e.features[: len(NAMES)] for _, e in events if isinstance(e, FeatureWindow)])
+    return np.array([w.features[: len(NAMES)] for w in feature_windows(WINDOWS, [block])])
 
 
 @pytest.mark.parametrize("seed", range(4))
@@ -72,8 +71,8 @@ def test_features_do_not_depend_on_how_samples_arrive() -> None:
     block = walk_block()
     whole = features(block)
     for seed in range(5):
-        events = sensed(SENSING, cut_randomly(block, seed))
-        pieces = np.array([e.features[: len(NAMES)] for _, e in events if isinstance(e, FeatureWindow)])
+        windows = feature_windows(WINDOWS, cut_randomly(block, seed))
+        pieces = np.array([w.features[: len(NAMES)] for w in windows])
         np.testing.assert_array_equal(pieces, whole)
 
 

@@ -2,7 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, flat_attitude, imu, sensed, uniform_block
+from helpers import cut_uniform, flat_attitude, imu, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, sosfilt_zi
@@ -10,7 +10,7 @@ from scipy.signal import butter, sosfilt, sosfilt_zi
 from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features.martinelli import features_28
 from pdr_filter.features.windows import FeatureWindow, FeatureWindows
-from pdr_filter.sensing import Sensing
+from pdr_filter.sensing import feature_windows
 
 
 def windows_of(stage: FeatureWindows, blocks: list[UniformBlock]) -> list[tuple[int, FeatureWindow]]:
@@ -85,10 +85,10 @@ def test_after_a_gap_windows_start_afresh_and_none_spans_it() -> None:
     rng = np.random.default_rng(1)
     time_s = np.concatenate([np.arange(450) / 100, 10.3 + np.arange(450) / 100])
     block = imu(time_s, rng.normal([0, 0, 9.8], 1.0, (900, 3)))
-    found = [e for _, e in sensed(Sensing(), [block]) if isinstance(e, FeatureWindow)]
+    found = list(feature_windows(FeatureWindows(), [block]))
     np.testing.assert_allclose([w.time_s for w in found], [2, 3, 4, 12.3, 13.3, 14.3], atol=1e-9)
     alone = imu(time_s[450:], block.specific_force_mps2[450:])
-    second = [e for _, e in sensed(Sensing(), [alone]) if isinstance(e, FeatureWindow)]
+    second = list(feature_windows(FeatureWindows(), [alone]))
     for a, b in zip(found[3:], second, strict=True):
         np.testing.assert_array_equal(a.features, b.features)
 

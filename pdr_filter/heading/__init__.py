@@ -1,0 +1,1 @@
+"""From where the device points to where the person walks."""
