@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.angles import wrap_angle
 from pdr_filter.step_length import StepLengthFit
 from pdr_filter.types import CONTEXTS, FloatArray, Step
 
@@ -59,6 +60,9 @@ class MotionNoise:
         The same while no angular rate is measured: after a few seconds nothing is known.
     initial_heading_offset_std_rad : float
         How well the phone's first heading is the person's.
+    bias_correlation_s : float
+        How long an error of the gyroscope's bias lasts; its variance enters the heading as a random walk with this
+        memory.
     log_scale_std : float
         Spread of people about the population's step lengths: 8 %.
     log_scale_drift_per_sqrt_step : float
@@ -70,6 +74,7 @@ class MotionNoise:
     heading_drift_rad_per_sqrt_s: float = 0.015
     unknown_heading_rad_per_sqrt_s: float = 1.0
     initial_heading_offset_std_rad: float = 0.15
+    bias_correlation_s: float = 30.0
     log_scale_std: float = 0.08
     log_scale_drift_per_sqrt_step: float = 0.001
     gap_speed_mps: float = 1.0
@@ -83,6 +88,39 @@ def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
     """Mean (4,) and covariance (4, 4) at the origin."""
     std = np.array([0.0, 0.0, noise.initial_heading_offset_std_rad, noise.log_scale_std])
     return np.zeros(N_STATES), np.diag(std**2)
+
+
+def learn_heading(
+    mean: FloatArray, cov: FloatArray, step: Step, heading_offset_rad: FloatArray, is_first: bool
+) -> tuple[FloatArray, FloatArray]:
+    """Means (M, 4) and covariances (M, 4, 4) after the walking direction that the samples of a step show.
+
+    Where the phone was moved, the heading offset may be anything near the new one: its variance grows by
+    `offset_change_std_rad` squared. The walking direction z is a measurement of device heading + offset state + the
+    mode's own offset, its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they
+    went with the offset. The first direction of a track defines which way the first steps went, without a doubt about
+    what was before: there it replaces the offset.
+    """
+    o = HEADING_OFFSET
+    if step.offset_change_std_rad > 0 and not is_first:
+        cov = cov.copy()
+        cov[:, o, o] += step.offset_change_std_rad**2
+        cov = _bound_heading_variance(cov)
+    variance = step.walking_direction_std_rad**2
+    if not np.isfinite(variance):
+        return mean, cov
+    measured = step.walking_direction_rad - step.device_heading_rad - heading_offset_rad
+    if is_first:
+        mean, cov = mean.copy(), cov.copy()
+        mean[:, o] = wrap_angle(measured)
+        cov[:, o, :], cov[:, :, o] = 0.0, 0.0
+        cov[:, o, o] = min(variance, MAX_HEADING_VARIANCE)
+        return mean, cov
+    innovation = wrap_angle(measured - mean[:, o])
+    gain = cov[:, :, o] / (cov[:, o, o] + variance)[:, None]
+    mean = mean + gain * innovation[:, None]
+    cov = cov - gain[:, :, None] * cov[:, None, o, :]
+    return mean, 0.5 * (cov + cov.transpose(0, 2, 1))
 
 
 def advance(
@@ -125,10 +163,10 @@ def advance(
         + var_across[:, None, None] * across[:, :, None] * across[:, None, :]
     )
     unknown_s = min(step.heading_unknown_s, elapsed_s)
-    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += (
-        noise.heading_drift_rad_per_sqrt_s**2 * (elapsed_s - unknown_s)
-        + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
-    )
+    bias_rad2_per_s = 2 * noise.bias_correlation_s * step.yaw_bias_std_radps**2
+    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += (noise.heading_drift_rad_per_sqrt_s**2 + bias_rad2_per_s) * (
+        elapsed_s - unknown_s
+    ) + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
     predicted_cov[:, LOG_SCALE, LOG_SCALE] += noise.log_scale_drift_per_sqrt_step**2
     return predicted_mean, _bound_heading_variance(predicted_cov)
 

@@ -25,14 +25,18 @@ from pdr_filter.motion import (
     advance,
     grow_over_gap,
     initial_estimate,
+    learn_heading,
     second_order_error,
 )
+from pdr_filter.speed import WalkingSpeed, after_step
 from pdr_filter.step_length import StepLengths
 from pdr_filter.types import CONTEXTS, FloatArray, PositionFix, Step, read_only
 from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_weights
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
+# Windows are remembered so long: a gate may hold the first steps of a bout for some seconds.
+_WINDOW_MEMORY_S = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,6 +54,7 @@ class StepUpdate:
     position_cov_m2: FloatArray  # (2, 2)
     step_length_m: float
     walking_heading_rad: float  # clockwise, not wrapped
+    speed: WalkingSpeed
     context_prob: FloatArray  # (C,)
     mode_prob: FloatArray  # (M,)
 
@@ -65,6 +70,7 @@ class TrackerState:
     evidence_time_s: float  # end of the last window that was used as evidence
     second_order_m: FloatArray  # (2,) sum of the steps' errors along themselves, see `second_order_error`
     last_step_s: float  # contact of the last final step; NaN before the first
+    speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
     trail: FloatArray  # (R, 3) time, east, north of the last final steps: where a late fix belongs
     pending: tuple[Step, ...]  # hc, wc: steps not yet final
     n_final: int
@@ -168,6 +174,7 @@ class Tracker:
             evidence_time_s=-np.inf,
             second_order_m=np.zeros(2),
             last_step_s=np.nan,
+            speed=None,
             trail=np.empty((0, 3)),
             pending=(),
             n_final=0,
@@ -176,8 +183,8 @@ class Tracker:
 
     def on_window(self, state: TrackerState, window: WindowContext) -> tuple[TrackerState, list[StepUpdate]]:
         """New state, and the steps that this window made final."""
-        # Four windows reach back further than a step can be old: its latency is below a second.
-        state = replace(state, windows=(*state.windows, window)[-4:])
+        kept = (w for w in state.windows if w.time_s > window.time_s - _WINDOW_MEMORY_S)
+        state = replace(state, windows=(*kept, window))
         return self._settle(state, force=False)
 
     def on_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
@@ -192,7 +199,7 @@ class Tracker:
         state, updates = self._settle(state, force=True)
         # The gap's own growth stands for the time since the last step.
         cov = grow_over_gap(state.cov, gap_s, self.noise)
-        return replace(state, cov=cov, windows=(), last_step_s=np.nan), updates
+        return replace(state, cov=cov, windows=(), last_step_s=np.nan, speed=None), updates
 
     def on_fix(self, state: TrackerState, fix: PositionFix) -> TrackerState:
         """New state after a position fix.
@@ -243,25 +250,29 @@ class Tracker:
 
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
         mean, cov, prob = imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
+        mean, cov = learn_heading(mean, cov, step, self._offsets_rad, is_first=state.n_final == 0)
         length, variance = self._lengths.predict(step)
         elapsed_s = _elapsed_s(state, step)
         mean, cov = advance(
             mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
         )
-        prob = imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state))
+        window = self._window_of(state, step)
+        prob = imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state, window))
         state = replace(
             state,
             mean=mean,
             cov=cov,
             mode_prob=prob,
-            evidence_time_s=state.windows[-1].time_s if state.windows else state.evidence_time_s,
+            evidence_time_s=window.time_s if window else state.evidence_time_s,
             n_final=state.n_final + 1,
         )
         x, P = imm.combine(mean, cov, prob)
         # The length and direction of the step itself; evidence also moves the combined position, which is no walking.
         length_m = float(prob @ (length * np.exp(mean[:, LOG_SCALE])))
         heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob))
-        state = _remember(state, step, x, P, length_m, heading_rad)
+        length_var_m2 = max(float(prob @ (variance + length**2)) - float(prob @ length) ** 2, 0.0)
+        speed = _speed(state, step, length_m, length_var_m2, float(P[LOG_SCALE, LOG_SCALE]))
+        state = _remember(replace(state, speed=speed), step, x, P, length_m, heading_rad)
         update = StepUpdate(
             index=state.n_final - 1,
             step=step,
@@ -270,16 +281,20 @@ class Tracker:
             position_cov_m2=_position_cov(P, state.second_order_m),
             step_length_m=length_m,
             walking_heading_rad=heading_rad,
-            context_prob=read_only(self._latest_context(state)),
+            speed=speed,
+            context_prob=read_only(window.prob if window else self._latest_context(state)),
             mode_prob=read_only(prob),
         )
         return state, [update]
 
-    def _window_evidence(self, state: TrackerState) -> FloatArray:
-        """Log evidence of the newest window for each mode; zero if it was used already."""
-        if not state.windows or state.windows[-1].time_s <= state.evidence_time_s:
+    def _window_of(self, state: TrackerState, step: Step) -> WindowContext | None:
+        """The last window that has the step's contact in it or before it: later ones belong to later steps."""
+        return next((w for w in reversed(state.windows) if w.time_s <= step.time_s + self.window_hop_s), None)
+
+    def _window_evidence(self, state: TrackerState, window: WindowContext | None) -> FloatArray:
+        """Log evidence of a window for each mode; zero if it was used already."""
+        if window is None or window.time_s <= state.evidence_time_s:
             return np.zeros(len(self.modes))
-        window = state.windows[-1]
         evidence = context_log_evidence(
             window.prob, window.training_prior, self.evidence_exponent, self.evidence_floor, self.prior_exponent
         )
@@ -330,9 +345,10 @@ class Tracker:
         mean_length = float(weights @ length)
         mixture_var = max(float(weights @ (variance + length**2)) - mean_length**2, 0.0)
         offset = self._offsets_rad[int(weights.argmax())]
+        mean, cov = learn_heading(state.mean, state.cov, step, np.array([offset]), is_first=state.n_final == 0)
         mean, cov = advance(
-            state.mean,
-            state.cov,
+            mean,
+            cov,
             step,
             np.array([mean_length]),
             np.array([mixture_var]),
@@ -343,7 +359,8 @@ class Tracker:
         )
         length_m = mean_length * float(np.exp(mean[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + offset)
-        state = replace(state, mean=mean, cov=cov, pending=state.pending[1:], n_final=state.n_final + 1)
+        speed = _speed(state, step, length_m, mixture_var, float(cov[0, LOG_SCALE, LOG_SCALE]))
+        state = replace(state, mean=mean, cov=cov, pending=state.pending[1:], n_final=state.n_final + 1, speed=speed)
         state = _remember(state, step, mean[0], cov[0], length_m, heading_rad)
         update = StepUpdate(
             index=state.n_final - 1,
@@ -353,6 +370,7 @@ class Tracker:
             position_cov_m2=_position_cov(cov[0], state.second_order_m),
             step_length_m=length_m,
             walking_heading_rad=heading_rad,
+            speed=speed,
             context_prob=read_only(0.5 * (provisional + final)),
             mode_prob=read_only(weights),
         )
@@ -393,6 +411,14 @@ def _position_cov(P: FloatArray, second_order_m: FloatArray) -> FloatArray:
 def _elapsed_s(state: TrackerState, step: Step) -> float:
     """Time since the step before, or the step's own duration for the first of a segment."""
     return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
+
+
+def _speed(
+    state: TrackerState, step: Step, length_m: float, length_var_m2: float, log_scale_var: float
+) -> WalkingSpeed:
+    """Speed after a step; a pause before it starts the smoothed speed afresh."""
+    pause = np.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
+    return after_step(None if pause else state.speed, length_m, length_var_m2, step.duration_s, log_scale_var)
 
 
 def _remember(

@@ -285,6 +285,10 @@ class Track:
     position_cov_m2: FloatArray  # (K, 2, 2)
     step_length_m: FloatArray  # (K,)
     walking_heading_rad: FloatArray  # (K,) clockwise from north (or from the first heading)
+    step_speed_mps: FloatArray  # (K,) length over duration of each step
+    step_speed_std_mps: FloatArray  # (K,)
+    smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
+    smoothed_speed_std_mps: FloatArray  # (K,)
     context_prob: FloatArray  # (K, C)
     contexts: tuple[str, ...]
     mode_prob: FloatArray  # (K, M)

@@ -1,8 +1,11 @@
 # ruff: noqa: N806 - the letters of the equations
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from filterpy.kalman import KalmanFilter
 from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -19,6 +22,7 @@ from pdr_filter.motion import (
     advance,
     grow_over_gap,
     initial_estimate,
+    learn_heading,
     second_order_error,
 )
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
@@ -261,3 +265,67 @@ def test_the_heading_wanders_while_nobody_steps() -> None:
     arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), np.zeros(1), np.zeros(1), noise)
     _, rested = advance(*arguments, elapsed_s=600.0)
     assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift_rad_per_sqrt_s**2 * 600)
+
+
+# --- what samples show of the walking direction -----------------------------------------------------------------------
+
+
+def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
+    """A mean and a covariance with correlations, for one mode."""
+    root = 0.2 * np.random.default_rng(seed).normal(size=(4, 4))
+    return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
+
+
+def test_a_walking_direction_is_a_kalman_update_of_the_heading_offset() -> None:
+    mean, cov = some_estimate()
+    step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
+    learnt, learnt_cov = learn_heading(mean, cov, step, np.array([0.1]), is_first=False)
+    oracle = KalmanFilter(dim_x=4, dim_z=1)
+    oracle.x, oracle.P, oracle.H = mean[0][:, None], cov[0], np.array([[0.0, 0.0, 1.0, 0.0]])
+    oracle.update(np.array([[1.5 - 1.0 - 0.1]]), R=np.array([[0.04]]))
+    np.testing.assert_allclose(learnt[0], oracle.x[:, 0], atol=1e-12)
+    np.testing.assert_allclose(learnt_cov[0], oracle.P, atol=1e-12)
+
+
+@pytest.mark.parametrize("turns", [-3, -1, 1, 2])
+def test_whole_turns_of_a_walking_direction_change_nothing(turns: int) -> None:
+    mean, cov = some_estimate()
+    step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
+    turned = replace(step, walking_direction_rad=1.5 + 2 * np.pi * turns)
+    for once, again in zip(
+        learn_heading(mean, cov, step, np.zeros(1), False),
+        learn_heading(mean, cov, turned, np.zeros(1), False),
+        strict=True,
+    ):
+        np.testing.assert_allclose(once, again, atol=1e-12)
+
+
+def test_a_step_that_shows_no_direction_changes_nothing() -> None:
+    mean, cov = some_estimate()
+    for is_first in (False, True):
+        learnt, learnt_cov = learn_heading(mean, cov, a_step(), np.zeros(1), is_first)
+        np.testing.assert_array_equal(learnt, mean)
+        np.testing.assert_array_equal(learnt_cov, cov)
+
+
+def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_moved() -> None:
+    mean, cov = some_estimate()
+    learnt, learnt_cov = learn_heading(mean, cov, replace(a_step(), offset_change_std_rad=0.7), np.zeros(1), False)
+    np.testing.assert_array_equal(learnt, mean)
+    assert learnt_cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(cov[0, HEADING_OFFSET, HEADING_OFFSET] + 0.49)
+
+
+def test_the_first_direction_of_a_track_replaces_the_offset() -> None:
+    mean, cov = initial_estimate(STILL)
+    step = replace(a_step(heading_rad=0.5), walking_direction_rad=3.0, walking_direction_std_rad=0.4)
+    learnt, learnt_cov = learn_heading(mean[None], cov[None], step, np.zeros(1), is_first=True)
+    assert learnt[0, HEADING_OFFSET] == pytest.approx(2.5)
+    assert learnt_cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.16)
+    assert learnt_cov[0, LOG_SCALE, LOG_SCALE] == cov[LOG_SCALE, LOG_SCALE]
+
+
+def test_a_bias_of_the_gyroscope_makes_the_heading_less_known_by_its_variance_and_memory() -> None:
+    noise = replace(STILL, bias_correlation_s=20.0)
+    step = replace(a_step(duration_s=0.5), yaw_bias_std_radps=0.01)
+    _, cov = advance_one(np.zeros(4), step=step, noise=noise)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(2 * 20.0 * 0.01**2 * 0.5)

@@ -326,6 +326,35 @@ def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     assert state.rejected_fixes == 0
 
 
+# --- steps that become known late ------------------------------------------------------------------------------------
+
+
+def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
+    windows = [
+        WindowContext(t, sure(WALKING if t < 5 else RUNNING), EVEN_PRIOR) for t in (2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+    ]
+    for weighting in ("imm", "wc", "hc"):
+        filter_ = tracker(weighting)
+        state = filter_.init()
+        for window in windows:
+            state, _ = filter_.on_window(state, window)
+        _, updates = filter_.on_step(state, a_step(2.5))
+        assert updates[0].context_prob[WALKING] == 1.0
+
+
+def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
+    filter_ = tracker("imm")
+    window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
+    state, _ = filter_.on_window(filter_.init(), window)
+    state, [first] = filter_.on_step(state, a_step(1.4))
+    for late_s in (3.0, 4.0, 5.0):
+        state, _ = filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR))
+    _, [second] = filter_.on_step(state, a_step(1.9))
+    # between the two steps only the transitions have moved the probabilities
+    moved = first.mode_prob @ filter_.transition_prob * np.exp(filter_._step_log_evidence)
+    np.testing.assert_allclose(second.mode_prob, moved / moved.sum(), atol=1e-12)
+
+
 # --- gaps and ends --------------------------------------------------------------------------------------------------
 
 

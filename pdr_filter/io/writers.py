@@ -29,13 +29,14 @@ def write_csv(track: Track, path: str | Path) -> Path:
     """Write one line for each step under a header with units, and return the path; only the header if no step.
 
     Columns: time_s, east_m, north_m, cov_ee_m2, cov_en_m2, cov_nn_m2, step_length_m, walking_heading_rad,
-    context_prob_<context> for each context, mode_prob_<mode> for each mode.
+    smoothed_speed_mps, smoothed_speed_std_mps, context_prob_<context> for each context, mode_prob_<mode> for each mode.
     """
     names = ["time_s", "east_m", "north_m", "cov_ee_m2", "cov_en_m2", "cov_nn_m2", "step_length_m"]
-    names += ["walking_heading_rad"]
+    names += ["walking_heading_rad", "smoothed_speed_mps", "smoothed_speed_std_mps"]
     names += [f"context_prob_{name}" for name in track.contexts] + [f"mode_prob_{name}" for name in track.modes]
     covariance = track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
     values = np.column_stack([track.position_m, covariance, track.step_length_m, track.walking_heading_rad])
+    values = np.column_stack([values, track.smoothed_speed_mps, track.smoothed_speed_std_mps])
     values = np.column_stack([values, track.context_prob, track.mode_prob])
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
