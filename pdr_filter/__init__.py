@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from pdr_filter.online import OnlineFilter as OnlineFilter
     from pdr_filter.tracking import StepUpdate as StepUpdate
     from pdr_filter.types import CONTEXTS as CONTEXTS
+    from pdr_filter.types import MissingSensorError as MissingSensorError
     from pdr_filter.types import PositionFix as PositionFix
     from pdr_filter.types import Recording as Recording
     from pdr_filter.types import Samples as Samples
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 _HOME = {
     "CONTEXTS": "types",
     "Config": "online",
+    "MissingSensorError": "types",
     "OnlineFilter": "online",
     "PositionFix": "types",
     "Recording": "types",
@@ -53,6 +55,7 @@ _MODULES = ("recipes", "simulate")
 __all__ = [
     "CONTEXTS",
     "Config",
+    "MissingSensorError",
     "OnlineFilter",
     "PositionFix",
     "Recording",

@@ -21,7 +21,7 @@ from pdr_filter import __version__
 
 if TYPE_CHECKING:
     from pdr_filter.online import Config
-    from pdr_filter.types import Recording, Track
+    from pdr_filter.types import Recording, Subject, Track
 
 SOME_FAILED, UNUSABLE = 1, 2
 
@@ -94,11 +94,13 @@ def track(
         start = _origin(origin)
         if start is not None and out is None:
             raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
-        config = _config(recipe, model)
+        config_of = _config_of(recipe, model)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
-        result = pdr.track(pdr.read(file), config, weighting.value if weighting else None, progress=progress)
+        recording = pdr.read(file)
+        config = config_of(recording.subject)
+        result = pdr.track(recording, config, weighting.value if weighting else None, progress=progress)
         if out is not None:
             _write_files(result, out, start, written)
         if as_json:
@@ -291,23 +293,18 @@ def _print_json(value: dict[str, Any]) -> None:
     typer.echo(json.dumps(value, allow_nan=False))
 
 
-def _config(recipe: str, model: Path | None) -> Config:
-    """The recipe of that name, with another context model if one is given."""
+def _config_of(recipe: str, model: Path | None) -> Callable[[Subject], Config]:
+    """The recipe of that name for a person, with another context model if one is given."""
     from pdr_filter import recipes
     from pdr_filter.context.model import load_model
 
-    known = {name: make for name, make in vars(recipes).items() if _is_recipe(make)}
-    if recipe not in known:
-        raise ValueError(f"no recipe {recipe!r}; there are {', '.join(sorted(known))}")
-    config: Config = known[recipe]()
+    if recipe not in recipes.RECIPES:
+        raise ValueError(f"no recipe {recipe!r}; there are {', '.join(sorted(recipes.RECIPES))}")
+    make = recipes.RECIPES[recipe]
     if model is None:
-        return config
-    return recipes.with_context_model(config, load_model(model))
-
-
-def _is_recipe(value: Any) -> bool:
-    """A recipe is a function of nothing that returns a configuration."""
-    return callable(value) and getattr(value, "__annotations__", {}) == {"return": "Config"}
+        return make
+    context_model = load_model(model)
+    return lambda subject: recipes.with_context_model(make(subject), context_model)
 
 
 def _origin(text: str | None) -> tuple[float, float] | None:

@@ -21,12 +21,16 @@ _STATIONARY = CONTEXTS.index("stationary")
 
 @dataclass(frozen=True, eq=False)
 class Config:
-    """Everything about a filter that never changes; a recipe is a function that returns one."""
+    """Everything about a filter that never changes; a recipe is a function that returns one.
+
+    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which it means nothing.
+    """
 
     name: str
     sensing: Sensing
     tracker: Tracker
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
+    needs: tuple[str, ...] = ()
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""

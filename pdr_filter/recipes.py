@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
+from types import MappingProxyType
 
 import numpy as np
 
@@ -16,7 +18,7 @@ from pdr_filter.online import Config
 from pdr_filter.sensing import Sensing
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.tracking import Tracker
-from pdr_filter.types import CONTEXTS, FloatArray
+from pdr_filter.types import CONTEXTS, FloatArray, Subject
 
 # Walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with the priors
 # k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence each cannot
@@ -110,7 +112,7 @@ def _model(name: str) -> ContextModel:
     return load_model(name)
 
 
-def default() -> Config:
+def default(subject: Subject | None = None) -> Config:
     """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context."""
     return Config(
         name="default",
@@ -119,7 +121,7 @@ def default() -> Config:
     )
 
 
-def martinelli2018() -> Config:
+def martinelli2018(subject: Subject | None = None) -> Config:
     """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
 
     Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
@@ -131,3 +133,8 @@ def martinelli2018() -> Config:
         sensing=Sensing(contexts=learned_contexts(_model("context_martinelli_rvm"), "martinelli")),
         tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
     )
+
+
+RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(
+    {"default": default, "martinelli2018": martinelli2018}
+)

@@ -251,6 +251,10 @@ class PositionFix:
             )
 
 
+class MissingSensorError(ValueError):
+    """A recording lacks a sensor that the recipe needs; the message names both."""
+
+
 def table(columns: Mapping[str, ArrayLike]) -> Table:
     """Return a read-only column table from equally long columns."""
     arrays = {name: np.asarray(column) for name, column in columns.items()}

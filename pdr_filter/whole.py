@@ -18,6 +18,7 @@ from pdr_filter.types import (
     CARRYING_MODES,
     CONTEXTS,
     ImuBlock,
+    MissingSensorError,
     PositionFix,
     Recording,
     Step,
@@ -52,7 +53,7 @@ def track(
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     """
-    config = config or _default()
+    config = _checked(config, recording)
     if weighting is not None:
         config = config.with_weighting(weighting)
     state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: f.known_s)))
@@ -83,13 +84,13 @@ def track(
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
-    config = config or _default()
+    config = _checked(config, recording)
     return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
-    config = config or _default()
+    config = _checked(config, recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)
     return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
@@ -103,10 +104,19 @@ def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
     return tuple(config.climb_rate.step(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
 
 
-def _default() -> Config:
-    from pdr_filter.recipes import default  # loads the shipped models, which training makes
+def _checked(config: Config | None, recording: Recording) -> Config:
+    """The configuration, or that of the default recipe; MissingSensorError if it needs what was not recorded."""
+    if config is None:
+        from pdr_filter.recipes import default  # loads the shipped models, which training makes
 
-    return default()
+        return default(recording.subject)
+    missing = [name for name in config.needs if name not in recording.streams]
+    if missing:
+        raise MissingSensorError(
+            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
+            'needs; use recipe "default", which does without'
+        )
+    return config
 
 
 def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:

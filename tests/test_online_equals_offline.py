@@ -522,3 +522,11 @@ def test_without_a_gyroscope_the_covariance_covers_the_error(data_dir: Path) -> 
         error = blind.position_m[50:] - at[50:]
         nees.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(blind.position_cov_m2[50:]), error).mean())
     assert np.mean(nees) < 6.0
+
+
+def test_a_recipe_that_needs_a_sensor_says_which_one_is_missing(short_walk: Recording) -> None:
+    config = replace(recipes.default(), needs=("gyroscope", "barometer"))
+    for run in (pdr.track, pdr.detect_steps, pdr.classify):
+        with pytest.raises(pdr.MissingSensorError, match="has no barometer, which recipe 'default' needs"):
+            run(short_walk, config)
+    assert pdr.track(short_walk, replace(recipes.default(), needs=("gyroscope",))).n_steps > 0
