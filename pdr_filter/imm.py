@@ -1,6 +1,7 @@
-"""The interacting multiple model: mix, predict, update, combine, for all modes at once.
+"""The interacting multiple model: mix, predict, update, combine, for all modes and all pedestrians at once.
 
-Pure functions on arrays: `mean` (M, n), `cov` (M, n, n), `mode_prob` (M,). Letters follow Blom and Bar-Shalom, "The
+Pure functions on arrays: `mean` (..., M, n), `cov` (..., M, n, n), `mode_prob` (..., M). Leading axes, if any,
+are pedestrians: each is filtered as if it were alone. Letters follow Blom and Bar-Shalom, "The
 interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE Trans. Automatic Control
 33(8), 1988. Likelihoods are logarithms throughout, so that no evidence is lost to underflow.
 """
@@ -26,67 +27,73 @@ def check_transition_prob(transition_prob: FloatArray, n_modes: int) -> None:
 def mix(
     mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Mixed means (M, n), mixed covariances (M, n, n) and predicted mode probabilities (M,).
+    """Mixed means (..., M, n), mixed covariances (..., M, n, n) and predicted mode probabilities (..., M).
 
     c_j = sum_i p_ij mu_i;  mu_i|j = p_ij mu_i / c_j;  x_0j = sum_i mu_i|j x_i;
     P_0j = sum_i mu_i|j (P_i + (x_i - x_0j)(x_i - x_0j)').
     A mode that cannot be reached (c_j = 0) keeps its own estimate.
     """
-    joint = transition_prob * mode_prob[:, None]
-    predicted = joint.sum(axis=0)
-    reachable = predicted > 0
-    weights = np.where(reachable, joint / np.where(reachable, predicted, 1.0), np.eye(len(mode_prob)))
-    mixed_mean = weights.T @ mean
-    n_modes, n = mean.shape
-    spread = mean[:, None, :] - mixed_mean[None, :, :]  # (i, j, n)
-    by_target = spread.transpose(1, 2, 0)  # (j, n, i)
-    mixed_cov = (weights.T @ cov.reshape(n_modes, n * n)).reshape(n_modes, n, n)
-    mixed_cov += (by_target * weights.T[:, None, :]) @ by_target.transpose(0, 2, 1)
+    *batch, n_modes, n = mean.shape
+    joint = transition_prob * mode_prob[..., :, None]
+    predicted = joint.sum(axis=-2)
+    reachable = (predicted > 0)[..., None, :]
+    weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(n_modes))
+    from_source = weights.swapaxes(-1, -2)  # (..., j, i)
+    mixed_mean = from_source @ mean
+    spread = mean[..., None, :, :] - mixed_mean[..., :, None, :]  # (..., j, i, n)
+    mixed_cov = (from_source @ cov.reshape(*batch, n_modes, n * n)).reshape(cov.shape)
+    mixed_cov += (spread * from_source[..., None]).swapaxes(-1, -2) @ spread
     return mixed_mean, mixed_cov, predicted
 
 
 def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (M, n, n)."""
-    return np.matmul(F, mean[:, :, None])[:, :, 0], F @ cov @ F.transpose(0, 2, 1) + Q
+    """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (..., M, n, n)."""
+    return np.matmul(F, mean[..., None])[..., 0], F @ cov @ F.swapaxes(-1, -2) + Q
 
 
 def update(
     mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Updated means and covariances, log likelihoods (M,) and normalised innovations squared (M,) of a measurement.
+    """Updated means, covariances, log likelihoods (..., M), normalised innovations squared (..., M) of a measurement.
 
     y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K' (Joseph's form,
-    symmetric and positive in rounding). z is (d,), H (d, n), R (d, d).
+    symmetric and positive in rounding). z is (..., d), R (..., d, d), one for each pedestrian; H (d, n).
     """
-    innovation = z - mean @ H.T
-    S = H @ cov @ H.T + R
-    K = np.linalg.solve(S, H @ cov).transpose(0, 2, 1)
-    updated_mean = mean + np.matmul(K, innovation[:, :, None])[:, :, 0]
-    I_KH = np.eye(mean.shape[1]) - K @ H
-    updated_cov = I_KH @ cov @ I_KH.transpose(0, 2, 1) + K @ R @ K.transpose(0, 2, 1)
-    nis = (innovation * np.linalg.solve(S, innovation[:, :, None])[:, :, 0]).sum(axis=1)
-    log_likelihood = -0.5 * (nis + np.linalg.slogdet(S)[1] + len(z) * _LOG_2_PI)
+    innovation = z[..., None, :] - mean @ H.T
+    R_ = R[..., None, :, :]
+    S = H @ cov @ H.T + R_
+    K = np.linalg.solve(S, H @ cov).swapaxes(-1, -2)
+    updated_mean = mean + np.matmul(K, innovation[..., None])[..., 0]
+    I_KH = np.eye(mean.shape[-1]) - K @ H
+    updated_cov = I_KH @ cov @ I_KH.swapaxes(-1, -2) + K @ R_ @ K.swapaxes(-1, -2)
+    nis = (innovation * np.linalg.solve(S, innovation[..., None])[..., 0]).sum(axis=-1)
+    log_likelihood = -0.5 * (nis + np.linalg.slogdet(S)[1] + z.shape[-1] * _LOG_2_PI)
     return updated_mean, updated_cov, log_likelihood, nis
 
 
 def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-    """Posterior mode probabilities, shape (M,). A mode with prior zero stays at zero.
+    """Posterior mode probabilities, shape (..., M). A mode with prior zero stays at zero.
 
     Evidence that is not a number, or that rules out every mode, says nothing: the prediction is returned.
     """
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
-    highest = log_posterior.max()  # NaN if any is
-    if not np.isfinite(highest):
+    highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
+    told = np.isfinite(highest)
+    if not told.any():
         return predicted_mode_prob
-    relative = np.exp(log_posterior - highest)
-    return relative / relative.sum()
+    relative = np.exp(log_posterior - np.where(told, highest, 0.0), where=told, out=np.ones_like(log_posterior))
+    return np.where(told, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
 
 
 def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Moment-matched mean (n,) and covariance (n, n): x = sum mu_j x_j, P = sum mu_j (P_j + (x_j - x)(x_j - x)')."""
-    n_modes, n = mean.shape
-    combined = mode_prob @ mean
+    """Moment-matched mean (..., n) and covariance (..., n, n).
+
+    x = sum mu_j x_j;  P = sum mu_j (P_j + (x_j - x)(x_j - x)').
+    """
+    *batch, n_modes, n = mean.shape
+    weights = mode_prob[..., None, :]
+    combined = weights @ mean  # (..., 1, n)
     spread = mean - combined
-    within = (mode_prob @ cov.reshape(n_modes, n * n)).reshape(n, n)
-    return combined, within + (mode_prob[:, None] * spread).T @ spread
+    within = (weights @ cov.reshape(*batch, n_modes, n * n)).reshape(*batch, n, n)
+    return combined[..., 0, :], within + (mode_prob[..., None] * spread).swapaxes(-1, -2) @ spread

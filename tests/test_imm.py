@@ -284,3 +284,35 @@ def test_a_wrong_transition_matrix_is_refused(transition_prob: np.ndarray, messa
     n_modes = 2 if transition_prob.shape != (3, 3) else 3
     with pytest.raises(ValueError, match=message):
         check_transition_prob(transition_prob, n_modes)
+
+
+# --- many pedestrians at once -----------------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS, n_pedestrians=st.integers(1, 5))
+def test_many_pedestrians_at_once_are_filtered_as_if_each_were_alone(seed: int, n_pedestrians: int) -> None:
+    rng = np.random.default_rng(seed)
+    each = [random_modes(int(s)) for s in rng.integers(0, 2**32 - 1, n_pedestrians)]
+    mean, cov, prob = (np.stack([e[k] for e in each]) for k in range(3))
+    M = each[0][3]
+    F_, Q = rng.normal(size=(4, 3, 3)), random_cov(rng, 3, 4)
+    H_, z, R_ = rng.normal(size=(2, 3)), rng.normal(size=(n_pedestrians, 2)), random_cov(rng, 2, n_pedestrians)
+
+    def cycle(mean: np.ndarray, cov: np.ndarray, prob: np.ndarray, z: np.ndarray, R_: np.ndarray) -> list[np.ndarray]:
+        mean, cov, prob = mix(mean, cov, prob, M)
+        mean, cov = predict(mean, cov, F_, Q)
+        mean, cov, log_likelihood, nis = update(mean, cov, z, H_, R_)
+        prob = update_mode_prob(prob, log_likelihood)
+        return [mean, cov, prob, nis, *combine(mean, cov, prob)]
+
+    together = cycle(mean, cov, prob, z, R_)
+    for k in range(n_pedestrians):
+        for all_of_them, alone in zip(together, cycle(mean[k], cov[k], prob[k], z[k], R_[k]), strict=True):
+            np.testing.assert_allclose(all_of_them[k], alone, atol=1e-10)
+
+
+def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_others() -> None:
+    prob = np.array([[0.3, 0.7], [0.3, 0.7], [1.0, 0.0]])
+    evidence = np.array([[np.nan, 0.0], [np.log(7.0), np.log(3.0)], [-np.inf, 0.0]])
+    np.testing.assert_allclose(update_mode_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
