@@ -9,6 +9,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from importlib import import_module
+from types import ModuleType
 
 import numpy as np
 
@@ -37,6 +39,7 @@ from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_w
 TRAIL_STEPS = 64
 # Windows are remembered so long: a gate may hold the first steps of a bout for some seconds.
 _WINDOW_MEMORY_S = 12.0
+_BACKENDS = ("numpy", "filterpy")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -109,6 +112,8 @@ class Tracker:
     fix_gate_nis : float
         Fixes with a larger normalised innovation squared in every mode are rejected: chi-square with two degrees
         of freedom keeps 99.9 % of good ones below 13.8.
+    backend : {"numpy", "filterpy"}
+        Whose arithmetic the `imm` weighting uses; filterpy's is many times slower and gives the same track.
     """
 
     modes: tuple[Mode, ...]
@@ -122,10 +127,13 @@ class Tracker:
     window_hop_s: float = 1.0
     noise: MotionNoise = field(default_factory=MotionNoise)
     fix_gate_nis: float = 13.8
+    backend: str = "numpy"
 
     def __post_init__(self) -> None:
         if self.weighting not in WEIGHTINGS:
             raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {self.weighting!r}")
+        if self.backend not in _BACKENDS:
+            raise ValueError(f"backend must be one of {_BACKENDS}, got {self.backend!r}")
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
@@ -136,6 +144,11 @@ class Tracker:
                 f"weighting {self.weighting!r} needs exactly one mode for each of {CONTEXTS}, got {contexts}; "
                 'use weighting="imm" for other modes'
             )
+
+    @cached_property
+    def _imm(self) -> ModuleType:
+        # filterpy takes a second to import: only where it is asked for
+        return imm if self.backend == "numpy" else import_module("pdr_filter.imm_filterpy")
 
     @cached_property
     def _context_of_mode(self) -> list[int]:
@@ -216,12 +229,12 @@ class Tracker:
         R = fix.cov_m2 + (self.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
         cov = state.cov.copy()
         cov[:, :2, :2] += np.outer(state.second_order_m, state.second_order_m)
-        mean, cov, log_likelihood, nis = imm.update(state.mean, cov, fix.position_m + since_m, H, R)
+        mean, cov, log_likelihood, nis = self._imm.update(state.mean, cov, fix.position_m + since_m, H, R)
         if nis.min() > self.fix_gate_nis:
             return replace(state, rejected_fixes=state.rejected_fixes + 1)
         prob = state.mode_prob
         if self.weighting == "imm":
-            prob = imm.update_mode_prob(prob, log_likelihood)
+            prob = self._imm.update_mode_prob(prob, log_likelihood)
         before_m, _ = present_position(state)
         state = replace(state, mean=mean, cov=cov, mode_prob=prob, second_order_m=np.zeros(2))
         trail = state.trail.copy()
@@ -249,7 +262,7 @@ class Tracker:
     # --- IMM ---------------------------------------------------------------------------------------------------
 
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
-        mean, cov, prob = imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
+        mean, cov, prob = self._imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
         mean, cov = learn_heading(mean, cov, step, self._offsets_rad, is_first=state.n_final == 0)
         length, variance = self._lengths.predict(step)
         elapsed_s = _elapsed_s(state, step)
@@ -257,7 +270,7 @@ class Tracker:
             mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
         )
         window = self._window_of(state, step)
-        prob = imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state, window))
+        prob = self._imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state, window))
         state = replace(
             state,
             mean=mean,
@@ -266,7 +279,7 @@ class Tracker:
             evidence_time_s=window.time_s if window else state.evidence_time_s,
             n_final=state.n_final + 1,
         )
-        x, P = imm.combine(mean, cov, prob)
+        x, P = self._imm.combine(mean, cov, prob)
         # The length and direction of the step itself; evidence also moves the combined position, which is no walking.
         length_m = float(prob @ (length * np.exp(mean[:, LOG_SCALE])))
         heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob))
