@@ -61,14 +61,26 @@ def update(
     """
     innovation = z[..., None, :] - mean @ H.T
     R_ = R[..., None, :, :]
-    S = H @ cov @ H.T + R_
-    K = np.linalg.solve(S, H @ cov).swapaxes(-1, -2)
+    HP = H @ cov
+    S_inverse, log_det_S = _inverse(HP @ H.T + R_)
+    K = HP.swapaxes(-1, -2) @ S_inverse
     updated_mean = mean + np.matmul(K, innovation[..., None])[..., 0]
     I_KH = np.eye(mean.shape[-1]) - K @ H
     updated_cov = I_KH @ cov @ I_KH.swapaxes(-1, -2) + K @ R_ @ K.swapaxes(-1, -2)
-    nis = (innovation * np.linalg.solve(S, innovation[..., None])[..., 0]).sum(axis=-1)
-    log_likelihood = -0.5 * (nis + np.linalg.slogdet(S)[1] + z.shape[-1] * _LOG_2_PI)
+    nis = (innovation * np.matmul(S_inverse, innovation[..., None])[..., 0]).sum(axis=-1)
+    log_likelihood = -0.5 * (nis + log_det_S + z.shape[-1] * _LOG_2_PI)
     return updated_mean, updated_cov, log_likelihood, nis
+
+
+def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse (..., d, d) and log determinant (...) of innovation covariances."""
+    if S.shape[-1] != 2:
+        return np.asarray(np.linalg.inv(S), dtype=float), np.linalg.slogdet(S)[1]
+    # A position is what most measurements are, and for thousands of pedestrians LAPACK is called once for each matrix.
+    a, b, c, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 0], S[..., 1, 1]
+    det = a * d - b * c
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return adjugate / det[..., None, None], np.log(det)
 
 
 def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:

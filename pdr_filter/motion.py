@@ -134,52 +134,70 @@ def advance(
     noise: MotionNoise,
     elapsed_s: float | None = None,
 ) -> tuple[FloatArray, FloatArray]:
-    """Predicted means (M, 4) and covariances (M, 4, 4) after one step, one length and direction for each mode.
+    """Predicted means (..., M, 4) and covariances (..., M, 4, 4) after one step: P_k = F P_{k-1} F' + Q.
+
+    Arguments, F and Q are those of `linearise`.
+    """
+    predicted_mean, F, Q = linearise(
+        mean, step, length_m, length_var_m2, heading_offset_rad, heading_var_rad2, noise, elapsed_s
+    )
+    return predicted_mean, _bound_heading_variance(F @ cov @ F.swapaxes(-1, -2) + Q)
+
+
+def linearise(
+    mean: FloatArray,
+    step: Step,
+    length_m: FloatArray,
+    length_var_m2: FloatArray,
+    heading_offset_rad: FloatArray,
+    heading_var_rad2: FloatArray,
+    noise: MotionNoise,
+    elapsed_s: float | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Predicted means (..., M, 4), F (..., M, 4, 4) and Q (..., M, 4, 4) of a step, one length for each mode.
 
     p_k = p_{k-1} + L e^s [sin psi, cos psi], psi = device heading + heading offset state + the mode's own offset;
-    P_k = F P F' + Q with F = d p_k / d state, and Q from the variances of length and direction:
+    F = d p_k / d state, and Q from the variances of length and direction:
     Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step. The heading offset wanders for
     `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table drifts too.
     """
     elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
-    scaled_m = length_m * np.exp(mean[:, LOG_SCALE])
-    psi = step.device_heading_rad + mean[:, HEADING_OFFSET] + heading_offset_rad
-    along = np.stack([np.sin(psi), np.cos(psi)], axis=1)
-    across = np.stack([np.cos(psi), -np.sin(psi)], axis=1)  # d along / d psi
-    displacement = scaled_m[:, None] * along
+    scaled_m = length_m * np.exp(mean[..., LOG_SCALE])
+    psi = step.device_heading_rad + mean[..., HEADING_OFFSET] + heading_offset_rad
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    across = np.stack([np.cos(psi), -np.sin(psi)], axis=-1)  # d along / d psi
+    displacement = scaled_m[..., None] * along
 
     predicted_mean = mean.copy()
-    predicted_mean[:, :2] += displacement
-    F = np.tile(np.eye(N_STATES), (len(mean), 1, 1))
-    F[:, :2, HEADING_OFFSET] = scaled_m[:, None] * across
-    F[:, :2, LOG_SCALE] = displacement
-    predicted_cov = F @ cov @ F.transpose(0, 2, 1)
+    predicted_mean[..., :2] += displacement
+    F = np.broadcast_to(np.eye(N_STATES), (*mean.shape, N_STATES)).copy()
+    F[..., :2, HEADING_OFFSET] = scaled_m[..., None] * across
+    F[..., :2, LOG_SCALE] = displacement
 
-    scale2 = np.exp(2 * mean[:, LOG_SCALE])
-    var_along = scale2 * length_var_m2
+    var_along = np.exp(2 * mean[..., LOG_SCALE]) * length_var_m2
     var_across = scaled_m**2 * heading_var_rad2
-    predicted_cov[:, :2, :2] += (
-        var_along[:, None, None] * along[:, :, None] * along[:, None, :]
-        + var_across[:, None, None] * across[:, :, None] * across[:, None, :]
+    Q = np.zeros_like(F)
+    Q[..., :2, :2] = (
+        var_along[..., None, None] * along[..., :, None] * along[..., None, :]
+        + var_across[..., None, None] * across[..., :, None] * across[..., None, :]
     )
-    unknown_s = min(step.heading_unknown_s, elapsed_s)
-    bias_rad2_per_s = 2 * noise.bias_correlation_s * step.yaw_bias_std_radps**2
-    predicted_cov[:, HEADING_OFFSET, HEADING_OFFSET] += (noise.heading_drift_rad_per_sqrt_s**2 + bias_rad2_per_s) * (
-        elapsed_s - unknown_s
-    ) + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
-    predicted_cov[:, LOG_SCALE, LOG_SCALE] += noise.log_scale_drift_per_sqrt_step**2
-    return predicted_mean, _bound_heading_variance(predicted_cov)
+    unknown_s = np.minimum(step.heading_unknown_s, elapsed_s)
+    drift_rad2_per_s = noise.heading_drift_rad_per_sqrt_s**2 + 2 * noise.bias_correlation_s * step.yaw_bias_std_radps**2
+    Q[..., HEADING_OFFSET, HEADING_OFFSET] = (
+        drift_rad2_per_s * (elapsed_s - unknown_s) + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
+    )
+    Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_per_sqrt_step**2
+    return predicted_mean, F, Q
 
 
 def _bound_heading_variance(cov: FloatArray) -> FloatArray:
     """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
-    variance = cov[:, HEADING_OFFSET, HEADING_OFFSET]
+    variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
     if (variance <= MAX_HEADING_VARIANCE).all():
         return cov
-    factor = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))
-    scaling = np.ones((len(cov), N_STATES))
-    scaling[:, HEADING_OFFSET] = factor
-    return cov * scaling[:, :, None] * scaling[:, None, :]
+    scaling = np.ones(cov.shape[:-1])
+    scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))
+    return cov * scaling[..., :, None] * scaling[..., None, :]
 
 
 def second_order_error(heading_var_rad2: float) -> float:

@@ -262,8 +262,8 @@ class Tracker:
     # --- IMM ---------------------------------------------------------------------------------------------------
 
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
-        mean, cov, prob = self._imm.mix(state.mean, state.cov, state.mode_prob, self.transition_prob)
-        mean, cov = learn_heading(mean, cov, step, self._offsets_rad, is_first=state.n_final == 0)
+        mean, cov = learn_heading(state.mean, state.cov, step, self._offsets_rad, is_first=state.n_final == 0)
+        mean, cov, prob = self._imm.mix(mean, cov, state.mode_prob, self.transition_prob)
         length, variance = self._lengths.predict(step)
         elapsed_s = _elapsed_s(state, step)
         mean, cov = advance(
