@@ -105,7 +105,7 @@ def learn_heading(
     if step.offset_change_std_rad > 0 and not is_first:
         cov = cov.copy()
         cov[:, o, o] += step.offset_change_std_rad**2
-        cov = _bound_heading_variance(cov)
+        cov = bound_heading_variance(cov)
     variance = step.walking_direction_std_rad**2
     if not np.isfinite(variance):
         return mean, cov
@@ -141,7 +141,7 @@ def advance(
     predicted_mean, F, Q = linearise(
         mean, step, length_m, length_var_m2, heading_offset_rad, heading_var_rad2, noise, elapsed_s
     )
-    return predicted_mean, _bound_heading_variance(F @ cov @ F.swapaxes(-1, -2) + Q)
+    return predicted_mean, bound_heading_variance(F @ cov @ F.swapaxes(-1, -2) + Q)
 
 
 def linearise(
@@ -190,7 +190,7 @@ def linearise(
     return predicted_mean, F, Q
 
 
-def _bound_heading_variance(cov: FloatArray) -> FloatArray:
+def bound_heading_variance(cov: FloatArray) -> FloatArray:
     """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
     if (variance <= MAX_HEADING_VARIANCE).all():
@@ -218,4 +218,4 @@ def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArr
     grown[:, EAST, EAST] += walked
     grown[:, NORTH, NORTH] += walked
     grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.unknown_heading_rad_per_sqrt_s**2 * gap_s
-    return _bound_heading_variance(grown)
+    return bound_heading_variance(grown)

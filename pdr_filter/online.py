@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -83,7 +83,11 @@ def init(config: Config) -> State:
     return State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
 
 
-def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
+# Sees the filter's state before each event that changes it.
+Watch = Callable[[TrackerState, Event], None]
+
+
+def step(config: Config, state: State, block: ImuBlock, watch: Watch | None = None) -> tuple[State, Output]:
     """New state and output after a block of samples of any length.
 
     The result depends on the samples and fixes only, not on how they were cut into blocks. ValueError after `finish`.
@@ -93,7 +97,7 @@ def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
     whole = Output()
     for part in parts(block):
         sensing, events = config.sensing.step(state.sensing, part)
-        state, output = _process(config, replace(state, sensing=sensing), events)
+        state, output = _process(config, replace(state, sensing=sensing), events, watch)
         whole.updates.extend(output.updates)
         whole.windows.extend(output.windows)
     return state, whole
@@ -163,14 +167,14 @@ def _time_s(climb: Climb) -> float:
     return climb.time_s
 
 
-def finish(config: Config, state: State) -> tuple[State, Output]:
+def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[State, Output]:
     """New state and output when no further sample will come: late steps are found, waiting ones become final.
 
     Fixes of the recording's time that still wait are used; later ones stay waiting. A second call gives nothing.
     """
     if state.finished:
         return state, Output()
-    state, output = _process(config, state, config.sensing.finish(state.sensing))
+    state, output = _process(config, state, config.sensing.finish(state.sensing), watch)
     tracker, last = config.tracker.finish(state.tracker)
     due = [f for f in state.waiting_fixes if f.known_s <= state.sensing.processed_s]
     for fix in due:
@@ -179,11 +183,15 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     return state, replace(output, updates=[*output.updates, *last])
 
 
-def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
+def _process(
+    config: Config, state: State, events: list[tuple[float, Event]], watch: Watch | None
+) -> tuple[State, Output]:
     output = Output()
     tracker, fixes, seen = state.tracker, state.waiting_fixes, state.seen
     for known_s, event in events:
         tracker, fixes = _apply_fixes(config, tracker, fixes, known_s)
+        if watch is not None:
+            watch(tracker, event)
         if isinstance(event, WindowContext):
             context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)

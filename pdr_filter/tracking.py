@@ -25,9 +25,11 @@ from pdr_filter.motion import (
     Mode,
     MotionNoise,
     advance,
+    bound_heading_variance,
     grow_over_gap,
     initial_estimate,
     learn_heading,
+    linearise,
     second_order_error,
 )
 from pdr_filter.speed import WalkingSpeed, after_step
@@ -60,6 +62,22 @@ class StepUpdate:
     speed: WalkingSpeed
     context_prob: FloatArray  # (C,)
     mode_prob: FloatArray  # (M,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepPrediction:
+    """Modes before a step with all that is known until then, mixed, and where the step leads them."""
+
+    mean: FloatArray  # (M, 4) before the step, its walking direction learnt
+    cov: FloatArray  # (M, 4, 4)
+    mixed: FloatArray  # (M, 4)
+    mixed_cov: FloatArray  # (M, 4, 4)
+    mode_prob: FloatArray  # (M,) predicted
+    predicted: FloatArray  # (M, 4)
+    F: FloatArray  # (M, 4, 4)
+    Q: FloatArray  # (M, 4, 4)
+    length_m: FloatArray  # (M,) without the person's scale
+    length_var_m2: FloatArray  # (M,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -261,14 +279,21 @@ class Tracker:
 
     # --- IMM ---------------------------------------------------------------------------------------------------
 
-    def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
-        mean, cov = learn_heading(state.mean, state.cov, step, self._offsets_rad, is_first=state.n_final == 0)
-        mean, cov, prob = self._imm.mix(mean, cov, state.mode_prob, self.transition_prob)
+    def prediction(self, state: TrackerState, step: Step) -> StepPrediction:
+        """What a step does to the modes of the `imm`, before evidence."""
+        known, known_cov = learn_heading(state.mean, state.cov, step, self._offsets_rad, is_first=state.n_final == 0)
+        mean, cov, prob = self._imm.mix(known, known_cov, state.mode_prob, self.transition_prob)
         length, variance = self._lengths.predict(step)
         elapsed_s = _elapsed_s(state, step)
-        mean, cov = advance(
-            mean, cov, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
+        predicted, F, Q = linearise(
+            mean, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
         )
+        return StepPrediction(known, known_cov, mean, cov, prob, predicted, F, Q, length, variance)
+
+    def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
+        ahead = self.prediction(state, step)
+        mean, prob, length, variance = ahead.predicted, ahead.mode_prob, ahead.length_m, ahead.length_var_m2
+        cov = bound_heading_variance(ahead.F @ ahead.mixed_cov @ ahead.F.transpose(0, 2, 1) + ahead.Q)
         window = self._window_of(state, step)
         prob = self._imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state, window))
         state = replace(

@@ -11,9 +11,9 @@ from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
 from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb
-from pdr_filter.online import Config, Output, climb_at, context_notes, finish, init, parts, step
+from pdr_filter.online import Config, Output, Watch, climb_at, context_notes, finish, init, parts, step
 from pdr_filter.sensing import Event, Sensing
-from pdr_filter.tracking import StepUpdate
+from pdr_filter.tracking import StepUpdate, TrackerState
 from pdr_filter.types import (
     CARRYING_MODES,
     CONTEXTS,
@@ -56,6 +56,24 @@ def track(
     config = _checked(config, recording)
     if weighting is not None:
         config = config.with_weighting(weighting)
+    return _run(recording, config, fixes, progress, None)[0]
+
+
+def watched_track(
+    recording: Recording, config: Config | None, fixes: Sequence[PositionFix], watch: Watch
+) -> tuple[Track, TrackerState, Config]:
+    """The track, the filter's last state, and the configuration used; `watch` sees every state before."""
+    config = _checked(config, recording)
+    return *_run(recording, config, fixes, None, watch), config
+
+
+def _run(
+    recording: Recording,
+    config: Config,
+    fixes: Sequence[PositionFix],
+    progress: Callable[[float], None] | None,
+    watch: Watch | None,
+) -> tuple[Track, TrackerState]:
     state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: f.known_s)))
     state = replace(state, climbs=_climbs(config, recording))
     updates: list[StepUpdate] = []
@@ -66,9 +84,9 @@ def track(
         windows.extend(output.windows)
 
     for part in _parts(merge_streams(recording), progress):
-        state, output = step(config, state, part)
+        state, output = step(config, state, part, watch)
         collect(output)
-    state, output = finish(config, state)
+    state, output = finish(config, state, watch)
     collect(output)
 
     report = state.sensing.conditioner.report
@@ -79,7 +97,8 @@ def track(
         notes.append(f"{len(state.waiting_fixes)} position fixes came after the last sample and were not used")
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
-    return _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
+    track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
+    return track, state.tracker
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
