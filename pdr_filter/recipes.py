@@ -13,17 +13,18 @@ from pdr_filter.context.learned import LearnedContexts
 from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.stage import ContextModels
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
-from pdr_filter.motion import Mode
+from pdr_filter.motion import Mode, MotionNoise
 from pdr_filter.online import Config
 from pdr_filter.sensing import Sensing
-from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, bounce_fit, known_length
 from pdr_filter.tracking import Tracker
 from pdr_filter.types import CONTEXTS, FloatArray, Subject
 
-# Walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with the priors
-# k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence each cannot
-# show) and k2 = 0 +- 0.003; tests/benchmarks/fit_step_length.py prints it, with the error at the site left out.
-_WALKING = StepLengthFit(
+# Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
+# the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
+# each cannot show) and k2 = 0 +- 0.003. The default recipe has a model that carries over better between people, sites
+# and carrying modes (docs/methods/step_length.md).
+_FREQUENCY_VARIANCE_WALKING = StepLengthFit(
     FrequencyVarianceStepLength(max_variance=8.0),
     theta=np.array([0.4298, 0.1776, -0.0020]),
     # Of the fit: k0 and k1 are known badly, the length at 1.9 Hz to 1 cm. How people differ is in log_scale_std.
@@ -51,11 +52,11 @@ _RUNNING = StepLengthFit(
 _STATIONARY = known_length(0.0, 0.02)
 
 
-def context_modes() -> tuple[Mode, ...]:
-    """One mode for each context, with the default step lengths."""
+def context_modes(walking: StepLengthFit) -> tuple[Mode, ...]:
+    """One mode for each context, with a model for the steps of walking and the default lengths of all others."""
     lengths = {
         "stationary": _STATIONARY,
-        "walking": _WALKING,
+        "walking": walking,
         "upstairs": _UPSTAIRS,
         "downstairs": _DOWNSTAIRS,
         "sideways": _SIDEWAYS,
@@ -113,11 +114,20 @@ def _model(name: str) -> ContextModel:
 
 
 def default(subject: Subject | None = None) -> Config:
-    """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context."""
+    """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context.
+
+    Of the subject only the height counts. How people differ in their step lengths beyond it, the deviation of the log
+    step scale, is 6.5 % for a known height and 8 % without (docs/methods/step_length.md).
+    """
+    height_m = subject.height_m if subject else None
     return Config(
         name="default",
         sensing=Sensing(contexts=learned_contexts(_model("context"), "invariant")),
-        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions()),
+        tracker=Tracker(
+            modes=context_modes(bounce_fit(height_m)),
+            transition_prob=context_transitions(),
+            noise=MotionNoise(log_scale_std=0.08 if height_m is None else 0.065),
+        ),
     )
 
 
@@ -131,7 +141,9 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     return Config(
         name="martinelli2018",
         sensing=Sensing(contexts=learned_contexts(_model("context_martinelli_rvm"), "martinelli")),
-        tracker=Tracker(modes=context_modes(), transition_prob=context_transitions(), weighting="wc"),
+        tracker=Tracker(
+            modes=context_modes(_FREQUENCY_VARIANCE_WALKING), transition_prob=context_transitions(), weighting="wc"
+        ),
     )
 
 

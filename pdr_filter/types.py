@@ -181,6 +181,8 @@ class Step:
     offset_change_std_rad: float = 0.0
     # Standard deviation of the gyroscope's bias about the vertical at this step, after correction.
     yaw_bias_std_radps: float = 0.0
+    # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
+    vertical_amplitude_mps2: float = 0.0
 
     @property
     def vertical_range_mps2(self) -> float:

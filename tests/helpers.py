@@ -161,6 +161,7 @@ def a_step(
         heading_change_rad=0.0,
         device_heading_rad=heading_rad,
         heading_unknown_s=heading_unknown_s,
+        vertical_amplitude_mps2=2.0,
     )
 
 

@@ -184,4 +184,13 @@ def describe_step(
         heading_change_rad=float(heading[-1] - heading[0]),
         device_heading_rad=float(heading.mean()),
         heading_unknown_s=heading_unknown_s,
+        vertical_amplitude_mps2=amplitude_of_one_period(vertical),
     )
+
+
+def amplitude_of_one_period(values: FloatArray) -> float:
+    """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
+    n = len(values)
+    phase = 2 * np.pi * np.arange(n) / n
+    deviation = values - values.mean()
+    return 2 / n * float(np.hypot((deviation * np.cos(phase)).sum(), (deviation * np.sin(phase)).sum()))
