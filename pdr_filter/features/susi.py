@@ -16,6 +16,10 @@ Equations 1 to 7 are missing or partly missing in the copy of the text at hand. 
 - A frame of the transform is the window, with a Hann taper. Figure 5 shows the three highest maxima of the spectrogram,
   so there are three dominant frequencies, highest first, zero where the spectrum has fewer maxima. A maximum at zero
   frequency counts: "when the user is static the frequencies are almost equal to zero".
+
+Two numbers for what the paper says in words, beside the features: the energy of the norm of the angular rate itself
+(the other reading of eq. 5; figure 2 shows a swinging hand by it), and how much of a window is its dominant
+frequencies, since frequencies alone do not say whether there are peaks at all.
 """
 
 from __future__ import annotations
@@ -80,6 +84,27 @@ def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
     return frequency_hz
 
 
+def dominance(norms: FloatArray) -> FloatArray:
+    """Part of the power of each row (d, N) that is in its three highest maxima above zero frequency, (d,), 0 to 1.
+
+    The power is that of the tapered row less its mean; a maximum counts with its two neighbours, which hold all of a
+    sinusoid in the middle of a bin. Nearly 1 for a swinging arm, small where nothing repeats; zero without motion.
+    """
+    return np.array([_dominance(row) for row in norms])
+
+
+def _dominance(signal: FloatArray) -> float:
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.asarray(hann(len(signal), sym=False)))) ** 2
+    total = float(power.sum())
+    if total < (_MIN_AMPLITUDE * len(signal)) ** 2:
+        return 0.0
+    inner = power[1:]
+    maxima = 1 + np.flatnonzero((inner > power[:-1]) & (inner >= np.append(power[2:], -1.0)))
+    highest = maxima[np.argsort(-power[maxima], kind="stable")[:N_DOMINANT]]
+    near = np.unique(np.concatenate([highest - 1, highest, np.minimum(highest + 1, len(power) - 1)]))
+    return float(power[near].sum()) / total
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class MotionWindow:
     """Features of one window."""
@@ -87,6 +112,8 @@ class MotionWindow:
     time_s: float  # end of the window
     features: FloatArray  # (10,)
     has_gyroscope: bool
+    dominance: FloatArray  # (2,) of |f| and |omega|, see `dominance`
+    rotation_energy: float  # mean square of |omega| itself, rad2/s2; zero without gyroscope
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +124,7 @@ class MotionWindowState:
     zi: FloatArray | None  # (5, 2, 6); None before the first sample
     delay_line: FloatArray  # (2, L - 1) filtered norms, for the moving mean
     first: int  # index of the first sample in the buffer
-    buffer: FloatArray  # (4, B): time, norms less their moving mean, angular rate known
+    buffer: FloatArray  # (5, B): time, norms less their moving mean, |omega|, angular rate known
 
 
 @dataclass(frozen=True)
@@ -143,7 +170,7 @@ class MotionWindows:
 
     def init(self) -> MotionWindowState:
         """State at the start of a segment."""
-        return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), 0, np.empty((4, 0)))
+        return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), 0, np.empty((5, 0)))
 
     def step(
         self, state: MotionWindowState, block: UniformBlock
@@ -152,7 +179,7 @@ class MotionWindows:
         zi, norms = self._filtered_norms(state.zi, block)
         line = np.concatenate([state.delay_line, norms], axis=1)
         deviation = norms - self._moving_mean(line, state.n_samples)
-        new = np.vstack([block.time_s, deviation, block.angular_rate_known.astype(float)])
+        new = np.vstack([block.time_s, deviation, norms[1], block.angular_rate_known.astype(float)])
         buffer = np.concatenate([state.buffer, new], axis=1)
         buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
         windows = [(last, self._describe(samples)) for last, samples in cut]
@@ -177,9 +204,12 @@ class MotionWindows:
         return sums / seen
 
     def _describe(self, samples: FloatArray) -> MotionWindow:
+        # contiguous, so that reductions take the same path for every window
+        deviation = np.ascontiguousarray(samples[1:3])
         return MotionWindow(
             time_s=float(samples[0, -1]) + 0.5 / self.rate_hz,
-            # contiguous, so that reductions take the same path for every window
-            features=motion_features(np.ascontiguousarray(samples[1:3]), self.rate_hz),
-            has_gyroscope=bool(samples[3].all()),
+            features=motion_features(deviation, self.rate_hz),
+            has_gyroscope=bool(samples[4].all()),
+            dominance=dominance(deviation),
+            rotation_energy=float((samples[3] * samples[3]).mean()),
         )
