@@ -20,8 +20,8 @@ from rich.table import Table
 from pdr_filter import __version__
 
 if TYPE_CHECKING:
-    from pdr_filter.online import Config
-    from pdr_filter.types import Recording, Subject, Track
+    from pdr_filter.context.model import ContextModel
+    from pdr_filter.types import Recording, Track
 
 SOME_FAILED, UNUSABLE = 1, 2
 
@@ -94,12 +94,14 @@ def track(
         start = _origin(origin)
         if start is not None and out is None:
             raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
-        config_of = _config_of(recipe, model)
+        context_model = _checked_options(recipe, model)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = pdr.read(file)
-        config = config_of(recording.subject)
+        config = pdr.recipes.for_recording(recipe, recording)
+        if context_model is not None:
+            config = pdr.recipes.with_context_model(config, context_model)
         result = pdr.track(recording, config, weighting.value if weighting else None, progress=progress)
         if out is not None:
             _write_files(result, out, start, written)
@@ -293,18 +295,14 @@ def _print_json(value: dict[str, Any]) -> None:
     typer.echo(json.dumps(value, allow_nan=False))
 
 
-def _config_of(recipe: str, model: Path | None) -> Callable[[Subject], Config]:
-    """The recipe of that name for a person, with another context model if one is given."""
+def _checked_options(recipe: str, model: Path | None) -> ContextModel | None:
+    """The context model if one is given; ValueError if there is no such recipe, before any file is read."""
     from pdr_filter import recipes
     from pdr_filter.context.model import load_model
 
     if recipe not in recipes.RECIPES:
         raise ValueError(f"no recipe {recipe!r}; there are {', '.join(sorted(recipes.RECIPES))}")
-    make = recipes.RECIPES[recipe]
-    if model is None:
-        return make
-    context_model = load_model(model)
-    return lambda subject: recipes.with_context_model(make(subject), context_model)
+    return None if model is None else load_model(model)
 
 
 def _origin(text: str | None) -> tuple[float, float] | None:

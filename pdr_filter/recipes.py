@@ -9,16 +9,32 @@ from types import MappingProxyType
 
 import numpy as np
 
+from pdr_filter.context import zhou as behaviours
 from pdr_filter.context.learned import LearnedContexts
 from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.stage import ContextModels
+from pdr_filter.context.susi import MotionModes
+from pdr_filter.context.tian import TianContexts
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.heading.offset_compensation import OffsetCompensation
 from pdr_filter.motion import Mode, MotionNoise
 from pdr_filter.online import Config
 from pdr_filter.sensing import Sensing
-from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, bounce_fit, known_length
+from pdr_filter.step_length import (
+    FrequencyVarianceStepLength,
+    KimStepLength,
+    StepLengthFit,
+    ZhouWalkingStepLength,
+    bounce_fit,
+    known_length,
+    static_fit,
+    tian_fit,
+)
+from pdr_filter.steps import zhou as reference_lines
+from pdr_filter.steps.susi import NormMinimaStepDetector
+from pdr_filter.steps.tian import TianStepDetector
 from pdr_filter.tracking import Tracker
-from pdr_filter.types import CONTEXTS, FloatArray, Subject
+from pdr_filter.types import CONTEXTS, FloatArray, Recording, Subject
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
 # the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
@@ -52,15 +68,15 @@ _RUNNING = StepLengthFit(
 _STATIONARY = known_length(0.0, 0.02)
 
 
-def context_modes(walking: StepLengthFit) -> tuple[Mode, ...]:
-    """One mode for each context, with a model for the steps of walking and the default lengths of all others."""
+def context_modes(walking: StepLengthFit, running: StepLengthFit = _RUNNING) -> tuple[Mode, ...]:
+    """One mode for each context, with models for walking and running and the default lengths of all others."""
     lengths = {
         "stationary": _STATIONARY,
         "walking": walking,
         "upstairs": _UPSTAIRS,
         "downstairs": _DOWNSTAIRS,
         "sideways": _SIDEWAYS,
-        "running": _RUNNING,
+        "running": running,
     }
     # Which side a side step goes to is not observable from the features; to the right is the convention.
     offsets = {"sideways": np.pi / 2}
@@ -147,6 +163,97 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     )
 
 
+# Height of somebody of whom it is not known, m: between the means of women and men.
+_HEIGHT_M = 1.70
+
+
+def tian2016(subject: Subject | None = None) -> Config:
+    """Tian et al. 2016: carrying modes by a state machine, peaks of one axis, k h sqrt(f), heading compensated.
+
+    Needs a gyroscope; height and gender of the subject give the step length. The first step from rest has the
+    frequency of a step of 0.6 s, which gives 0.41 (men) or 0.38 (women) of the height: within 7 % the static model that
+    the paper uses for it. docs/methods/tian2016.md has all deviations.
+    """
+    height_m, gender = _height_and_gender(subject)
+    return _of_one_hot_contexts(
+        "tian2016",
+        Sensing(contexts=TianContexts(), steps=TianStepDetector(), heading=OffsetCompensation()),
+        context_modes(tian_fit(height_m, gender)),
+    )
+
+
+# Zhou et al. 2019, eq. 14 (M7): fitted by tests/benchmarks/fit_zhou.py, because the paper prints no parameters. Carried:
+# legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
+_ZHOU_CARRIED = (
+    StepLengthFit(ZhouWalkingStepLength(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),
+    StepLengthFit(KimStepLength(), np.array([0.552]), np.zeros((1, 1)), 0.10),
+)
+_ZHOU_FOOT = (
+    StepLengthFit(ZhouWalkingStepLength(), np.array([-5.226, -6.963, 12.361, 0.0273]), np.zeros((4, 4)), 0.15),
+    StepLengthFit(KimStepLength(), np.array([0.389]), np.zeros((1, 1)), 0.15),
+)
+
+
+def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Config:
+    """Zhou et al. 2019: behaviours by a state machine, crossings of reference lines, two-segment step length M7.
+
+    Made for a sensor on the foot, `placement="foot"`, where an event is a stride; `placement="carried"` is for a phone
+    elsewhere, where it is a step. Needs nothing of the subject and no gyroscope, but for the heading, which the paper
+    does not treat: it is that of the device. docs/methods/zhou2019.md has all deviations.
+    """
+    if placement not in ("carried", "foot"):
+        raise ValueError(f'placement must be "carried" or "foot", got {placement!r}')
+    thresholds, detector, lengths = (
+        (behaviours.FOOT, reference_lines.FOOT, _ZHOU_FOOT)
+        if placement == "foot"
+        else (behaviours.CARRIED, reference_lines.CARRIED, _ZHOU_CARRIED)
+    )
+    sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds), steps=detector)
+    return _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=())
+
+
+def susi2013(subject: Subject | None = None) -> Config:
+    """Susi et al. 2013: motion modes by a decision tree, minima of the norms of force or rotation.
+
+    For a phone in the hand, at the ear or in a bag, with a gyroscope. The paper ends with the steps: their length is
+    the static one of the subject's height and gender, and the heading that of the device. docs/methods/susi2013.md.
+    """
+    height_m, gender = _height_and_gender(subject)
+    return _of_one_hot_contexts(
+        "susi2013",
+        Sensing(contexts=MotionModes(), steps=NormMinimaStepDetector()),
+        context_modes(static_fit(height_m, gender)),
+    )
+
+
+def _height_and_gender(subject: Subject | None) -> tuple[float, str | None]:
+    subject = subject or Subject()
+    return _HEIGHT_M if subject.height_m is None else subject.height_m, subject.gender
+
+
+def _of_one_hot_contexts(
+    name: str, sensing: Sensing, modes: tuple[Mode, ...], needs: tuple[str, ...] = ("gyroscope",)
+) -> Config:
+    """A published system that decides for one context: the step length is that of the most probable one."""
+    tracker = Tracker(modes=modes, transition_prob=context_transitions(), weighting="hc")
+    return Config(name=name, sensing=sensing, tracker=tracker, needs=needs)
+
+
+def for_recording(name: str, recording: Recording) -> Config:
+    """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
+    if name not in RECIPES:
+        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
+    if name == "zhou2019" and "foot" in str(recording.meta.get("placement", "")).lower():
+        return zhou2019(recording.subject, placement="foot")
+    return RECIPES[name](recording.subject)
+
+
 RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(
-    {"default": default, "martinelli2018": martinelli2018}
+    {
+        "default": default,
+        "martinelli2018": martinelli2018,
+        "susi2013": susi2013,
+        "tian2016": tian2016,
+        "zhou2019": zhou2019,
+    }
 )

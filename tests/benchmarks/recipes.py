@@ -27,17 +27,12 @@ FloatArray = NDArray[np.float64]
 RECIPES = ("martinelli2018", "tian2016", "zhou2019", "guo2018", "susi2013", "default")
 
 
-def config_of(recipe: str, recording: pdr.Recording) -> pdr.Config:
-    """The recipe for the person of a recording."""
-    return getattr(pdr.recipes, recipe)(recording.subject)
-
-
 def count_error(recipe: str, path: Path) -> tuple[str, float, int, float]:
     """Placement, count error in per cent, false steps, and the seconds in which a step is false."""
     recording = pdr.read(path)
     walk = recording.truth.segments[0]
     start_s, end_s, n_true = float(walk["start_s"]), float(walk["end_s"]), float(walk["n_steps"])
-    time_s = pdr.detect_steps(recording, config_of(recipe, recording)).time_s
+    time_s = pdr.detect_steps(recording, pdr.recipes.for_recording(recipe, recording)).time_s
     n_found = int(((time_s >= start_s - 0.3) & (time_s <= end_s + 0.3)).sum())
     n_false = int(((time_s < start_s - 1) | (time_s > end_s + 1)).sum())
     outside_s = max(0.0, start_s - 1) + max(0.0, recording.duration_s - end_s - 1)
@@ -48,7 +43,7 @@ def switch_scores(recipe: str, path: Path) -> tuple[float, float]:
     """F1 within 0.25 s and 0.1 s of foot switches, a constant offset removed."""
     recording = pdr.read(path)
     truth_s = recording.truth.steps.time_s
-    found_s = pdr.detect_steps(recording, config_of(recipe, recording)).time_s
+    found_s = pdr.detect_steps(recording, pdr.recipes.for_recording(recipe, recording)).time_s
     found_s = found_s[(found_s > truth_s[0] - 0.6) & (found_s < truth_s[-1] + 0.6)]
     offsets = np.arange(-0.4, 0.41, 0.02)
     near, close = (max(f1_score(truth_s, found_s + o, tolerance) for o in offsets) for tolerance in (0.25, 0.1))
@@ -58,7 +53,7 @@ def switch_scores(recipe: str, path: Path) -> tuple[float, float]:
 def waypoint_errors(recipe: str, path: Path) -> tuple[float, ...]:
     """As `accuracy.track_errors`."""
     recording = pdr.read(path)
-    return track_errors(recording, pdr.track(recording, config_of(recipe, recording)))
+    return track_errors(recording, pdr.track(recording, pdr.recipes.for_recording(recipe, recording)))
 
 
 def room_distance(recipe: str, path: Path) -> tuple[str, float]:
@@ -76,7 +71,7 @@ def room_distance(recipe: str, path: Path) -> tuple[str, float]:
     label = recording.truth.labels[0]
     inside = (uniform_s >= label["start_s"]) & (uniform_s <= label["end_s"])
     length_m = np.linalg.norm(np.diff(smooth[inside], axis=0), axis=1).sum()
-    track = pdr.track(recording, config_of(recipe, recording))
+    track = pdr.track(recording, pdr.recipes.for_recording(recipe, recording))
     walked = (track.time_s >= label["start_s"]) & (track.time_s <= label["end_s"])
     scenario = path.stem.removeprefix("tyrex_").split("_")[-1]
     return scenario, 100 * (track.step_length_m[walked].sum() / length_m - 1)

@@ -150,11 +150,11 @@ def height_of(recording: pdr.Recording) -> float:
     return recording.subject.height_m or UNKNOWN_HEIGHT_M
 
 
-def legs_between_landmarks(path: Path) -> list[Leg]:
+def legs_between_landmarks(path: Path, detected: Callable[[pdr.Recording], list[Step]] = steps_of) -> list[Leg]:
     """Legs of a walk of humolire or ms_indoor with at least four steps."""
     recording = pdr.read(path)
     site = str(recording.meta["dataset"])
-    steps = steps_of(recording)
+    steps = detected(recording)
     end = np.array([s.time_s for s in steps])
     duration = np.array([s.duration_s for s in steps])
     legs: list[Leg] = []
