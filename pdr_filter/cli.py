@@ -83,6 +83,9 @@ def track(
         Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
     ] = None,
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None,
+    height_m: Annotated[
+        float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
+    ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")] = None,
     origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Start in degrees: also NAME.geojson.")] = None,
     as_json: AsJson = False,
@@ -99,6 +102,8 @@ def track(
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = pdr.read(file)
+        if height_m is not None:
+            recording = recording.of_height(height_m)
         config = pdr.recipes.for_recording(recipe, recording)
         if context_model is not None:
             config = pdr.recipes.with_context_model(config, context_model)
@@ -164,15 +169,12 @@ def compare(files: Files) -> None:
     """Compare the weightings HC, WC and IMM on recordings."""
     import pdr_filter as pdr
 
-    with _one_line_errors():
-        config = pdr.recipes.default()
-
     def compare_one(file: Path, progress: Callable[[float], None]) -> list[Track]:
         recording = pdr.read(file)
         tracks: list[Track] = []
         for i, weighting in enumerate(Weighting):
             tracks.append(
-                pdr.track(recording, config, weighting.value, progress=lambda part, i=i: progress((i + part) / 3))
+                pdr.track(recording, None, weighting.value, progress=lambda part, i=i: progress((i + part) / 3))
             )
         return tracks
 

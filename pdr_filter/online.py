@@ -23,7 +23,8 @@ _STATIONARY = CONTEXTS.index("stationary")
 class Config:
     """Everything about a filter that never changes; a recipe is a function that returns one.
 
-    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which it means nothing.
+    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which it means nothing; `notes`
+    say in plain words what to keep in mind about every track that it makes.
     """
 
     name: str
@@ -31,6 +32,7 @@ class Config:
     tracker: Tracker
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
+    notes: tuple[str, ...] = ()
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""
@@ -314,6 +316,7 @@ class OnlineFilter:
             *self.state.sensing.conditioner.report.notes(),
             *context_notes(self.state.seen),
             *fixes,
+            *self.config.notes,
         )
 
     def save(self) -> bytes:

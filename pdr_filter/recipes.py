@@ -10,6 +10,8 @@ from types import MappingProxyType
 import numpy as np
 
 from pdr_filter.context import zhou as behaviours
+from pdr_filter.context.guo import NOTE as POSE_NOTE
+from pdr_filter.context.guo import PoseContext
 from pdr_filter.context.learned import LearnedContexts
 from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.stage import ContextModels
@@ -26,11 +28,13 @@ from pdr_filter.step_length import (
     StepLengthFit,
     ZhouWalkingStepLength,
     bounce_fit,
+    chen_fit,
     known_length,
     static_fit,
     tian_fit,
 )
 from pdr_filter.steps import zhou as reference_lines
+from pdr_filter.steps.guo import PoseStepDetector
 from pdr_filter.steps.susi import NormMinimaStepDetector
 from pdr_filter.steps.tian import TianStepDetector
 from pdr_filter.tracking import Tracker
@@ -144,6 +148,7 @@ def default(subject: Subject | None = None) -> Config:
             transition_prob=context_transitions(),
             noise=MotionNoise(log_scale_std=0.08 if height_m is None else 0.065),
         ),
+        notes=_height_note(height_m, 1.75),
     )
 
 
@@ -179,11 +184,16 @@ def tian2016(subject: Subject | None = None) -> Config:
         "tian2016",
         Sensing(contexts=TianContexts(), steps=TianStepDetector(), heading=OffsetCompensation()),
         context_modes(tian_fit(height_m, gender)),
+        notes=(
+            "tian2016 follows changes of the carrying mode: a phone that was put away before the recording began is "
+            "taken to be held",
+            *_height_note(subject.height_m if subject else None, _HEIGHT_M),
+        ),
     )
 
 
-# Zhou et al. 2019, eq. 14 (M7): fitted by tests/benchmarks/fit_zhou.py, because the paper prints no parameters. Carried:
-# legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
+# Zhou et al. 2019, eq. 14 (M7): fitted by tests/benchmarks/fit_zhou.py, because the paper prints no parameters.
+# Carried: legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.
 _ZHOU_CARRIED = (
     StepLengthFit(ZhouWalkingStepLength(), np.array([-0.690, -3.159, 4.351, -0.0084]), np.zeros((4, 4)), 0.10),
     StepLengthFit(KimStepLength(), np.array([0.552]), np.zeros((1, 1)), 0.10),
@@ -209,7 +219,27 @@ def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Conf
         else (behaviours.CARRIED, reference_lines.CARRIED, _ZHOU_CARRIED)
     )
     sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds), steps=detector)
-    return _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=())
+    note = (
+        "zhou2019 on a foot: steps are two for each stride of the instrumented foot, the second one half way"
+        if placement == "foot"
+        else "zhou2019 is made for a sensor on the foot; here every event is a step of a carried phone"
+    )
+    return _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=(), notes=(note,))
+
+
+def guo2018(subject: Subject | None = None) -> Config:
+    """Guo et al. 2018: poses by a random forest, steps on the signal of the pose, Chen's step length.
+
+    Needs a gyroscope; the height of the subject gives the step length. The recordings here have neither light nor
+    proximity: the forest uses the other 12 of the 18 features. docs/methods/guo2018.md has all deviations.
+    """
+    height_m, _ = _height_and_gender(subject)
+    return _of_one_hot_contexts(
+        "guo2018",
+        Sensing(contexts=PoseContext(), steps=PoseStepDetector()),
+        context_modes(chen_fit(height_m)),
+        notes=(POSE_NOTE, *_height_note(subject.height_m if subject else None, _HEIGHT_M)),
+    )
 
 
 def susi2013(subject: Subject | None = None) -> Config:
@@ -223,6 +253,11 @@ def susi2013(subject: Subject | None = None) -> Config:
         "susi2013",
         Sensing(contexts=MotionModes(), steps=NormMinimaStepDetector()),
         context_modes(static_fit(height_m, gender)),
+        notes=(
+            "susi2013 is made for a phone in the hand, at the ear or in a bag: a trouser pocket looks like a swinging "
+            "arm to it",
+            *_height_note(subject.height_m if subject else None, _HEIGHT_M),
+        ),
     )
 
 
@@ -232,11 +267,23 @@ def _height_and_gender(subject: Subject | None) -> tuple[float, str | None]:
 
 
 def _of_one_hot_contexts(
-    name: str, sensing: Sensing, modes: tuple[Mode, ...], needs: tuple[str, ...] = ("gyroscope",)
+    name: str,
+    sensing: Sensing,
+    modes: tuple[Mode, ...],
+    needs: tuple[str, ...] = ("gyroscope",),
+    notes: tuple[str, ...] = (),
 ) -> Config:
     """A published system that decides for one context: the step length is that of the most probable one."""
     tracker = Tracker(modes=modes, transition_prob=context_transitions(), weighting="hc")
-    return Config(name=name, sensing=sensing, tracker=tracker, needs=needs)
+    return Config(name=name, sensing=sensing, tracker=tracker, needs=needs, notes=notes)
+
+
+def _height_note(height_m: float | None, assumed_m: float) -> tuple[str, ...]:
+    if height_m is not None:
+        return ()
+    return (
+        f"the person's height is not known: {assumed_m:.2f} m is assumed, and the track may be 8 % too long or short",
+    )
 
 
 def for_recording(name: str, recording: Recording) -> Config:
@@ -252,6 +299,7 @@ RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(
     {
         "default": default,
         "martinelli2018": martinelli2018,
+        "guo2018": guo2018,
         "susi2013": susi2013,
         "tian2016": tian2016,
         "zhou2019": zhou2019,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -124,6 +124,11 @@ class Recording:
         """The pedestrian, from meta; unknown fields are None."""
         known = self.meta.get("subject") or {}
         return Subject(**{f.name: known.get(f.name) for f in fields(Subject)})
+
+    def of_height(self, height_m: float) -> Recording:
+        """The same recording of a person of this height: step lengths follow it."""
+        subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
+        return replace(self, meta={**self.meta, "subject": subject})
 
     @property
     def streams(self) -> dict[str, Samples]:

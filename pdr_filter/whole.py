@@ -90,7 +90,8 @@ def _run(
     collect(output)
 
     report = state.sensing.conditioner.report
-    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates), *context_notes(state.seen)]
+    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
+    notes += [*context_notes(state.seen), *config.notes]
     if state.tracker.rejected_fixes:
         notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
     if state.waiting_fixes:

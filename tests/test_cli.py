@@ -95,7 +95,7 @@ def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
 def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:
     path = MODELS / "context_martinelli_forest.npz"
     result = run("track", "--json", "--model", path, walk)
-    config = pdr.recipes.with_context_model(pdr.recipes.default(), load_model(path))
+    config = pdr.recipes.with_context_model(pdr.recipes.default(pdr.read(walk).subject), load_model(path))
     contexts = config.sensing.contexts
     assert isinstance(contexts, LearnedContexts)
     assert contexts.models.with_gyroscope.name == "context_martinelli_forest"

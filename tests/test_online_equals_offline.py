@@ -6,6 +6,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -50,6 +51,11 @@ def stream(online: pdr.OnlineFilter, blocks: Sequence[ImuBlock]) -> list[pdr.Ste
     return [*(u for block in blocks for u in push(online, block)), *online.finish()]
 
 
+def tracked(recording: Recording, config: pdr.Config | None = None, **arguments: Any) -> Track:
+    """The whole recording with the configuration of `online_filter`, which knows nothing of the person."""
+    return pdr.track(recording, config or recipes.default(), **arguments)
+
+
 def online_filter(weighting: str) -> pdr.OnlineFilter:
     return pdr.OnlineFilter(recipes.default().with_weighting(weighting))
 
@@ -84,7 +90,7 @@ def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recording, weighting: str, seed: int) -> None:
-    track = pdr.track(demo, weighting=weighting)
+    track = tracked(demo, weighting=weighting)
     assert track.n_steps > 200
     blocks = cut_randomly(pdr.merge_streams(demo), seed, mean_length=[40, 7][seed])
     online = online_filter(weighting)
@@ -99,7 +105,7 @@ def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recordi
 def test_real_recordings_give_the_same_bits_however_they_arrive(data_dir: Path, name: str, weighting: str) -> None:
     recording = pdr.read(data_dir / name)
     blocks = cut_randomly(pdr.merge_streams(recording), seed=len(name))
-    track = pdr.track(recording, weighting=weighting)
+    track = tracked(recording, weighting=weighting)
     assert track.n_steps > 90
     assert_updates_are_the_track(stream(online_filter(weighting), blocks), track)
 
@@ -108,7 +114,7 @@ def test_real_recordings_give_the_same_bits_however_they_arrive(data_dir: Path, 
 @given(cuts=st.lists(st.integers(0, 5000), max_size=40), weighting=st.sampled_from(WEIGHTINGS))
 def test_empty_blocks_and_single_samples_change_nothing(short_walk: Recording, cuts: list[int], weighting: str) -> None:
     blocks = cut(pdr.merge_streams(short_walk), cuts)
-    assert_updates_are_the_track(stream(online_filter(weighting), blocks), pdr.track(short_walk, weighting=weighting))
+    assert_updates_are_the_track(stream(online_filter(weighting), blocks), tracked(short_walk, weighting=weighting))
 
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
@@ -118,8 +124,8 @@ def test_fixes_added_beforehand_give_the_same_bits(short_walk: Recording, weight
         PositionFix(t, rng.normal(size=2) * 5, np.eye(2) * 4, received_time_s=t + delay)
         for t, delay in [(12.0, 0.0), (6.0, 1.5), (9.0, 0.2), (7.0, 30.0)]
     ]
-    track = pdr.track(short_walk, weighting=weighting, fixes=fixes)
-    without = pdr.track(short_walk, weighting=weighting)
+    track = tracked(short_walk, weighting=weighting, fixes=fixes)
+    without = tracked(short_walk, weighting=weighting)
     online = online_filter(weighting)
     for fix in fixes:
         online.add_fix(fix)
@@ -132,7 +138,7 @@ def test_fixes_added_beforehand_give_the_same_bits(short_walk: Recording, weight
 
 def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk: Recording) -> None:
     fix = PositionFix(9.0, np.array([1.0, 4.0]), np.eye(2), received_time_s=9.5)
-    track = pdr.track(short_walk, fixes=[fix])
+    track = tracked(short_walk, fixes=[fix])
     block = pdr.merge_streams(short_walk)
     online, updates = online_filter("imm"), []
     for piece in cut_randomly(block, 8, mean_length=10):
@@ -145,16 +151,16 @@ def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk:
 def test_a_fix_moves_the_steps_that_become_known_after_it_was_received_and_no_earlier_one(
     short_walk: Recording,
 ) -> None:
-    known_s = pdr.track(short_walk).steps.detected_time_s
+    known_s = tracked(short_walk).steps.detected_time_s
     for received_s in (known_s[7] - 1e-4, known_s[7], known_s[7] + 1e-4):
         fix = PositionFix(2.0, np.array([30.0, 30.0]), 400 * np.eye(2), received_time_s=received_s)
-        moved = (pdr.track(short_walk, fixes=[fix]).position_m != pdr.track(short_walk).position_m).any(axis=1)
+        moved = (tracked(short_walk, fixes=[fix]).position_m != tracked(short_walk).position_m).any(axis=1)
         np.testing.assert_array_equal(moved, known_s >= received_s)
 
 
 def test_a_fix_waits_for_the_step_that_it_falls_into(short_walk: Recording) -> None:
     block = pdr.merge_streams(short_walk)
-    steps = pdr.track(short_walk).steps
+    steps = tracked(short_walk).steps
     sensing = pdr.OnlineFilter().config.sensing
     fix_s = float(steps.time_s[12])
     due = fix_s + sensing.step_latency_s + sensing.steps.first_step_s
@@ -175,12 +181,12 @@ def test_a_fix_waits_for_the_step_that_it_falls_into(short_walk: Recording) -> N
 def test_true_fixes_do_not_move_the_track_however_late_they_come(
     short_walk: Recording, weighting: str, late_s: float
 ) -> None:
-    free = pdr.track(short_walk, weighting=weighting)
+    free = tracked(short_walk, weighting=weighting)
     fixes = [
         PositionFix(t, p, 0.25 * np.eye(2), received_time_s=t + late_s)
         for t, p in zip(free.time_s[5::4], free.position_m[5::4], strict=True)
     ]
-    track = pdr.track(short_walk, weighting=weighting, fixes=fixes)
+    track = tracked(short_walk, weighting=weighting, fixes=fixes)
     error_m = np.linalg.norm(track.position_m - free.position_m, axis=1)
     assert np.sqrt((error_m**2).mean()) < 0.4
     assert not any("rejected" in note for note in track.notes)
@@ -201,20 +207,20 @@ def test_a_finished_filter_says_so_and_finishes_only_once(short_walk: Recording)
 def test_what_a_filter_returns_cannot_be_written_to(short_walk: Recording) -> None:
     online = online_filter("wc")
     update = push(online, pdr.merge_streams(short_walk))[0]
-    track = pdr.track(short_walk)
+    track = tracked(short_walk)
     for array in (update.position_m, update.mode_prob, update.position_cov_m2, track.position_m, track.mode_prob):
         with pytest.raises(ValueError, match="read-only"):
             array += 1.0
 
 
 def test_two_runs_are_equal(short_walk: Recording) -> None:
-    first, second = pdr.track(short_walk), pdr.track(short_walk)
+    first, second = tracked(short_walk), tracked(short_walk)
     np.testing.assert_array_equal(first.position_m, second.position_m)
     np.testing.assert_array_equal(first.position_cov_m2, second.position_cov_m2)
 
 
 def test_steps_and_windows_of_the_track_are_those_of_detect_steps_and_classify(short_walk: Recording) -> None:
-    track, steps, windows = pdr.track(short_walk), pdr.detect_steps(short_walk), pdr.classify(short_walk)
+    track, steps, windows = tracked(short_walk), pdr.detect_steps(short_walk), pdr.classify(short_walk)
     np.testing.assert_array_equal(track.time_s, steps.time_s)
     np.testing.assert_array_equal(track.windows.time_s, windows.time_s)
     np.testing.assert_array_equal(track.windows.context_prob, windows.context_prob)
@@ -250,7 +256,7 @@ def test_saving_changes_nothing_and_loading_gives_an_equal_filter(short_walk: Re
 
 def test_a_fresh_filter_can_be_saved(short_walk: Recording) -> None:
     loaded = pdr.OnlineFilter.load(online_filter("imm").save())
-    assert_updates_are_the_track(stream(loaded, [pdr.merge_streams(short_walk)]), pdr.track(short_walk))
+    assert_updates_are_the_track(stream(loaded, [pdr.merge_streams(short_walk)]), tracked(short_walk))
 
 
 @pytest.mark.parametrize("blob", [b"", b"something else", pytest.param(None, id="another value")])
@@ -274,7 +280,7 @@ def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(sho
 
     names = ("accelerometer", "gyroscope", "magnetometer")
     other = changed(short_walk, **{n: turned(getattr(short_walk, n)) for n in names})
-    straight, upside_down = pdr.track(short_walk), pdr.track(other)
+    straight, upside_down = tracked(short_walk), tracked(other)
     np.testing.assert_array_equal(upside_down.time_s, straight.time_s)
     np.testing.assert_allclose(upside_down.position_m, straight.position_m, atol=1e-6)
 
@@ -282,9 +288,10 @@ def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(sho
 def test_where_the_walk_heads_in_the_world_does_not_matter() -> None:
     """The track is relative to the first heading."""
     legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=12.0), Leg("walking", 8.0, turn_rad=-1.0)]
-    north, south_west = (pdr.track(simulate(legs, start_heading_rad=a)) for a in (0.0, -2.5))
+    north, south_west = (tracked(simulate(legs, start_heading_rad=a)) for a in (0.0, -2.5))
     np.testing.assert_allclose(south_west.time_s, north.time_s, atol=1e-6)
-    np.testing.assert_allclose(south_west.position_m, north.position_m, atol=1e-3)
+    # the noise of the magnetometer is not turned with the walk
+    np.testing.assert_allclose(south_west.position_m, north.position_m, atol=0.01)
 
 
 def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
@@ -292,7 +299,7 @@ def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
         short_walk,
         **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()},
     )
-    track, late_track = pdr.track(short_walk), pdr.track(late)
+    track, late_track = tracked(short_walk), tracked(late)
     np.testing.assert_allclose(late_track.time_s, track.time_s + 4096.0, atol=1e-6)
     np.testing.assert_allclose(late_track.position_m, track.position_m, atol=1e-6)
 
@@ -300,7 +307,7 @@ def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
 def test_a_right_turn_of_the_walk_is_a_right_turn_of_the_track() -> None:
     legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=20.0)]
     legs += [Leg("walking", distance_m=20.0, turn_rad=np.pi / 2)]
-    track = pdr.track(simulate(legs))
+    track = tracked(simulate(legs))
     headings = track.walking_heading_rad
     assert abs(headings[5:20].mean()) < 0.3
     assert headings[-15:].mean() == pytest.approx(np.pi / 2, abs=0.3)
@@ -313,7 +320,7 @@ def test_a_right_turn_of_the_walk_is_a_right_turn_of_the_track() -> None:
 
 @pytest.mark.parametrize("weighting", WEIGHTINGS)
 def test_a_track_is_whole_and_in_order(demo: Recording, weighting: str) -> None:
-    track = pdr.track(demo, weighting=weighting)
+    track = tracked(demo, weighting=weighting)
     assert (np.diff(track.time_s) > 0).all()
     assert (track.steps.detected_time_s >= track.time_s).all()
     assert (track.steps.detected_time_s - track.time_s).max() < 1.0
@@ -328,12 +335,12 @@ def test_a_track_is_whole_and_in_order(demo: Recording, weighting: str) -> None:
 
 
 def test_the_weightings_differ_and_share_their_steps(demo: Recording) -> None:
-    imm, wc, hc = (pdr.track(demo, weighting=w) for w in WEIGHTINGS)
+    imm, wc, hc = (tracked(demo, weighting=w) for w in WEIGHTINGS)
     np.testing.assert_array_equal(imm.time_s, hc.time_s)
     np.testing.assert_array_equal(wc.time_s, hc.time_s)
     assert len({t.distance_m for t in (imm, wc, hc)}) == 3
     with pytest.raises(ValueError, match="weighting"):
-        pdr.track(demo, weighting="best")
+        tracked(demo, weighting="best")
 
 
 # --- recordings with faults -----------------------------------------------------------------------------------------
@@ -380,7 +387,7 @@ FAULTS = {
 @pytest.mark.parametrize("fault", FAULTS, ids=lambda f: f.__name__)
 def test_a_recording_with_faults_is_tracked_and_says_so(short_walk: Recording, fault: object, weighting: str) -> None:
     recording = fault(short_walk)  # type: ignore[operator]
-    track = pdr.track(recording, weighting=weighting)
+    track = tracked(recording, weighting=weighting)
     assert short_walk.truth.steps is not None
     n_true = len(short_walk.truth.steps)
     assert 0.7 * n_true <= track.n_steps <= 1.1 * n_true
@@ -389,7 +396,7 @@ def test_a_recording_with_faults_is_tracked_and_says_so(short_walk: Recording, f
     text = "\n".join(track.notes)
     for pattern in FAULTS[fault]:  # type: ignore[index]
         assert re.search(pattern, text)
-    assert bool(track.notes) == bool(FAULTS[fault])  # type: ignore[index]
+    assert (len(track.notes) > 1) == bool(FAULTS[fault])  # type: ignore[index]
     updates = stream(online_filter(weighting), cut_randomly(pdr.merge_streams(recording), 4))
     assert_updates_are_the_track(updates, track)
 
@@ -399,21 +406,21 @@ def test_all_faults_at_once_are_tracked(short_walk: Recording) -> None:
     for fault in (with_duplicates, with_nan, with_gap, at_50_hz, without_gyroscope):
         recording = fault(recording)
     for weighting in WEIGHTINGS:
-        track = pdr.track(recording, weighting=weighting)
+        track = tracked(recording, weighting=weighting)
         updates = stream(online_filter(weighting), cut_randomly(pdr.merge_streams(recording), 6))
         assert_updates_are_the_track(updates, track)
-    assert len(track.notes) == 5
+    assert len(track.notes) == 6
 
 
 def test_a_gap_widens_the_covariance_by_what_may_have_been_walked(short_walk: Recording) -> None:
-    whole, gap = pdr.track(short_walk), pdr.track(with_gap(short_walk))
+    whole, gap = tracked(short_walk), tracked(with_gap(short_walk))
     after = gap.time_s > 13.0
     assert np.trace(gap.position_cov_m2[after][0]) > np.trace(whole.position_cov_m2[-1]) + 4.0**2
     assert not ((gap.time_s > 9.0) & (gap.time_s < 13.0)).any()
 
 
 def test_without_a_gyroscope_the_heading_is_said_to_be_unknown(short_walk: Recording) -> None:
-    track, blind = pdr.track(short_walk), pdr.track(without_gyroscope(short_walk))
+    track, blind = tracked(short_walk), tracked(without_gyroscope(short_walk))
     assert (blind.steps.heading_unknown_s > 0).all()
     assert not track.steps.heading_unknown_s.any()
     np.testing.assert_array_equal(blind.time_s, track.time_s)
@@ -453,7 +460,7 @@ def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk
         given = max(given, upto)
         updates += push(online, block)
     updates += online.finish()
-    assert_updates_are_the_track(updates, pdr.track(recording, weighting=weighting))
+    assert_updates_are_the_track(updates, tracked(recording, weighting=weighting))
     assert len(online.state.climbs) < 5
 
 
@@ -461,7 +468,7 @@ def test_pressure_in_pascal_is_refused_and_changes_nothing(short_walk: Recording
     online = online_filter("imm")
     with pytest.raises(ValueError, match="divide by 100"):
         online.push_pressure([0.0, 0.1], [101_325.0, 101_320.0])
-    assert_updates_are_the_track(stream(online, [pdr.merge_streams(short_walk)]), pdr.track(short_walk))
+    assert_updates_are_the_track(stream(online, [pdr.merge_streams(short_walk)]), tracked(short_walk))
 
 
 @pytest.mark.parametrize("n", [0, 1, 3, 12])
@@ -474,7 +481,7 @@ def test_too_few_samples_give_no_steps_and_no_exception(n: int) -> None:
     assert online.finish() == []
     np.testing.assert_array_equal(online.position_m, np.zeros(2))
     if n:
-        track = pdr.track(Recording("short", Samples(time_s, force)))
+        track = tracked(Recording("short", Samples(time_s, force)))
         assert (track.n_steps, track.distance_m) == (0, 0.0)
         assert any("no steps" in note for note in track.notes)
 
@@ -516,8 +523,8 @@ def test_without_a_gyroscope_the_covariance_covers_the_error(data_dir: Path) -> 
     nees = []
     for path in sorted((data_dir / "humolire").glob("*.zip"))[:4]:
         recording = pdr.read(path)
-        seen = pdr.track(recording)
-        blind = pdr.track(replace(recording, gyroscope=None))
+        seen = tracked(recording)
+        blind = tracked(replace(recording, gyroscope=None))
         at = np.column_stack([np.interp(blind.time_s, seen.time_s, seen.position_m[:, k]) for k in (0, 1)])
         error = blind.position_m[50:] - at[50:]
         nees.append(np.einsum("ki,kij,kj->k", error, np.linalg.inv(blind.position_cov_m2[50:]), error).mean())
@@ -529,4 +536,4 @@ def test_a_recipe_that_needs_a_sensor_says_which_one_is_missing(short_walk: Reco
     for run in (pdr.track, pdr.detect_steps, pdr.classify):
         with pytest.raises(pdr.MissingSensorError, match="has no barometer, which recipe 'default' needs"):
             run(short_walk, config)
-    assert pdr.track(short_walk, replace(recipes.default(), needs=("gyroscope",))).n_steps > 0
+    assert tracked(short_walk, replace(recipes.default(), needs=("gyroscope",))).n_steps > 0

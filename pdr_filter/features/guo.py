@@ -1,4 +1,4 @@
-"""The 18 pose features of Guo et al. 2018, Table 1: statistics of pitch, roll, light and proximity over 0.6 s.
+"""What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
 
 Deviations, where the text is silent or cannot be meant:
 
@@ -8,7 +8,9 @@ Deviations, where the text is silent or cannot be meant:
 - Roll jumps by a full turn when the phone passes face down, and a mean over such a jump points nowhere. Within a
   window roll is therefore made continuous, and the whole window moved by full turns until its mean is in [-pi, pi).
 - A phone without light or proximity sensor has the first 12 features only (`WITHOUT_LIGHT_AND_PROXIMITY`).
-- Windows follow each other without overlap: the pose is detected every 0.6 s (section 2).
+- Windows of the pose follow each other without overlap: it is detected every 0.6 s (section 2).
+- The level of motion is computed at every sample, as the step detector's pseudocode has it (Table 2). It adds m2/s4 and
+  rad2/s2 with a factor of 9.8 between them, and without a gyroscope it is the first half alone.
 
 Roll is undefined where the y-axis is vertical, and noisy near it, as in a trouser pocket. That is in the paper too.
 """
@@ -19,8 +21,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from pdr_filter.conditioning import UniformBlock
 from pdr_filter.features.sliding import check_window, take_windows
-from pdr_filter.types import FloatArray
+from pdr_filter.types import BoolArray, FloatArray
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
 _AMBIENT_STATISTICS = ("mean", "median", "rms")
@@ -169,3 +172,61 @@ class PoseWindows:
     def _describe(self, samples: FloatArray) -> PoseWindow:
         n_rows = 5 if np.isfinite(samples[3:]).all() else 3
         return PoseWindow(float(samples[0, -1]) + 0.5 / self.rate_hz, pose_features(samples[1:n_rows]))
+
+
+# alpha of eq. 1
+RATE_SCALE = 9.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionLevelState:
+    """The samples that later windows still need."""
+
+    n_samples: int  # seen so far in this segment
+    delay_line: FloatArray  # (6, L - 1) specific force, its square, squared angular rate, samples without angular rate
+
+
+@dataclass(frozen=True)
+class MotionLevel:
+    """How much a phone moves: eq. 1, causal, at every sample.
+
+    T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
+    start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    window_s : float
+        Length of the window.
+    """
+
+    rate_hz: float = 100.0
+    window_s: float = 0.6
+
+    @property
+    def window_samples(self) -> int:
+        """Length in samples."""
+        return round(self.window_s * self.rate_hz)
+
+    def init(self) -> MotionLevelState:
+        """State at the start of a segment."""
+        return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
+
+    def step(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
+        """New state, the level at each sample (N,), and whether its whole window has an angular rate (N,)."""
+        x, y, z = block.specific_force_mps2.T
+        u, v, w = block.angular_rate_radps.T
+        known = block.angular_rate_known
+        new = np.stack(
+            [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
+        )
+        line = np.concatenate([state.delay_line, new], axis=1)
+        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
+        sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
+        seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
+        x, y, z, force, rate, missing = sums / seen
+        has_rate = missing == 0.0
+        # The difference of two numbers near g squared: nothing but rounding is negative.
+        level = np.maximum(force - (x * x + y * y + z * z), 0.0) + np.where(has_rate, RATE_SCALE * rate, 0.0)
+        return MotionLevelState(state.n_samples + len(known), line[:, len(known) :]), level, has_rate
