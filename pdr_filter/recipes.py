@@ -148,7 +148,7 @@ def default(subject: Subject | None = None) -> Config:
             transition_prob=context_transitions(),
             noise=MotionNoise(log_scale_std=0.08 if height_m is None else 0.065),
         ),
-        notes=_height_note(height_m, 1.75),
+        notes=_height_note(height_m, _HEIGHT_M),
     )
 
 

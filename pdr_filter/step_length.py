@@ -243,7 +243,7 @@ class BounceStepLength:
     Parameters
     ----------
     height_m : float
-        Of the person; 1.75 m where it is unknown (also Chen's reference).
+        Of the person; where it is unknown 1.70 m, between the means of men and women.
     max_amplitude_mps2 : float
         A larger amplitude counts as this one: it is the give of a soft arm, not the body's.
     min_amplitude_mps2 : float
@@ -252,7 +252,7 @@ class BounceStepLength:
         Cadences of walking, 72 to 144 steps a minute: beyond, a step was missed or found twice.
     """
 
-    height_m: float = 1.75
+    height_m: float = 1.70
     max_amplitude_mps2: float = 3.0
     min_amplitude_mps2: float = 0.3
     min_frequency_hz: float = 1.2
@@ -383,7 +383,7 @@ def chen_fit(height_m: float) -> StepLengthFit:
 # Of `BounceStepLength`: fitted to 298 legs of known displacement, two sites alike (humolire, ms_indoor;
 # tests/benchmarks/step_length_models.py). Its standard deviation is the spread of people, 6 %, over the root of 15 of
 # them. Single steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
-_BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.286, 0.0045, 0.08
+_BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.289, 0.0045, 0.08
 
 
 def bounce_fit(height_m: float | None = None) -> StepLengthFit:

@@ -410,7 +410,8 @@ def train(data_dir: Path, out_dir: Path, progress: Progress | None = None) -> li
         if progress is not None:
             progress(what, fraction)
 
-    from pdr_filter.context.train_carrying import train_carrying  # it builds on this module
+    from pdr_filter.context.train_carrying import train_carrying  # they build on this module
+    from pdr_filter.context.train_guo import train_guo
 
     wanted = sorted({d for plan in PLANS for d in plan.datasets})
     paths = [p for d in wanted for p in sorted((data_dir / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
@@ -429,7 +430,8 @@ def train(data_dir: Path, out_dir: Path, progress: Progress | None = None) -> li
                 model = train_one(plan, windows, part)
                 model.save(out_dir)
                 cards.append(dict(model.card))
-        return cards + train_carrying(paths, out_dir, _part(tell, 0.85, 0.15))
+        cards += train_carrying(paths, out_dir, _part(tell, 0.85, 0.1))
+        return [*cards, train_guo(paths, out_dir, _part(tell, 0.95, 0.05))]
 
 
 def _part(tell: Progress, start: float, span: float) -> Progress:

@@ -34,7 +34,7 @@ from pdr_filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.types import Step
 
 FloatArray = NDArray[np.float64]
-UNKNOWN_HEIGHT_M = 1.75
+UNKNOWN_HEIGHT_M = 1.70
 # A click is early by up to 0.8 s, or late by 0.1 s: about 0.25 m at each end of a leg.
 LEG_STD_M = 0.35
 # Prior of every linear model: each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m. With a hundred
