@@ -90,37 +90,54 @@ def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
     return np.zeros(N_STATES), np.diag(std**2)
 
 
-def learn_heading(
-    mean: FloatArray, cov: FloatArray, step: Step, heading_offset_rad: FloatArray, is_first: bool
-) -> tuple[FloatArray, FloatArray]:
-    """Means (M, 4) and covariances (M, 4, 4) after the walking direction that the samples of a step show.
+def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Means (..., M, 4) and covariances (..., M, 4, 4) after the walking direction that the samples of a step show.
 
     Where the phone was moved, the heading offset may be anything near the new one: its variance grows by
-    `offset_change_std_rad` squared. The walking direction z is a measurement of device heading + offset state + the
-    mode's own offset, its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they
-    went with the offset. The first direction of a track defines which way the first steps went, without a doubt about
-    what was before: there it replaces the offset.
+    `offset_change_std_rad` squared. The walking direction z is a measurement of frame + device heading + offset state,
+    its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
+    offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
+
+    Parameters
+    ----------
+    mean, cov
+        Of the modes.
+    step : Step
+        With what the heading stage says of it.
+    frame_rad : float
+        Offset that counts as zero: north of the track is where the person would have walked with the first one.
     """
     o = HEADING_OFFSET
-    if step.offset_change_std_rad > 0 and not is_first:
+    if step.offset_change_std_rad > 0:
         cov = cov.copy()
-        cov[:, o, o] += step.offset_change_std_rad**2
+        cov[..., o, o] += step.offset_change_std_rad**2
         cov = bound_heading_variance(cov)
     variance = step.walking_direction_std_rad**2
     if not np.isfinite(variance):
         return mean, cov
-    measured = step.walking_direction_rad - step.device_heading_rad - heading_offset_rad
-    if is_first:
-        mean, cov = mean.copy(), cov.copy()
-        mean[:, o] = wrap_angle(measured)
-        cov[:, o, :], cov[:, :, o] = 0.0, 0.0
-        cov[:, o, o] = min(variance, MAX_HEADING_VARIANCE)
-        return mean, cov
-    innovation = wrap_angle(measured - mean[:, o])
-    gain = cov[:, :, o] / (cov[:, o, o] + variance)[:, None]
-    mean = mean + gain * innovation[:, None]
-    cov = cov - gain[:, :, None] * cov[:, None, o, :]
-    return mean, 0.5 * (cov + cov.transpose(0, 2, 1))
+    innovation = wrap_angle(step.walking_direction_rad - step.device_heading_rad - frame_rad - mean[..., o])
+    gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]
+    mean = mean + gain * innovation[..., None]
+    cov = cov - gain[..., :, None] * cov[..., None, o, :]
+    return mean, 0.5 * (cov + cov.swapaxes(-1, -2))
+
+
+def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
+    """Covariances (..., M, 4, 4) in which the heading offset is as unsure as the first walking direction.
+
+    Which way the track points is a matter of its frame, but what later directions can still change is not: the first
+    offset is known as well as the direction that it comes from, and so was the direction of the steps before. With c
+    the covariance of the offset with all else, v its variance and r = std^2 / v: the covariance of all else grows by
+    (r - 1) c c' / v, c becomes r c and v becomes std^2.
+    """
+    o = HEADING_OFFSET
+    cov = cov.copy()
+    std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
+    variance = cov[..., o, o].copy()
+    ratio = std_rad**2 / variance
+    c = cov[..., :, o].copy()
+    cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
+    return cov
 
 
 def advance(

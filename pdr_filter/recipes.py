@@ -19,6 +19,7 @@ from pdr_filter.context.susi import MotionModes
 from pdr_filter.context.tian import TianContexts
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.heading.offset_compensation import OffsetCompensation
+from pdr_filter.heading.walking_direction import WalkingDirection
 from pdr_filter.motion import Mode, MotionNoise
 from pdr_filter.online import Config
 from pdr_filter.sensing import Sensing
@@ -142,7 +143,7 @@ def default(subject: Subject | None = None) -> Config:
     height_m = subject.height_m if subject else None
     return Config(
         name="default",
-        sensing=Sensing(contexts=learned_contexts(_model("context"), "invariant")),
+        sensing=Sensing(contexts=learned_contexts(_model("context"), "invariant"), heading=WalkingDirection()),
         tracker=Tracker(
             modes=context_modes(bounce_fit(height_m)),
             transition_prob=context_transitions(),

@@ -15,6 +15,7 @@ from types import ModuleType
 import numpy as np
 
 from pdr_filter import imm
+from pdr_filter.angles import wrap_angle
 from pdr_filter.context.stage import WindowContext
 from pdr_filter.motion import (
     EAST,
@@ -26,6 +27,7 @@ from pdr_filter.motion import (
     MotionNoise,
     advance,
     bound_heading_variance,
+    expect_first_direction,
     grow_over_gap,
     initial_estimate,
     learn_heading,
@@ -92,6 +94,8 @@ class TrackerState:
     second_order_m: FloatArray  # (2,) sum of the steps' errors along themselves, see `second_order_error`
     last_step_s: float  # contact of the last final step; NaN before the first
     speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
+    frame_rad: float  # heading offset that counts as zero: the first that was known
+    frame_since_s: float  # contact of the step that it was known from; infinite before
     trail: FloatArray  # (R, 3) time, east, north of the last final steps: where a late fix belongs
     pending: tuple[Step, ...]  # hc, wc: steps not yet final
     n_final: int
@@ -206,6 +210,8 @@ class Tracker:
             second_order_m=np.zeros(2),
             last_step_s=np.nan,
             speed=None,
+            frame_rad=0.0,
+            frame_since_s=np.inf,
             trail=np.empty((0, 3)),
             pending=(),
             n_final=0,
@@ -220,6 +226,10 @@ class Tracker:
 
     def on_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
         """New state and the updates of this step (and of earlier ones that it made final)."""
+        if np.isinf(state.frame_since_s) and np.isfinite(step.walking_direction_std_rad):
+            first_rad = float(wrap_angle(step.walking_direction_rad - step.device_heading_rad))
+            cov = expect_first_direction(state.cov, step.walking_direction_std_rad)
+            state = replace(state, frame_rad=first_rad, frame_since_s=step.time_s, cov=cov)
         if self.weighting == "imm":
             return self._imm_step(state, step)
         state, final = self._settle(replace(state, pending=(*state.pending, step)), force=False)
@@ -281,7 +291,7 @@ class Tracker:
 
     def prediction(self, state: TrackerState, step: Step) -> StepPrediction:
         """What a step does to the modes of the `imm`, before evidence."""
-        known, known_cov = learn_heading(state.mean, state.cov, step, self._offsets_rad, is_first=state.n_final == 0)
+        known, known_cov = _learn_heading(state, step)
         mean, cov, prob = self._imm.mix(known, known_cov, state.mode_prob, self.transition_prob)
         length, variance = self._lengths.predict(step)
         elapsed_s = _elapsed_s(state, step)
@@ -383,7 +393,7 @@ class Tracker:
         mean_length = float(weights @ length)
         mixture_var = max(float(weights @ (variance + length**2)) - mean_length**2, 0.0)
         offset = self._offsets_rad[int(weights.argmax())]
-        mean, cov = learn_heading(state.mean, state.cov, step, np.array([offset]), is_first=state.n_final == 0)
+        mean, cov = _learn_heading(state, step)
         mean, cov = advance(
             mean,
             cov,
@@ -449,6 +459,13 @@ def _position_cov(P: FloatArray, second_order_m: FloatArray) -> FloatArray:
 def _elapsed_s(state: TrackerState, step: Step) -> float:
     """Time since the step before, or the step's own duration for the first of a segment."""
     return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
+
+
+def _learn_heading(state: TrackerState, step: Step) -> tuple[FloatArray, FloatArray]:
+    """Means and covariances with the walking direction of a step; that of the first one is in the frame already."""
+    if step.time_s <= state.frame_since_s:
+        step = replace(step, walking_direction_std_rad=np.inf)
+    return learn_heading(state.mean, state.cov, step, state.frame_rad)
 
 
 def _speed(

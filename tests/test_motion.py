@@ -20,6 +20,7 @@ from pdr_filter.motion import (
     Mode,
     MotionNoise,
     advance,
+    expect_first_direction,
     grow_over_gap,
     initial_estimate,
     learn_heading,
@@ -279,7 +280,7 @@ def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
 def test_a_walking_direction_is_a_kalman_update_of_the_heading_offset() -> None:
     mean, cov = some_estimate()
     step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
-    learnt, learnt_cov = learn_heading(mean, cov, step, np.array([0.1]), is_first=False)
+    learnt, learnt_cov = learn_heading(mean, cov, step, 0.1)
     oracle = KalmanFilter(dim_x=4, dim_z=1)
     oracle.x, oracle.P, oracle.H = mean[0][:, None], cov[0], np.array([[0.0, 0.0, 1.0, 0.0]])
     oracle.update(np.array([[1.5 - 1.0 - 0.1]]), R=np.array([[0.04]]))
@@ -292,36 +293,34 @@ def test_whole_turns_of_a_walking_direction_change_nothing(turns: int) -> None:
     mean, cov = some_estimate()
     step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
     turned = replace(step, walking_direction_rad=1.5 + 2 * np.pi * turns)
-    for once, again in zip(
-        learn_heading(mean, cov, step, np.zeros(1), False),
-        learn_heading(mean, cov, turned, np.zeros(1), False),
-        strict=True,
-    ):
+    both = learn_heading(mean, cov, step, 0.0), learn_heading(mean, cov, turned, 0.0)
+    for once, again in zip(*both, strict=True):
         np.testing.assert_allclose(once, again, atol=1e-12)
 
 
 def test_a_step_that_shows_no_direction_changes_nothing() -> None:
     mean, cov = some_estimate()
-    for is_first in (False, True):
-        learnt, learnt_cov = learn_heading(mean, cov, a_step(), np.zeros(1), is_first)
-        np.testing.assert_array_equal(learnt, mean)
-        np.testing.assert_array_equal(learnt_cov, cov)
+    learnt, learnt_cov = learn_heading(mean, cov, a_step(), 0.0)
+    np.testing.assert_array_equal(learnt, mean)
+    np.testing.assert_array_equal(learnt_cov, cov)
 
 
 def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_moved() -> None:
     mean, cov = some_estimate()
-    learnt, learnt_cov = learn_heading(mean, cov, replace(a_step(), offset_change_std_rad=0.7), np.zeros(1), False)
+    learnt, learnt_cov = learn_heading(mean, cov, replace(a_step(), offset_change_std_rad=0.7), 0.0)
     np.testing.assert_array_equal(learnt, mean)
     assert learnt_cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(cov[0, HEADING_OFFSET, HEADING_OFFSET] + 0.49)
 
 
-def test_the_first_direction_of_a_track_replaces_the_offset() -> None:
-    mean, cov = initial_estimate(STILL)
-    step = replace(a_step(heading_rad=0.5), walking_direction_rad=3.0, walking_direction_std_rad=0.4)
-    learnt, learnt_cov = learn_heading(mean[None], cov[None], step, np.zeros(1), is_first=True)
-    assert learnt[0, HEADING_OFFSET] == pytest.approx(2.5)
-    assert learnt_cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.16)
-    assert learnt_cov[0, LOG_SCALE, LOG_SCALE] == cov[LOG_SCALE, LOG_SCALE]
+def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_been_known_so_from_the_start() -> None:
+    begun = {}
+    for std in (STILL.initial_heading_offset_std_rad, 0.6):
+        mean, cov = initial_estimate(replace(STILL, initial_heading_offset_std_rad=std))
+        for heading in (0.0, 0.4, 1.0):
+            mean, cov = advance_one(mean, cov, a_step(heading_rad=heading), length_var_m2=0.01)
+        begun[std] = cov
+    first, expected = begun.values()
+    np.testing.assert_allclose(expect_first_direction(first[None], 0.6)[0], expected, atol=1e-12)
 
 
 def test_a_bias_of_the_gyroscope_makes_the_heading_less_known_by_its_variance_and_memory() -> None:

@@ -27,7 +27,7 @@ class HeadingStage(Protocol):
         """New state and the steps of a block with their walking directions.
 
         `steps` are those that became known in this block, with the number (in the segment) of the sample that revealed
-        each; what is said of a step depends on samples up to that one only.
+        each, maybe seconds after its contact; what is said of a step depends on samples up to that one only.
         """
         ...
 
