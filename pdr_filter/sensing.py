@@ -129,10 +129,10 @@ class Sensing:
         modes = ModeBlock(context, carrying_mode)
         step_state, steps = self.steps.step(state.steps, part, attitude, modes)
         heading_state, gate_state = None, None
-        if self.heading:
-            heading_state, steps = self.heading.step(state.heading, part, attitude, modes, steps)
         if self.gate:
             gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
+        if self.heading:
+            heading_state, steps = self.heading.step(state.heading, part, attitude, modes, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order = sorted([*windows, *steps], key=lambda e: e[0])
         state = SensingState(
@@ -152,12 +152,12 @@ class Sensing:
     def _close_segment(self, state: SensingState, gap_s: float) -> tuple[SensingState, list[tuple[float, Event]]]:
         """The steps that wait for samples which a gap or the end keeps away."""
         steps = self.steps.finish(state.steps)
-        if self.heading:
-            heading, steps = self.heading.finish(state.heading, steps)
-            state = replace(state, heading=heading)
         if self.gate:
             gate, steps = self.gate.close(state.gate, steps, gap_s)
             state = replace(state, gate=gate)
+        if self.heading:
+            heading, steps = self.heading.finish(state.heading, steps)
+            state = replace(state, heading=heading)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:

@@ -228,9 +228,9 @@ class WalkingDirection:
     change_std_rad: float = math.radians(35.0)
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
-    filter_drift_rad_per_sqrt_s: float = 0.015
+    filter_drift_rad_per_sqrt_s: float = 0.008
     unknown_rad_per_sqrt_s: float = 1.0
-    bias_correlation_s: float = 30.0
+    bias_correlation_s: float = 3.0
 
     def init(self) -> WalkingDirectionState:
         """State before the first sample."""

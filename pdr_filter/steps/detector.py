@@ -68,7 +68,8 @@ class StepLogState:
     """The signals of the last seconds, and the last contact."""
 
     n_samples: int  # seen so far in this segment
-    signals: FloatArray  # (5, H): time, magnitude, vertical, device heading, samples without angular rate so far
+    # (6, H): time, magnitude, vertical, device heading, samples without angular rate so far, deviation of the yaw bias
+    signals: FloatArray
     last_contact: int  # number of the sample; negative before the first
     last_contact_s: float
     last_unknown: float  # samples without angular rate up to the last contact
@@ -101,14 +102,17 @@ class StepLog:
 
     def init(self) -> StepLogState:
         """State before the first sample of a segment."""
-        return StepLogState(0, np.empty((5, 0)), -1, -np.inf, 0.0)
+        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
         """State with the samples of a block; call before their contacts are given, and `trim` after."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         unknown_before = state.signals[4, -1] if state.signals.shape[1] else 0.0
         unknown = unknown_before + np.cumsum(~block.angular_rate_known)
-        new = np.stack([block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown])
+        bias_std = attitude.yaw_bias_std_radps if len(attitude.yaw_bias_std_radps) else np.zeros(len(magnitude))
+        new = np.stack(
+            [block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown, bias_std]
+        )
         signals = np.concatenate([state.signals, new], axis=1)
         return replace(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 
@@ -168,8 +172,8 @@ def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
 def describe_step(
     signals: FloatArray, contact_s: float, detected_s: float, duration_s: float, heading_unknown_s: float
 ) -> Step:
-    """The step that ends at a contact, from its samples (5, n), rows as in `StepLogState.signals`."""
-    _, magnitude, vertical, heading, _ = signals
+    """The step that ends at a contact, from its samples (6, n), rows as in `StepLogState.signals`."""
+    _, magnitude, vertical, heading, _, bias_std = signals
     return Step(
         time_s=contact_s,
         detected_time_s=detected_s,
@@ -184,6 +188,7 @@ def describe_step(
         heading_change_rad=float(heading[-1] - heading[0]),
         device_heading_rad=float(heading.mean()),
         heading_unknown_s=heading_unknown_s,
+        yaw_bias_std_radps=float(bias_std[-1]),
         vertical_amplitude_mps2=amplitude_of_one_period(vertical),
     )
 

@@ -121,7 +121,7 @@ def track_errors(recording: pdr.Recording, track: pdr.Track) -> tuple[float, flo
     return rms[0], rms[1], 100 * error_m[-1] / along_m[-1], 100 * distance, consistency
 
 
-def tracks(data: Path, config: pdr.Config, weighting: str) -> None:
+def tracks(data: Path, recipe: str, weighting: str) -> None:
     """One row for each site."""
     print(
         "| site | walks | RMSE m median, 90 % | first 20 %: RMSE m median, 90 % | end error % median | "
@@ -129,7 +129,12 @@ def tracks(data: Path, config: pdr.Config, weighting: str) -> None:
     )
     for site in ("humolire", "ms_indoor"):
         recordings = [pdr.read(p) for p in sorted((data / site).glob("*.zip"))]
-        rows = np.array([track_errors(r, pdr.track(r, config, weighting=weighting)) for r in recordings])
+        rows = np.array(
+            [
+                track_errors(r, pdr.track(r, pdr.recipes.for_recording(recipe, r), weighting=weighting))
+                for r in recordings
+            ]
+        )
         shape, first, end, distance, consistency = rows.T
         print(
             f"| {site} | {len(rows)} | {np.median(shape):.2f}, {np.percentile(shape, 90):.2f} | "
@@ -148,7 +153,7 @@ def main() -> None:
     config = getattr(pdr.recipes, args.recipe)()
     count_errors(args.data, config)
     step_times(args.data, config)
-    tracks(args.data, config, args.weighting)
+    tracks(args.data, args.recipe, args.weighting)
 
 
 if __name__ == "__main__":
