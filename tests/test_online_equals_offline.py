@@ -282,7 +282,10 @@ def test_a_phone_turned_by_180_degrees_about_its_screen_takes_the_same_steps(sho
     other = changed(short_walk, **{n: turned(getattr(short_walk, n)) for n in names})
     straight, upside_down = tracked(short_walk), tracked(other)
     np.testing.assert_array_equal(upside_down.time_s, straight.time_s)
-    np.testing.assert_allclose(upside_down.position_m, straight.position_m, atol=1e-6)
+    np.testing.assert_allclose(upside_down.step_length_m, straight.step_length_m, atol=1e-3)
+    # people hold a phone with its top ahead: it takes a while to see that this one walks the other way
+    turned_m = np.linalg.norm(upside_down.position_m - straight.position_m, axis=1)
+    assert turned_m.max() < 0.15 * straight.distance_m
 
 
 def test_where_the_walk_heads_in_the_world_does_not_matter() -> None:
