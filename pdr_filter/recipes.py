@@ -35,6 +35,8 @@ from pdr_filter.step_length import (
     tian_fit,
 )
 from pdr_filter.steps import zhou as reference_lines
+from pdr_filter.steps.adaptive import AdaptiveStepDetector
+from pdr_filter.steps.gate import StepGate
 from pdr_filter.steps.guo import PoseStepDetector
 from pdr_filter.steps.susi import NormMinimaStepDetector
 from pdr_filter.steps.tian import TianStepDetector
@@ -135,7 +137,7 @@ def _model(name: str) -> ContextModel:
 
 
 def default(subject: Subject | None = None) -> Config:
-    """The recipe to use: wavelet steps, contexts from attitude-free features, one mode for each context.
+    """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking direction.
 
     Of the subject only the height counts. How people differ in their step lengths beyond it, the deviation of the log
     step scale, is 6.5 % for a known height and 8 % without (docs/methods/step_length.md).
@@ -143,7 +145,12 @@ def default(subject: Subject | None = None) -> Config:
     height_m = subject.height_m if subject else None
     return Config(
         name="default",
-        sensing=Sensing(contexts=learned_contexts(_model("context"), "invariant"), heading=WalkingDirection()),
+        sensing=Sensing(
+            steps=AdaptiveStepDetector(),
+            gate=StepGate(),
+            contexts=learned_contexts(_model("context"), "invariant"),
+            heading=WalkingDirection(),
+        ),
         tracker=Tracker(
             modes=context_modes(bounce_fit(height_m)),
             transition_prob=context_transitions(),

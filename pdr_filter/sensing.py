@@ -82,7 +82,7 @@ class Sensing:
     @property
     def step_latency_s(self) -> float:
         """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
-        return self.steps.latency_s + (self.gate.latency_s if self.gate else 0.0)
+        return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)
 
     def init(self) -> SensingState:
         """State before the first sample."""

@@ -232,13 +232,18 @@ class ZhouWalkingStepLength:
 
 @dataclass(frozen=True)
 class BounceStepLength:
-    """L = k h (f A)^(1/4), theta = (k,) in s^(3/4) m^(-1/4): Weinberg's fourth root of the bounce, with the cadence.
+    """L = k h r (f A)^(1/4), theta = (k,) in s^(3/4) m^(-1/4): Weinberg's fourth root of the bounce, with the cadence.
 
     A is the amplitude of the vertical force at the step's own frequency. What the models above take of the
     acceleration depends on where the phone is: the impact of the heel, which a trouser pocket passes on and a hand does
     not, is in the range, the variance and the mean modulus, but hardly in A. On 13 people with the phone in seven
     places a placement moves the length by at most 4 %, with Weinberg's range by 12 %. Both powers are fourth roots by
     choice among simple ones, not fitted.
+
+    r is for the steps that are shorter than the person's usual ones: where A is below its usual value B, r =
+    (A / B)^(1/4), as when people stop, turn on the spot or shuffle; and a step from rest, which begins with the feet
+    together, is half a step, r = 1/2. Among the same person's steps of one walk the amplitude tells more than between
+    people and places, so that it has a larger power there.
 
     Parameters
     ----------
@@ -260,10 +265,17 @@ class BounceStepLength:
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
-        """(h (f A)^(1/4),)."""
+        """(h r (f A)^(1/4),)."""
         frequency_hz = min(max(step.frequency_hz, self.min_frequency_hz), self.max_frequency_hz)
         amplitude_mps2 = min(max(step.vertical_amplitude_mps2, self.min_amplitude_mps2), self.max_amplitude_mps2)
-        return np.array([self.height_m * (frequency_hz * amplitude_mps2) ** 0.25])
+        return np.array([self.height_m * self._part_of_usual(step) * (frequency_hz * amplitude_mps2) ** 0.25])
+
+    def _part_of_usual(self, step: Step) -> float:
+        if step.from_rest:
+            return 0.5
+        if step.usual_amplitude_mps2 <= 0:
+            return 1.0
+        return min(step.vertical_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------
@@ -383,7 +395,7 @@ def chen_fit(height_m: float) -> StepLengthFit:
 # Of `BounceStepLength`: fitted to 298 legs of known displacement, two sites alike (humolire, ms_indoor;
 # tests/benchmarks/step_length_models.py). Its standard deviation is the spread of people, 6 %, over the root of 15 of
 # them. Single steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
-_BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.289, 0.0045, 0.08
+_BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.293, 0.0045, 0.08
 
 
 def bounce_fit(height_m: float | None = None) -> StepLengthFit:

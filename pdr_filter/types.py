@@ -188,6 +188,9 @@ class Step:
     yaw_bias_std_radps: float = 0.0
     # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
     vertical_amplitude_mps2: float = 0.0
+    # Geometric mean of that over the person's last steps, this one included; 0 before the second step of a bout.
+    usual_amplitude_mps2: float = 0.0
+    from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
 
     @property
     def vertical_range_mps2(self) -> float:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from math import exp, log
 from typing import Any, Protocol
 
 import numpy as np
@@ -73,6 +74,15 @@ class StepLogState:
     last_contact: int  # number of the sample; negative before the first
     last_contact_s: float
     last_unknown: float  # samples without angular rate up to the last contact
+    n_usual: float  # steps in the sums of the two logarithms, with the forgetting of `USUAL_DECAY`
+    log_amplitudes: float
+    log_durations: float
+
+
+# What is usual for somebody is the mean of about the last twenty steps.
+USUAL_DECAY = 0.95
+# A step that takes so many times the usual time began with a rest.
+_REST_PERIODS = 1.8
 
 
 @dataclass(frozen=True)
@@ -102,7 +112,7 @@ class StepLog:
 
     def init(self) -> StepLogState:
         """State before the first sample of a segment."""
-        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0)
+        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
         """State with the samples of a block; call before their contacts are given, and `trim` after."""
@@ -160,7 +170,21 @@ class StepLog:
             state.signals[:, max(start - first, 0) : contact - first], contact_s, known_s, duration_s, unknown_s
         )
         state = replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown)
-        return state, step
+        return self._compared_with_usual(state, step, is_first)
+
+    def _compared_with_usual(self, state: StepLogState, step: Step, is_first: bool) -> tuple[StepLogState, Step]:
+        """The step with what is usual for this person, itself included, and whether it began with a rest."""
+        usual_s = exp(state.log_durations / state.n_usual) if state.n_usual > 0 else np.inf
+        from_rest = is_first or step.duration_s > _REST_PERIODS * usual_s
+        if not from_rest:
+            state = replace(
+                state,
+                n_usual=USUAL_DECAY * state.n_usual + 1.0,
+                log_amplitudes=USUAL_DECAY * state.log_amplitudes + log(max(step.vertical_amplitude_mps2, 0.05)),
+                log_durations=USUAL_DECAY * state.log_durations + log(step.duration_s),
+            )
+        usual_mps2 = exp(state.log_amplitudes / state.n_usual) if state.n_usual > 0 else 0.0
+        return state, replace(step, usual_amplitude_mps2=usual_mps2, from_rest=from_rest)
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:

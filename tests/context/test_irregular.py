@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import imu, sensed
+from helpers import imu
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
@@ -19,11 +19,11 @@ from pdr_filter.features.invariant import NAMES, WITHOUT_GYROSCOPE
 from pdr_filter.features.martinelli import NAMES as MARTINELLI_NAMES
 from pdr_filter.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.io import read
-from pdr_filter.sensing import Sensing
+from pdr_filter.sensing import feature_windows
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.types import STANDARD_GRAVITY_MPS2, ImuBlock
 
-SENSING = Sensing(windows=FeatureWindows("invariant"))
+WINDOWS = FeatureWindows("invariant")
 GATES = {"gyroscope": GATE, "accelerometer": GATE_ACCELEROMETER}
 each_gate = pytest.mark.parametrize("gate", GATES.values(), ids=list(GATES))
 
@@ -40,7 +40,7 @@ def moving(gate: IrregularGate, of_logit: np.ndarray) -> np.ndarray:
 
 
 def windows(block: ImuBlock) -> list[FeatureWindow]:
-    return [e for _, e in sensed(SENSING, [block]) if isinstance(e, FeatureWindow)]
+    return list(feature_windows(WINDOWS, [block]))
 
 
 def probs(block: ImuBlock) -> np.ndarray:
