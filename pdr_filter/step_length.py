@@ -237,7 +237,7 @@ class BounceStepLength:
     A is the amplitude of the vertical force at the step's own frequency. What the models above take of the
     acceleration depends on where the phone is: the impact of the heel, which a trouser pocket passes on and a hand does
     not, is in the range, the variance and the mean modulus, but hardly in A. On 13 people with the phone in seven
-    places a placement moves the length by at most 4 %, with Weinberg's range by 12 %. Both powers are fourth roots by
+    places a placement moves the length by at most 5 %, with Weinberg's range by 12 %. Both powers are fourth roots by
     choice among simple ones, not fitted.
 
     r is for the steps that are shorter than the person's usual ones: where A is below its usual value B, r =

@@ -185,16 +185,16 @@ def test_the_models_of_body_height_are_proportional_to_it(step: Step, height_m: 
 @given(st.floats(1.2, 2.4), st.floats(0.3, 3.0))
 def test_the_default_model_grows_with_the_fourth_root_of_cadence_and_bounce(frequency_hz: float, A: float) -> None:
     model = BounceStepLength()
-    length = length_of(model, step_of(frequency_hz=frequency_hz, amplitude=A), 0.289)
-    assert length == pytest.approx(0.289 * 1.70 * (frequency_hz * A) ** 0.25, rel=1e-12)
+    length = length_of(model, step_of(frequency_hz=frequency_hz, amplitude=A), 0.293)
+    assert length == pytest.approx(0.293 * 1.70 * (frequency_hz * A) ** 0.25, rel=1e-12)
 
 
 def test_the_default_model_takes_no_notice_of_what_no_body_does() -> None:
     model = BounceStepLength()
-    assert length_of(model, step_of(amplitude=50.0), 0.289) == length_of(model, step_of(amplitude=3.0), 0.289)
-    assert length_of(model, step_of(amplitude=0.0), 0.289) == length_of(model, step_of(amplitude=0.3), 0.289)
-    assert length_of(model, step_of(frequency_hz=4.0), 0.289) == length_of(model, step_of(frequency_hz=2.4), 0.289)
-    assert length_of(model, step_of(frequency_hz=0.5), 0.289) == length_of(model, step_of(frequency_hz=1.2), 0.289)
+    assert length_of(model, step_of(amplitude=50.0), 0.293) == length_of(model, step_of(amplitude=3.0), 0.293)
+    assert length_of(model, step_of(amplitude=0.0), 0.293) == length_of(model, step_of(amplitude=0.3), 0.293)
+    assert length_of(model, step_of(frequency_hz=4.0), 0.293) == length_of(model, step_of(frequency_hz=2.4), 0.293)
+    assert length_of(model, step_of(frequency_hz=0.5), 0.293) == length_of(model, step_of(frequency_hz=1.2), 0.293)
 
 
 # --- derivatives ----------------------------------------------------------------------------------------------------
@@ -289,6 +289,21 @@ def test_one_length_for_every_step_stays_one_length_among_others() -> None:
     length, variance = StepLengths((known_length(0.29, 0.05), tian_fit(1.8))).predict(step_of())
     assert length[0] == pytest.approx(0.29)
     assert variance[0] == pytest.approx(0.0025)
+
+
+def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_for_that() -> None:
+    model = BounceStepLength()
+    usual = step_of(amplitude=1.6)
+    lengths = {ratio: length_of(model, replace(usual, usual_amplitude_mps2=1.6 / ratio), 0.3) for ratio in (0.5, 1, 2)}
+    assert lengths[1] == lengths[2] == length_of(model, usual, 0.3)
+    assert lengths[0.5] == pytest.approx(0.5**0.25 * lengths[1])
+
+
+def test_a_step_from_rest_is_half_a_step() -> None:
+    model = BounceStepLength()
+    assert length_of(model, replace(step_of(), from_rest=True), 0.3) == pytest.approx(
+        0.5 * length_of(model, step_of(), 0.3)
+    )
 
 
 # --- the bounce of a step -------------------------------------------------------------------------------------------
