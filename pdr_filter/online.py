@@ -23,8 +23,8 @@ _STATIONARY = CONTEXTS.index("stationary")
 class Config:
     """Everything about a filter that never changes; a recipe is a function that returns one.
 
-    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which it means nothing; `notes`
-    say in plain words what to keep in mind about every track that it makes.
+    `needs` names the sensor streams of `Recording`, besides the accelerometer, without which its tracks mean nothing
+    (its steps and contexts may do with less); `notes` say in plain words what to keep in mind about every track.
     """
 
     name: str

@@ -53,7 +53,8 @@ def track(
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     """
-    config = _checked(config, recording)
+    config = config or _default(recording)
+    _check_sensors(config, recording)
     if weighting is not None:
         config = config.with_weighting(weighting)
     return _run(recording, config, fixes, progress, None)[0]
@@ -63,7 +64,8 @@ def watched_track(
     recording: Recording, config: Config | None, fixes: Sequence[PositionFix], watch: Watch
 ) -> tuple[Track, TrackerState, Config]:
     """The track, the filter's last state, and the configuration used; `watch` sees every state before."""
-    config = _checked(config, recording)
+    config = config or _default(recording)
+    _check_sensors(config, recording)
     return *_run(recording, config, fixes, None, watch), config
 
 
@@ -104,13 +106,13 @@ def _run(
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
-    config = _checked(config, recording)
+    config = config or _default(recording)
     return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
-    config = _checked(config, recording)
+    config = config or _default(recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)
     return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
@@ -124,19 +126,20 @@ def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
     return tuple(config.climb_rate.step(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
 
 
-def _checked(config: Config | None, recording: Recording) -> Config:
-    """The configuration, or that of the default recipe; MissingSensorError if it needs what was not recorded."""
-    if config is None:
-        from pdr_filter.recipes import default  # loads the shipped models, which training makes
+def _default(recording: Recording) -> Config:
+    from pdr_filter.recipes import default  # loads the shipped models, which training makes
 
-        return default(recording.subject)
+    return default(recording.subject)
+
+
+def _check_sensors(config: Config, recording: Recording) -> None:
+    """MissingSensorError if the tracks of the recipe need what was not recorded."""
     missing = [name for name in config.needs if name not in recording.streams]
     if missing:
         raise MissingSensorError(
             f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
-            'needs; use recipe "default", which does without'
+            'needs for a track; use recipe "default", which does without'
         )
-    return config
 
 
 def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
