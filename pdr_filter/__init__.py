@@ -16,6 +16,8 @@ if TYPE_CHECKING:
     from pdr_filter.conditioning import merge_streams as merge_streams
     from pdr_filter.context.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
     from pdr_filter.io import read as read
+    from pdr_filter.offline.calibration import Calibration as Calibration
+    from pdr_filter.offline.calibration import calibrate as calibrate
     from pdr_filter.online import Config as Config
     from pdr_filter.online import OnlineFilter as OnlineFilter
     from pdr_filter.tracking import StepUpdate as StepUpdate
@@ -33,6 +35,7 @@ if TYPE_CHECKING:
 
 _HOME = {
     "CONTEXTS": "types",
+    "Calibration": "offline.calibration",
     "Config": "online",
     "MissingSensorError": "types",
     "OnlineFilter": "online",
@@ -44,6 +47,7 @@ _HOME = {
     "StepUpdate": "tracking",
     "Track": "types",
     "Windows": "types",
+    "calibrate": "offline.calibration",
     "classify": "whole",
     "detect_steps": "whole",
     "merge_streams": "conditioning",
@@ -54,6 +58,7 @@ _MODULES = ("recipes", "simulate")
 
 __all__ = [
     "CONTEXTS",
+    "Calibration",
     "Config",
     "MissingSensorError",
     "OnlineFilter",
@@ -65,6 +70,7 @@ __all__ = [
     "StepUpdate",
     "Track",
     "Windows",
+    "calibrate",
     "classify",
     "detect_steps",
     "merge_streams",

@@ -83,6 +83,7 @@ def track(
         Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
     ] = None,
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None,
+    calibration: Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")] = None,
     height_m: Annotated[
         float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
     ] = None,
@@ -107,7 +108,9 @@ def track(
         config = pdr.recipes.for_recording(recipe, recording)
         if context_model is not None:
             config = pdr.recipes.with_context_model(config, context_model)
-        result = pdr.track(recording, config, weighting.value if weighting else None, progress=progress)
+        result = pdr.track(
+            recording, config, weighting.value if weighting else None, progress=progress, calibration=calibration
+        )
         if out is not None:
             _write_files(result, out, start, written)
         if as_json:
@@ -182,6 +185,26 @@ def compare(files: Files) -> None:
     if compared:
         _print_comparison(compared)
     _exit(failed, len(files))
+
+
+@app.command()
+def calibrate(
+    files: Files,
+    out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
+    figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
+) -> None:
+    """Calibrate step lengths on recordings with segments of known length, or waypoints."""
+    import pdr_filter as pdr
+
+    with _one_line_errors(), _progress("calibrating") as show:
+        result = pdr.calibrate([pdr.read(file) for file in files], progress=show)
+        written = [result.save(out)]
+        if figure is not None:
+            result.plot(figure)
+            written.append(figure)
+    typer.echo(result.report())
+    for path in written:
+        _stderr().print(f"written: {escape(str(path))}", highlight=False)
 
 
 @app.command()

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,6 +31,9 @@ from pdr_filter.types import (
     step_table,
 )
 
+if TYPE_CHECKING:
+    from pdr_filter.offline.calibration import Calibration
+
 
 def track(
     recording: Recording,
@@ -36,6 +41,7 @@ def track(
     weighting: str | None = None,
     fixes: Sequence[PositionFix] = (),
     progress: Callable[[float], None] | None = None,
+    calibration: Calibration | str | Path | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -52,8 +58,15 @@ def track(
         Positions from elsewhere, each used when it was received.
     progress : callable, optional
         Called with the fraction done, 0 to 1.
+    calibration : Calibration or path, optional
+        Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     """
     config = config or _default(recording)
+    if calibration is not None:
+        from pdr_filter.offline.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
+
+        known = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
+        config = known.config(config, recording.subject)
     _check_sensors(config, recording)
     if weighting is not None:
         config = config.with_weighting(weighting)

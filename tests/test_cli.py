@@ -248,3 +248,31 @@ def test_without_a_command_the_help_is_shown() -> None:
     shown = run().stdout + run().stderr
     for command in ("track", "info", "train", "compare", "simulate", "demo"):
         assert command in shown
+
+
+def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
+    from pdr_filter.simulate import Leg, simulate
+
+    legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=15.0, turn_rad=1.5)]
+    walks = [write_recording(simulate(legs, seed=s, name=f"walk_{s}"), tmp_path / f"walk_{s}.zip") for s in (1, 2)]
+    result = run("calibrate", *walks, "--out", tmp_path / "me.json", "--figure", tmp_path / "me.png")
+    assert result.exit_code == 0
+    assert "4 segments" in result.stdout
+    assert (tmp_path / "me.png").read_bytes().startswith(b"\x89PNG")
+    result = run("track", "--json", "--calibration", tmp_path / "me.json", walks[0])
+    assert result.exit_code == 0
+    recording = pdr.read(walks[0])
+    calibrated = pdr.track(recording, calibration=tmp_path / "me.json")
+    assert json.loads(result.stdout) == calibrated.summary()
+    truth_m = 35.0
+    assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
+
+
+def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
+    recording = pdr.read(walk)
+    bare = replace(recording, truth=replace(recording.truth, segments=None, strides=None, waypoints=None))
+    path = write_recording(bare, tmp_path / "bare.zip")
+    result = run("calibrate", path, "--out", tmp_path / "me.json")
+    assert result.exit_code == 2
+    assert "error:" in result.stderr
+    assert not (tmp_path / "me.json").exists()

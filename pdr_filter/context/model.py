@@ -203,8 +203,14 @@ def load_model(name_or_path: str | Path) -> ContextModel:
 
 def available_models() -> tuple[str, ...]:
     """Names of the shipped models, sorted."""
-    found = {path.stem for folder in _SHIPPED for path in folder.glob("*.npz") if path.with_suffix(".json").is_file()}
+    found = {path.stem for folder in _SHIPPED for path in folder.glob("*.npz") if _is_context_model(path)}
     return tuple(sorted(found))
+
+
+def _is_context_model(path: Path) -> bool:
+    """Whether there is a card, and not that of a calibration, which people may keep in the same folder."""
+    card = path.with_suffix(".json")
+    return card.is_file() and json.loads(card.read_text(encoding="utf-8")).get("kind") != "calibration"
 
 
 def _find(name_or_path: str | Path) -> Path:
