@@ -14,7 +14,7 @@ from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb, ClimbRate, ClimbState
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
-from pdr_filter.types import CONTEXTS, FloatArray, ImuBlock, PositionFix
+from pdr_filter.types import CONTEXTS, FixResult, FloatArray, ImuBlock, PositionFix
 
 _STATIONARY = CONTEXTS.index("stationary")
 
@@ -78,6 +78,7 @@ class Output:
 
     updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
     windows: list[WindowContext] = field(default_factory=list[WindowContext])
+    fixes: list[FixResult] = field(default_factory=list[FixResult])
 
 
 def init(config: Config) -> State:
@@ -102,6 +103,7 @@ def step(config: Config, state: State, block: ImuBlock, watch: Watch | None = No
         state, output = _process(config, replace(state, sensing=sensing), events, watch)
         whole.updates.extend(output.updates)
         whole.windows.extend(output.windows)
+        whole.fixes.extend(output.fixes)
     return state, whole
 
 
@@ -180,7 +182,8 @@ def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[St
     tracker, last = config.tracker.finish(state.tracker)
     due = [f for f in state.waiting_fixes if f.known_s <= state.sensing.processed_s]
     for fix in due:
-        tracker = config.tracker.on_fix(tracker, fix)
+        tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s)
+        output.fixes.append(result)
     state = replace(state, tracker=tracker, waiting_fixes=state.waiting_fixes[len(due) :], finished=True)
     return state, replace(output, updates=[*output.updates, *last])
 
@@ -191,7 +194,8 @@ def _process(
     output = Output()
     tracker, fixes, seen = state.tracker, state.waiting_fixes, state.seen
     for known_s, event in events:
-        tracker, fixes = _apply_fixes(config, tracker, fixes, known_s)
+        tracker, fixes, used = _apply_fixes(config, tracker, fixes, known_s)
+        output.fixes.extend(used)
         if watch is not None:
             watch(tracker, event)
         if isinstance(event, WindowContext):
@@ -204,7 +208,8 @@ def _process(
         else:
             tracker, updates = config.tracker.on_step(tracker, event)
         output.updates.extend(updates)
-    tracker, fixes = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
+    tracker, fixes, used = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
+    output.fixes.extend(used)
     climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
     state = replace(state, tracker=tracker, waiting_fixes=fixes, climbs=climbs, seen=seen)
     return state, output
@@ -212,13 +217,22 @@ def _process(
 
 def _apply_fixes(
     config: Config, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
-) -> tuple[TrackerState, tuple[PositionFix, ...]]:
+) -> tuple[TrackerState, tuple[PositionFix, ...], list[FixResult]]:
     # A fix waits until the step that it falls into is known: compared with an earlier place it would pull ahead.
+    used: list[FixResult] = []
     sensing = config.sensing
     delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
     while fixes and max(fixes[0].known_s, fixes[0].time_s + delay_s) <= until_s:
-        state, fixes = config.tracker.on_fix(state, fixes[0]), fixes[1:]
-    return state, fixes
+        state, result = _use_fix(config, state, fixes[0], until_s)
+        used.append(result)
+        fixes = fixes[1:]
+    return state, fixes, used
+
+
+def _use_fix(config: Config, state: TrackerState, fix: PositionFix, now_s: float) -> tuple[TrackerState, FixResult]:
+    n_rejected = state.rejected_fixes
+    state, nis = config.tracker.on_fix(state, fix)
+    return state, FixResult(fix.time_s, now_s, nis, accepted=state.rejected_fixes == n_rejected)
 
 
 class OnlineFilter:

@@ -242,8 +242,8 @@ class Tracker:
         cov = grow_over_gap(state.cov, gap_s, self.noise)
         return replace(state, cov=cov, windows=(), last_step_s=np.nan, speed=None), updates
 
-    def on_fix(self, state: TrackerState, fix: PositionFix) -> TrackerState:
-        """New state after a position fix.
+    def on_fix(self, state: TrackerState, fix: PositionFix) -> tuple[TrackerState, float]:
+        """New state after a position fix, and its normalised innovation squared in the mode that explains it best.
 
         The fix is compared with where the track was at the fix's own time, and corrects the present by what it finds
         there (an approximation: the heading's part in what was walked since is not corrected anew). A fix that no mode
@@ -252,14 +252,14 @@ class Tracker:
         H = np.eye(2, N_STATES)
         since_m = self._moved_since(state, fix.time_s)
         if since_m is None:
-            return replace(state, rejected_fixes=state.rejected_fixes + 1)
+            return replace(state, rejected_fixes=state.rejected_fixes + 1), np.inf
         # what was walked since is known as well as a person's step length is
         R = fix.cov_m2 + (self.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
         cov = state.cov.copy()
         cov[:, :2, :2] += np.outer(state.second_order_m, state.second_order_m)
         mean, cov, log_likelihood, nis = self._imm.update(state.mean, cov, fix.position_m + since_m, H, R)
-        if nis.min() > self.fix_gate_nis:
-            return replace(state, rejected_fixes=state.rejected_fixes + 1)
+        if not nis.min() <= self.fix_gate_nis:
+            return replace(state, rejected_fixes=state.rejected_fixes + 1), float(nis.min())
         prob = state.mode_prob
         if self.weighting == "imm":
             prob = self._imm.update_mode_prob(prob, log_likelihood)
@@ -267,7 +267,7 @@ class Tracker:
         state = replace(state, mean=mean, cov=cov, mode_prob=prob, second_order_m=np.zeros(2))
         trail = state.trail.copy()
         trail[:, 1:] += present_position(state)[0] - before_m
-        return replace(state, trail=trail)
+        return replace(state, trail=trail), float(nis.min())
 
     def _moved_since(self, state: TrackerState, time_s: float) -> FloatArray | None:
         """Displacement (2,) from a time to the last final step; None if the time is no longer remembered."""

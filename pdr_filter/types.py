@@ -261,6 +261,16 @@ class PositionFix:
             )
 
 
+@dataclass(frozen=True, slots=True)
+class FixResult:
+    """What the filter made of a position fix."""
+
+    time_s: float  # when the position was true
+    used_s: float  # when the filter took it
+    nis: float  # normalised innovation squared in the mode that explains it best; infinite if it came too late
+    accepted: bool
+
+
 class MissingSensorError(ValueError):
     """A recording lacks a sensor that the recipe needs; the message names both."""
 
@@ -312,7 +322,8 @@ class Track:
     start_time_s: float
     duration_s: float
     weighting: str
-    notes: tuple[str, ...] = field(default=())  # where not to trust it, in plain words
+    notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
+    fixes: tuple[FixResult, ...] = field(default=())
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
@@ -326,6 +337,23 @@ class Track:
     def distance_m(self) -> float:
         """Walked distance: the sum of the step lengths."""
         return float(self.step_length_m.sum())
+
+    @property
+    def mode_entropy(self) -> FloatArray:
+        """Entropy of the mode probabilities after each step, shape (K,), nats: 0 where one mode is certain."""
+        p = self.mode_prob
+        return -(p * np.log(p, where=p > 0, out=np.zeros_like(p))).sum(axis=1)
+
+    @property
+    def effective_modes(self) -> FloatArray:
+        """Number of modes that are as good as alive after each step, shape (K,): e to the entropy, 1 to M."""
+        return np.exp(self.mode_entropy)
+
+    def report(self) -> str:
+        """What the track is, how sure it is, and where not to trust it, in plain words; see `pdr_filter.trust`."""
+        from pdr_filter import trust
+
+        return trust.report(self)
 
     def speed_mps(self, t: ArrayLike) -> FloatArray:
         """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero."""

@@ -19,6 +19,7 @@ from pdr_filter.tracking import StepUpdate, TrackerState
 from pdr_filter.types import (
     CARRYING_MODES,
     CONTEXTS,
+    FixResult,
     ImuBlock,
     MissingSensorError,
     PositionFix,
@@ -93,10 +94,12 @@ def _run(
     state = replace(state, climbs=_climbs(config, recording))
     updates: list[StepUpdate] = []
     windows: list[WindowContext] = []
+    results: list[FixResult] = []
 
     def collect(output: Output) -> None:
         updates.extend(u for u in output.updates if u.is_final)
         windows.extend(output.windows)
+        results.extend(output.fixes)
 
     for part in _parts(merge_streams(recording), progress):
         state, output = step(config, state, part, watch)
@@ -114,6 +117,7 @@ def _run(
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
     track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
+    track = replace(track, fixes=tuple(results))
     return track, state.tracker
 
 

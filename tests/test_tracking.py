@@ -207,7 +207,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
             z, R = x[:2] + 0.3 * rng.normal(size=2), np.array([[0.5, 0.1], [0.1, 0.4]])
-            state = single.on_fix(state, PositionFix(step.time_s, z, R))
+            state, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
             H = np.eye(2, 4)
             P[:2, :2], second_order_m = seen, np.zeros(2)
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
@@ -294,7 +294,7 @@ def test_an_accepted_fix_draws_the_position_and_shrinks_the_covariance(weighting
     state, _ = run(filter_, in_order(steps, windows))
     position, cov = present_position(state)
     fix_m = position + 0.5 * np.sqrt(np.diag(cov))
-    fixed = filter_.on_fix(state, PositionFix(20.0, fix_m, 0.01 * np.eye(2)))
+    fixed, _ = filter_.on_fix(state, PositionFix(20.0, fix_m, 0.01 * np.eye(2)))
     new_position, new_cov = present_position(fixed)
     assert np.linalg.norm(new_position - fix_m) < 0.1 * np.linalg.norm(position - fix_m)
     assert np.trace(new_cov) < 0.1 * np.trace(cov)
@@ -306,7 +306,8 @@ def test_an_accepted_fix_draws_the_position_and_shrinks_the_covariance(weighting
 def test_a_fix_that_no_mode_explains_changes_nothing_but_its_count(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = run(filter_, in_order(*random_walk(8)))
-    after = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
+    after, nis = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
+    assert nis > filter_.fix_gate_nis
     assert after == replace(state, rejected_fixes=1) or after.rejected_fixes == 1
     for name in ("mean", "cov", "mode_prob"):
         np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
@@ -321,7 +322,9 @@ def test_fixes_keep_the_scale_of_a_tall_person() -> None:
         state, _ = filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0))
         true_north_m += 1.1 * 0.7
         if k % 10 == 9:
-            state = filter_.on_fix(state, PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2)))
+            state, _ = filter_.on_fix(
+                state, PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
+            )
     assert np.exp(state.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
     assert state.rejected_fixes == 0
 
