@@ -18,14 +18,20 @@ if TYPE_CHECKING:
     from pdr_filter.io import read as read
     from pdr_filter.offline.calibration import Calibration as Calibration
     from pdr_filter.offline.calibration import calibrate as calibrate
+    from pdr_filter.offline.fixed_lag import FixedLagSmoother as FixedLagSmoother
+    from pdr_filter.offline.smoother import Smoothed as Smoothed
+    from pdr_filter.offline.smoother import smooth as smooth
     from pdr_filter.online import Config as Config
     from pdr_filter.online import OnlineFilter as OnlineFilter
     from pdr_filter.tracking import StepUpdate as StepUpdate
     from pdr_filter.types import CONTEXTS as CONTEXTS
+    from pdr_filter.types import HeadingFix as HeadingFix
     from pdr_filter.types import MissingSensorError as MissingSensorError
     from pdr_filter.types import PositionFix as PositionFix
     from pdr_filter.types import Recording as Recording
     from pdr_filter.types import Samples as Samples
+    from pdr_filter.types import SpeedFix as SpeedFix
+    from pdr_filter.types import Standstill as Standstill
     from pdr_filter.types import Step as Step
     from pdr_filter.types import Track as Track
     from pdr_filter.types import Windows as Windows
@@ -37,12 +43,17 @@ _HOME = {
     "CONTEXTS": "types",
     "Calibration": "offline.calibration",
     "Config": "online",
+    "FixedLagSmoother": "offline.fixed_lag",
+    "HeadingFix": "types",
     "MissingSensorError": "types",
     "OnlineFilter": "online",
     "PositionFix": "types",
     "Recording": "types",
     "RelevanceVectorClassifier": "context.rvm",
     "Samples": "types",
+    "Smoothed": "offline.smoother",
+    "SpeedFix": "types",
+    "Standstill": "types",
     "Step": "types",
     "StepUpdate": "tracking",
     "Track": "types",
@@ -52,6 +63,7 @@ _HOME = {
     "detect_steps": "whole",
     "merge_streams": "conditioning",
     "read": "io",
+    "smooth": "offline.smoother",
     "track": "whole",
 }
 _MODULES = ("recipes", "simulate")
@@ -60,12 +72,17 @@ __all__ = [
     "CONTEXTS",
     "Calibration",
     "Config",
+    "FixedLagSmoother",
+    "HeadingFix",
     "MissingSensorError",
     "OnlineFilter",
     "PositionFix",
     "Recording",
     "RelevanceVectorClassifier",
     "Samples",
+    "Smoothed",
+    "SpeedFix",
+    "Standstill",
     "Step",
     "StepUpdate",
     "Track",
@@ -77,6 +94,7 @@ __all__ = [
     "read",
     "recipes",
     "simulate",
+    "smooth",
     "track",
 ]
 

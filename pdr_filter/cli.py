@@ -54,6 +54,9 @@ class CarryingMode(StrEnum):
 
 
 Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings: zip files or folders.")]
+Format = Annotated[
+    str | None, typer.Option("--format", help="Format of the files, if it is not to be found by their content.")
+]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
 
 
@@ -84,6 +87,7 @@ def track(
     ] = None,
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")] = None,
+    file_format: Format = None,
     height_m: Annotated[
         float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
     ] = None,
@@ -102,7 +106,7 @@ def track(
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
-        recording = pdr.read(file)
+        recording = pdr.read(file, file_format)
         if height_m is not None:
             recording = recording.of_height(height_m)
         config = pdr.recipes.for_recording(recipe, recording)
@@ -131,13 +135,13 @@ def track(
 
 
 @app.command()
-def info(files: Files, as_json: AsJson = False) -> None:
+def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> None:
     """Describe recordings: sensors, rates, gaps, plausibility of units, truth."""
     import pdr_filter as pdr
     from pdr_filter.io.describe import Description, describe
 
     def describe_one(file: Path, progress: Callable[[float], None]) -> Description:
-        description = describe(pdr.read(file))
+        description = describe(pdr.read(file, file_format))
         if as_json:
             _print_json(description.as_dict())
         return description
@@ -208,6 +212,35 @@ def calibrate(
 
 
 @app.command()
+def smooth(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints.")],
+    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Deviation of a waypoint, m.")] = 1.0,
+    calibration: Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")] = None,
+    out: Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")] = None,
+    file_format: Format = None,
+) -> None:
+    """Smooth a whole recording against its waypoints."""
+    import pdr_filter as pdr
+    from pdr_filter.offline.calibration import load_calibration
+    from pdr_filter.offline.smoother import waypoint_fixes
+
+    with _one_line_errors(), _progress("smoothing"):
+        recording = pdr.read(file, file_format)
+        known = None if calibration is None else load_calibration(calibration)
+        result = pdr.smooth(recording, waypoint_fixes(recording, fix_std_m), calibration=known)
+        if out is not None:
+            _write_files(result.track, out, None, set())
+    _print_tracks([result.track])
+    rejected = len(result.rejected)
+    typer.echo(
+        f"{len(result.observations)} observations, {rejected} not used; "
+        f"step scale {result.scale:.3f} +- {result.scale_std:.3f}"
+    )
+    if out is not None:
+        _stderr().print(f"files written to {escape(str(out))}", highlight=False)
+
+
+@app.command()
 def simulate(
     out: Annotated[Path, typer.Option(help="Zip file, or a folder if it has no suffix.")] = Path("simulated_walk.zip"),
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same walk.")] = 0,
@@ -248,7 +281,9 @@ def _stderr() -> Console:
 
 
 def _message(error: Exception) -> str:
-    return " ".join(str(error).split()) or type(error).__name__
+    # The hint of a mapping keeps its lines: they are a file to copy.
+    lines = [line.rstrip() for line in str(error).splitlines() if line.strip()]
+    return "\n".join(lines) or type(error).__name__
 
 
 def _say_error(message: str) -> None:

@@ -14,7 +14,7 @@ from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb, ClimbRate, ClimbState
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
-from pdr_filter.types import CONTEXTS, FixResult, FloatArray, ImuBlock, PositionFix
+from pdr_filter.types import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Standstill
 
 _STATIONARY = CONTEXTS.index("stationary")
 
@@ -33,6 +33,10 @@ class Config:
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+
+    def in_world_frame(self) -> Config:
+        """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
+        return replace(self, tracker=replace(self.tracker, frame="world"))
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""
@@ -68,7 +72,7 @@ class State:
     barometer: ClimbState
     seen: WindowCounts = WindowCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
-    waiting_fixes: tuple[PositionFix, ...] = ()  # not yet received, or from a time whose steps are not yet known
+    waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     finished: bool = False
 
 
@@ -181,10 +185,11 @@ def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[St
     state, output = _process(config, state, config.sensing.finish(state.sensing), watch)
     tracker, last = config.tracker.finish(state.tracker)
     due = [f for f in state.waiting_fixes if f.known_s <= state.sensing.processed_s]
+    late = tuple(f for f in state.waiting_fixes if f.known_s > state.sensing.processed_s)
     for fix in due:
         tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s)
         output.fixes.append(result)
-    state = replace(state, tracker=tracker, waiting_fixes=state.waiting_fixes[len(due) :], finished=True)
+    state = replace(state, tracker=tracker, waiting_fixes=late, finished=True)
     return state, replace(output, updates=[*output.updates, *last])
 
 
@@ -216,23 +221,33 @@ def _process(
 
 
 def _apply_fixes(
-    config: Config, state: TrackerState, fixes: tuple[PositionFix, ...], until_s: float
-) -> tuple[TrackerState, tuple[PositionFix, ...], list[FixResult]]:
-    # A fix waits until the step that it falls into is known: compared with an earlier place it would pull ahead.
+    config: Config, state: TrackerState, fixes: tuple[Fix, ...], until_s: float
+) -> tuple[TrackerState, tuple[Fix, ...], list[FixResult]]:
     used: list[FixResult] = []
-    sensing = config.sensing
-    delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
-    while fixes and max(fixes[0].known_s, fixes[0].time_s + delay_s) <= until_s:
+    while fixes and due_s(config, fixes[0]) <= until_s:
         state, result = _use_fix(config, state, fixes[0], until_s)
         used.append(result)
         fixes = fixes[1:]
     return state, fixes, used
 
 
-def _use_fix(config: Config, state: TrackerState, fix: PositionFix, now_s: float) -> tuple[TrackerState, FixResult]:
+def due_s(config: Config, fix: Fix) -> float:
+    """When a fix is used: it waits for the step that it falls into, compared with an earlier place it would pull ahead.
+
+    A standstill waits for nothing: it is about steps to come.
+    """
+    if isinstance(fix, Standstill):
+        return fix.known_s
+    sensing = config.sensing
+    delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
+    return max(fix.known_s, fix.time_s + delay_s)
+
+
+def _use_fix(config: Config, state: TrackerState, fix: Fix, now_s: float) -> tuple[TrackerState, FixResult]:
     n_rejected = state.rejected_fixes
     state, nis = config.tracker.on_fix(state, fix)
-    return state, FixResult(fix.time_s, now_s, nis, accepted=state.rejected_fixes == n_rejected)
+    kind = type(fix).__name__.removesuffix("Fix").lower()
+    return state, FixResult(kind, fix.time_s, now_s, nis, accepted=state.rejected_fixes == n_rejected)
 
 
 class OnlineFilter:
@@ -306,9 +321,12 @@ class OnlineFilter:
         self.state, output = finish(self.config, self.state)
         return output.updates
 
-    def add_fix(self, fix: PositionFix) -> None:
-        """Take a position fix; it is used when it was received and the step that it falls into is known."""
-        waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: f.known_s)
+    def add_fix(self, fix: Fix) -> None:
+        """Take a fix of position, heading or speed, or a standstill.
+
+        It is used when it was received and the step that it falls into is known.
+        """
+        waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: due_s(self.config, f))
         self.state = replace(self.state, waiting_fixes=tuple(waiting))
 
     @property
@@ -325,7 +343,7 @@ class OnlineFilter:
     def notes(self) -> tuple[str, ...]:
         """What was wrong with the samples so far, in plain words."""
         rejected = self.state.tracker.rejected_fixes
-        fixes = (f"{rejected} position fixes were rejected as outliers",) if rejected else ()
+        fixes = (f"{rejected} fixes were rejected as outliers",) if rejected else ()
         return (
             *self.state.sensing.conditioner.report.notes(),
             *context_notes(self.state.seen),

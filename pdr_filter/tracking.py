@@ -17,6 +17,7 @@ import numpy as np
 from pdr_filter import imm
 from pdr_filter.angles import wrap_angle
 from pdr_filter.context.stage import WindowContext
+from pdr_filter.frame import Alignment, Anchor, align, moved, with_anchor
 from pdr_filter.motion import (
     EAST,
     HEADING_OFFSET,
@@ -36,7 +37,17 @@ from pdr_filter.motion import (
 )
 from pdr_filter.speed import WalkingSpeed, after_step
 from pdr_filter.step_length import StepLengths
-from pdr_filter.types import CONTEXTS, FloatArray, PositionFix, Step, read_only
+from pdr_filter.types import (
+    CONTEXTS,
+    Fix,
+    FloatArray,
+    HeadingFix,
+    PositionFix,
+    SpeedFix,
+    Standstill,
+    Step,
+    read_only,
+)
 from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_weights
 
 # Final steps that are remembered for late fixes: half a minute of walking.
@@ -44,6 +55,10 @@ TRAIL_STEPS = 64
 # Windows are remembered so long: a gate may hold the first steps of a bout for some seconds.
 _WINDOW_MEMORY_S = 12.0
 _BACKENDS = ("numpy", "filterpy")
+_FRAMES = ("start", "world")
+MAX_STANDSTILLS = 16
+# Evidence of a known standstill against every mode that moves: a thousand to one.
+_STANDSTILL_LOG_EVIDENCE = 7.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -96,7 +111,11 @@ class TrackerState:
     speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
     frame_rad: float  # heading offset that counts as zero: the first that was known
     frame_since_s: float  # contact of the step that it was known from; infinite before
-    trail: FloatArray  # (R, 3) time, east, north of the last final steps: where a late fix belongs
+    trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
+    anchors: tuple[Anchor, ...]  # fixes that wait for the alignment with the world
+    alignment: Alignment | None  # how the frame of the start became that of the world
+    knows_north: bool  # that a heading fix has turned the frame
+    standstills: tuple[tuple[float, float], ...]  # the last ones
     pending: tuple[Step, ...]  # hc, wc: steps not yet final
     n_final: int
     rejected_fixes: int
@@ -134,6 +153,11 @@ class Tracker:
     fix_gate_nis : float
         Fixes with a larger normalised innovation squared in every mode are rejected: chi-square with two degrees
         of freedom keeps 99.9 % of good ones below 13.8.
+    scalar_gate_nis : float
+        The same for headings and speeds, one degree of freedom.
+    frame : {"start", "world"}
+        Where fixes are: in the frame of the track, which starts at the origin, or in another one whose origin and north
+        are not known to the track before some fixes have shown them.
     backend : {"numpy", "filterpy"}
         Whose arithmetic the `imm` weighting uses; filterpy's is many times slower and gives the same track.
     """
@@ -149,11 +173,15 @@ class Tracker:
     window_hop_s: float = 1.0
     noise: MotionNoise = field(default_factory=MotionNoise)
     fix_gate_nis: float = 13.8
+    scalar_gate_nis: float = 10.8
+    frame: str = "start"
     backend: str = "numpy"
 
     def __post_init__(self) -> None:
         if self.weighting not in WEIGHTINGS:
             raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {self.weighting!r}")
+        if self.frame not in _FRAMES:
+            raise ValueError(f"frame must be one of {_FRAMES}, got {self.frame!r}")
         if self.backend not in _BACKENDS:
             raise ValueError(f"backend must be one of {_BACKENDS}, got {self.backend!r}")
         names = [m.name for m in self.modes]
@@ -193,6 +221,10 @@ class Tracker:
         return np.array([m.heading_std_rad**2 for m in self.modes])
 
     @cached_property
+    def _moves(self) -> FloatArray:
+        return np.array([float(m.context != "stationary") for m in self.modes])
+
+    @cached_property
     def _step_log_evidence(self) -> FloatArray:
         return np.array([self.step_log_odds_stationary if m.context == "stationary" else 0.0 for m in self.modes])
 
@@ -212,7 +244,11 @@ class Tracker:
             speed=None,
             frame_rad=0.0,
             frame_since_s=np.inf,
-            trail=np.empty((0, 3)),
+            trail=np.empty((0, 4)),
+            anchors=(),
+            alignment=None,
+            knows_north=False,
+            standstills=(),
             pending=(),
             n_final=0,
             rejected_fixes=0,
@@ -242,41 +278,127 @@ class Tracker:
         cov = grow_over_gap(state.cov, gap_s, self.noise)
         return replace(state, cov=cov, windows=(), last_step_s=np.nan, speed=None), updates
 
-    def on_fix(self, state: TrackerState, fix: PositionFix) -> tuple[TrackerState, float]:
-        """New state after a position fix, and its normalised innovation squared in the mode that explains it best.
+    def on_fix(self, state: TrackerState, fix: Fix) -> tuple[TrackerState, float]:
+        """New state after a fix, and its normalised innovation squared in the mode that explains it best.
 
-        The fix is compared with where the track was at the fix's own time, and corrects the present by what it finds
-        there (an approximation: the heading's part in what was walked since is not corrected anew). A fix that no mode
-        can explain, or that is older than the remembered steps, is rejected and counted.
+        A fix that no mode can explain, or that is older than the remembered steps, is rejected and counted. In the
+        frame "world" the first position fixes are kept until they show where the track is and which way is north.
         """
-        H = np.eye(2, N_STATES)
-        since_m = self._moved_since(state, fix.time_s)
-        if since_m is None:
-            return replace(state, rejected_fixes=state.rejected_fixes + 1), np.inf
+        if isinstance(fix, Standstill):
+            return replace(state, standstills=(*state.standstills, (fix.time_s, fix.end_s))[-MAX_STANDSTILLS:]), np.nan
+        if isinstance(fix, SpeedFix):
+            return self._on_speed(state, fix)
+        if isinstance(fix, HeadingFix):
+            return self._on_heading(state, fix)
+        if self.frame == "world" and state.alignment is None:
+            return self._on_anchor(state, fix), np.nan
+        return self._on_position(state, fix)
+
+    def _on_position(self, state: TrackerState, fix: PositionFix) -> tuple[TrackerState, float]:
+        """The fix is compared with where the track was at the fix's own time, and corrects the present by it.
+
+        An approximation: the heading's part in what was walked since is not corrected anew.
+        """
+        then = self._then(state, fix.time_s)
+        if then is None:
+            return _rejected(state), np.inf
+        since_m = state.trail[-1, 1:3] - then[:2] if len(state.trail) else np.zeros(2)
         # what was walked since is known as well as a person's step length is
         R = fix.cov_m2 + (self.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
         cov = state.cov.copy()
         cov[:, :2, :2] += np.outer(state.second_order_m, state.second_order_m)
-        mean, cov, log_likelihood, nis = self._imm.update(state.mean, cov, fix.position_m + since_m, H, R)
-        if not nis.min() <= self.fix_gate_nis:
-            return replace(state, rejected_fixes=state.rejected_fixes + 1), float(nis.min())
+        return self._update(state, cov, fix.position_m + since_m, np.eye(2, N_STATES), R, self.fix_gate_nis)
+
+    def _on_heading(self, state: TrackerState, fix: HeadingFix) -> tuple[TrackerState, float]:
+        """Z = device heading then + heading offset + the mode's own; where no north is known yet, it defines it."""
+        then = self._then(state, fix.time_s)
+        if then is None:
+            return _rejected(state), np.inf
+        if len(state.trail) == 0:
+            return state, np.nan
+        prob = state.mode_prob if self.weighting == "imm" else np.ones(1)
+        innovation = fix.walking_heading_rad - then[2] - state.mean[:, HEADING_OFFSET]
+        if self.weighting == "imm":
+            innovation = innovation - self._offsets_rad
+        innovation = wrap_angle(innovation)
+        if self.frame == "world" and state.alignment is None and not state.knows_north:
+            angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
+            turn = Alignment(angle_rad, fix.std_rad**2, np.zeros(2), np.zeros(2), 0.0, state.n_final)
+            return replace(_moved(state, turn), knows_north=True), np.nan
+        z = state.mean[:, HEADING_OFFSET] + innovation
+        H = np.eye(N_STATES)[[HEADING_OFFSET]]
+        return self._update_each(state, z, H, fix.std_rad**2)
+
+    def _on_speed(self, state: TrackerState, fix: SpeedFix) -> tuple[TrackerState, float]:
+        """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
+        if state.speed is None or state.speed.smoothed_mps <= 0:
+            return state, np.nan
+        v = state.speed.smoothed_mps
+        variance = (fix.std_mps / v) ** 2 + state.speed.level_var_m2ps2 / v**2
+        z = state.mean[:, LOG_SCALE] + np.log(fix.speed_mps / v)
+        return self._update_each(state, z, np.eye(N_STATES)[[LOG_SCALE]], variance)
+
+    def _update_each(
+        self, state: TrackerState, z: FloatArray, H: FloatArray, variance: float
+    ) -> tuple[TrackerState, float]:
+        """State after a measurement of one number whose value z (M,) is another one for each mode."""
+        # The same innovation for all: moved to the mode's own value, so that one call updates them together.
+        shift = z - state.mean @ H[0]
+        results = [
+            self._imm.update(state.mean[k : k + 1], state.cov[k : k + 1], z[k : k + 1], H, np.array([[variance]]))
+            for k in range(len(shift))
+        ]
+        mean, cov, log_likelihood, nis = (np.concatenate([r[i] for r in results]) for i in range(4))
+        return self._taken(state, mean, cov, log_likelihood, nis, self.scalar_gate_nis)
+
+    def _update(
+        self, state: TrackerState, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray, gate_nis: float
+    ) -> tuple[TrackerState, float]:
+        mean, cov, log_likelihood, nis = self._imm.update(state.mean, cov, z, H, R)
+        state, best = self._taken(state, mean, cov, log_likelihood, nis, gate_nis)
+        return (state if best > gate_nis else replace(state, second_order_m=np.zeros(2))), best
+
+    def _taken(
+        self,
+        state: TrackerState,
+        mean: FloatArray,
+        cov: FloatArray,
+        log_likelihood: FloatArray,
+        nis: FloatArray,
+        gate_nis: float,
+    ) -> tuple[TrackerState, float]:
+        """State after an update, or without it if no mode explains the measurement."""
+        best = float(nis.min())
+        if not best <= gate_nis:
+            return _rejected(state), best
         prob = state.mode_prob
         if self.weighting == "imm":
             prob = self._imm.update_mode_prob(prob, log_likelihood)
         before_m, _ = present_position(state)
-        state = replace(state, mean=mean, cov=cov, mode_prob=prob, second_order_m=np.zeros(2))
+        state = replace(state, mean=mean, cov=cov, mode_prob=prob)
         trail = state.trail.copy()
-        trail[:, 1:] += present_position(state)[0] - before_m
-        return replace(state, trail=trail), float(nis.min())
+        trail[:, 1:3] += present_position(state)[0] - before_m
+        return replace(state, trail=trail), best
 
-    def _moved_since(self, state: TrackerState, time_s: float) -> FloatArray | None:
-        """Displacement (2,) from a time to the last final step; None if the time is no longer remembered."""
+    def _on_anchor(self, state: TrackerState, fix: PositionFix) -> TrackerState:
+        """State with one more fix to align with, or aligned."""
+        then = self._then(state, fix.time_s)
+        if then is None:
+            return _rejected(state)
+        anchor = Anchor(read_only(then[:2]), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)))
+        anchors = with_anchor(state.anchors, anchor)
+        alignment = align(anchors, state.n_final)
+        if alignment is None:
+            return replace(state, anchors=anchors)
+        return replace(_moved(state, alignment), anchors=(), alignment=alignment)
+
+    def _then(self, state: TrackerState, time_s: float) -> FloatArray | None:
+        """East, north and device heading (3,) at a time; None if the time is no longer remembered."""
         if len(state.trail) == 0:
-            return np.zeros(2)
+            return np.zeros(3)
         if time_s < state.trail[0, 0] and len(state.trail) == TRAIL_STEPS:
             return None
-        then = np.array([np.interp(time_s, state.trail[:, 0], state.trail[:, k]) for k in (1, 2)])
-        return state.trail[-1, 1:] - then
+        return np.array([np.interp(time_s, state.trail[:, 0], state.trail[:, k]) for k in (1, 2, 3)])
 
     @property
     def fix_delay_s(self) -> float:
@@ -305,7 +427,10 @@ class Tracker:
         mean, prob, length, variance = ahead.predicted, ahead.mode_prob, ahead.length_m, ahead.length_var_m2
         cov = bound_heading_variance(ahead.F @ ahead.mixed_cov @ ahead.F.transpose(0, 2, 1) + ahead.Q)
         window = self._window_of(state, step)
-        prob = self._imm.update_mode_prob(prob, self._step_log_evidence + self._window_evidence(state, window))
+        evidence = self._step_log_evidence + self._window_evidence(state, window)
+        if _stands(state, step):
+            evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self._moves
+        prob = self._imm.update_mode_prob(prob, evidence)
         state = replace(
             state,
             mean=mean,
@@ -389,6 +514,8 @@ class Tracker:
         threshold = HC if self.weighting == "hc" else self.wc_threshold
         weights = 0.5 * (context_weights(provisional, threshold) + context_weights(final, threshold))
         weights = weights[self._context_of_mode]
+        if _stands(state, step):
+            weights = 1.0 - self._moves
         length, variance = self._lengths.predict(step)
         mean_length = float(weights @ length)
         mixture_var = max(float(weights @ (variance + length**2)) - mean_length**2, 0.0)
@@ -461,6 +588,31 @@ def _elapsed_s(state: TrackerState, step: Step) -> float:
     return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
 
 
+def _rejected(state: TrackerState) -> TrackerState:
+    return replace(state, rejected_fixes=state.rejected_fixes + 1)
+
+
+def _stands(state: TrackerState, step: Step) -> bool:
+    """Whether the person is known to have stood at a step's contact."""
+    return any(begin_s <= step.time_s <= end_s for begin_s, end_s in state.standstills)
+
+
+def _moved(state: TrackerState, alignment: Alignment) -> TrackerState:
+    """State in another frame."""
+    mean, cov = moved(state.mean, state.cov, alignment)
+    trail = state.trail.copy()
+    trail[:, 1:3] = alignment.positions(state.trail[:, 1:3])
+    return replace(
+        state,
+        mean=mean,
+        cov=cov,
+        trail=trail,
+        frame_rad=state.frame_rad - alignment.angle_rad,
+        second_order_m=alignment.rotation @ state.second_order_m,
+        anchors=tuple(replace(a, track_m=read_only(alignment.positions(a.track_m))) for a in state.anchors),
+    )
+
+
 def _learn_heading(state: TrackerState, step: Step) -> tuple[FloatArray, FloatArray]:
     """Means and covariances with the walking direction of a step; that of the first one is in the frame already."""
     if step.time_s <= state.frame_since_s:
@@ -482,7 +634,7 @@ def _remember(
     """State after a step that led to mean x (4,) and covariance P (4, 4): its time, its place, its own error."""
     error_m = length_m * second_order_error(float(P[HEADING_OFFSET, HEADING_OFFSET]))
     along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
-    place = np.array([[step.time_s, x[EAST], x[NORTH]]])
+    place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
     return replace(
         state,
         second_order_m=state.second_order_m + error_m * along,

@@ -13,16 +13,17 @@ from pdr_filter.angles import wrap_angle
 from pdr_filter.conditioning import merge_streams
 from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb
-from pdr_filter.online import Config, Output, Watch, climb_at, context_notes, finish, init, parts, step
+from pdr_filter.frame import Alignment
+from pdr_filter.online import Config, Output, Watch, climb_at, context_notes, due_s, finish, init, parts, step
 from pdr_filter.sensing import Event, Sensing
 from pdr_filter.tracking import StepUpdate, TrackerState
 from pdr_filter.types import (
     CARRYING_MODES,
     CONTEXTS,
+    Fix,
     FixResult,
     ImuBlock,
     MissingSensorError,
-    PositionFix,
     Recording,
     Step,
     Table,
@@ -40,7 +41,7 @@ def track(
     recording: Recording,
     config: Config | None = None,
     weighting: str | None = None,
-    fixes: Sequence[PositionFix] = (),
+    fixes: Sequence[Fix] = (),
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
 ) -> Track:
@@ -55,8 +56,10 @@ def track(
     weighting : {"imm", "wc", "hc"}, optional
         How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
         recipe's own if not given; that of the default recipe is "imm".
-    fixes : sequence of PositionFix
-        Positions from elsewhere, each used when it was received.
+    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
+        What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
+        track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, its
+        steps from before that was found out included.
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     calibration : Calibration or path, optional
@@ -75,7 +78,7 @@ def track(
 
 
 def watched_track(
-    recording: Recording, config: Config | None, fixes: Sequence[PositionFix], watch: Watch
+    recording: Recording, config: Config | None, fixes: Sequence[Fix], watch: Watch
 ) -> tuple[Track, TrackerState, Config]:
     """The track, the filter's last state, and the configuration used; `watch` sees every state before."""
     config = config or _default(recording)
@@ -86,11 +89,11 @@ def watched_track(
 def _run(
     recording: Recording,
     config: Config,
-    fixes: Sequence[PositionFix],
+    fixes: Sequence[Fix],
     progress: Callable[[float], None] | None,
     watch: Watch | None,
 ) -> tuple[Track, TrackerState]:
-    state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: f.known_s)))
+    state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: due_s(config, f))))
     state = replace(state, climbs=_climbs(config, recording))
     updates: list[StepUpdate] = []
     windows: list[WindowContext] = []
@@ -111,13 +114,15 @@ def _run(
     notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
     notes += [*context_notes(state.seen), *config.notes]
     if state.tracker.rejected_fixes:
-        notes.append(f"{state.tracker.rejected_fixes} position fixes were rejected as outliers")
+        notes.append(f"{state.tracker.rejected_fixes} fixes were rejected as outliers")
     if state.waiting_fixes:
-        notes.append(f"{len(state.waiting_fixes)} position fixes came after the last sample and were not used")
+        notes.append(f"{len(state.waiting_fixes)} fixes came after the last sample and were not used")
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
     track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
     track = replace(track, fixes=tuple(results))
+    if state.tracker.alignment is not None:
+        track = _in_world(track, state.tracker.alignment)
     return track, state.tracker
 
 
@@ -223,6 +228,21 @@ def _collect(
         duration_s=duration_s,
         weighting=config.tracker.weighting,
         notes=tuple(notes),
+    )
+
+
+def _in_world(track: Track, alignment: Alignment) -> Track:
+    """The track with the steps from before the alignment in the frame of the others."""
+    first = np.arange(track.n_steps) < alignment.n_steps
+    R = alignment.rotation
+    turned = track.walking_heading_rad + np.where(first, alignment.angle_rad, 0.0)
+    return replace(
+        track,
+        position_m=read_only(np.where(first[:, None], alignment.positions(track.position_m), track.position_m)),
+        position_cov_m2=read_only(
+            np.where(first[:, None, None], R @ track.position_cov_m2 @ R.T, track.position_cov_m2)
+        ),
+        walking_heading_rad=read_only(wrap_angle(turned)),
     )
 
 

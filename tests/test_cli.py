@@ -276,3 +276,18 @@ def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Pa
     assert result.exit_code == 2
     assert "error:" in result.stderr
     assert not (tmp_path / "me.json").exists()
+
+
+def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) -> None:
+    result = run("smooth", walk, "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "observations" in result.stdout
+    assert "step scale" in result.stdout
+    assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
+
+
+def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:
+    assert run("info", walk, "--format", "own").exit_code == 0
+    result = run("info", walk, "--format", "quux")
+    assert result.exit_code == 2
+    assert "known are" in result.stderr

@@ -66,7 +66,7 @@ class Description:
     streams: tuple[StreamDescription, ...]
     units: tuple[str, ...]  # one sentence for each stream whose unit can be checked
     truth_rows: dict[str, int]  # rows of each truth table that exists
-    notes: tuple[str, ...]  # what the reader repaired or found odd
+    notes: tuple[str, ...]  # what the reader found: source, signs, units, clock; what it repaired or found odd
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists that json can write."""
@@ -78,8 +78,11 @@ class Description:
 
 
 def describe(recording: Recording) -> Description:
-    """Return rates, gaps, unit checks and truth of a recording."""
+    """Return rates, gaps, unit checks and truth of a recording, and how it was read if it is another app's."""
+    from pdr_filter.io.report import KEY, reading_report  # which describes streams with this module
+
     truth = recording.truth
+    said = reading_report(recording).about() if KEY in recording.meta else ()
     return Description(
         name=recording.name,
         source=recording.source,
@@ -87,7 +90,7 @@ def describe(recording: Recording) -> Description:
         streams=tuple(describe_stream(name, samples) for name, samples in recording.streams.items()),
         units=_unit_sentences(recording),
         truth_rows={name: len(getattr(truth, name)) for name in truth.present()},
-        notes=recording.notes,
+        notes=(*said, *recording.notes),
     )
 
 

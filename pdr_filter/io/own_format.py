@@ -9,7 +9,6 @@ from __future__ import annotations
 import csv
 import io
 import json
-import math
 import zipfile
 from collections.abc import Mapping
 from dataclasses import fields
@@ -19,10 +18,11 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.io.archive import read_members
+from pdr_filter.io.checks import check_accelerometer, check_gyroscope, finite, overlap_notes, with_time
 from pdr_filter.io.columns import fields_to_numbers, read_fields, read_numbers
-from pdr_filter.io.describe import describe_stream, median_norm
+from pdr_filter.io.describe import describe_stream
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, Recording, Samples, Subject, Table, Truth, table
+from pdr_filter.types import CONTEXTS, FloatArray, Recording, Samples, Subject, Table, Truth, table
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     "accelerometer": ("x", "y", "z"),
@@ -46,20 +46,6 @@ FILES = ("meta.json", *(f"{name}.csv" for name in STREAM_COLUMNS), *(f"truth_{na
 TIME_COLUMNS = ("time_s", "start_s", "end_s")
 TEXT_COLUMNS = ("context", "carrying_mode")
 
-# A window of 0.2 s at the lowest rate below; less cannot hold a step.
-MIN_SAMPLES = 10
-# Walking has its step at 2 Hz, so less than 5 Hz cannot show it; no phone delivers more than 2000 Hz. The range spans
-# less than a factor of 1000, so at most one of ms, us and ns explains a rate outside it.
-RATE_RANGE_HZ = (5.0, 2000.0)
-TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-# Median |specific force| of 349 real recordings is 8.6 to 15.5 m/s2 (jogging, phone in the pocket); in g that is 0.9 to
-# 1.6. Walking with gravity removed gives about 1 to 4, so the message for small values names both.
-SPECIFIC_FORCE_RANGE_MPS2 = (5.0, 25.0)
-G_RANGE = (0.8, 1.7)
-# Two turns a second as the median; jogging reaches 4.3. The same walk in deg/s gives 20 and more.
-MAX_MEDIAN_ANGULAR_RATE_RADPS = 12.0
-# Nothing measured is larger; up to here squares and sums of squares stay finite.
-LARGEST_VALUE = 1e30
 HEIGHT_RANGE_M = (0.4, 2.8)
 
 
@@ -84,7 +70,7 @@ def read_recording(path: str | Path) -> Recording:
         if (content := contents.get(f"{name}.csv")) is not None:
             samples = _read_samples(name, content, path, notes)
             if name == "accelerometer":
-                _check_accelerometer(samples, f"{path}: accelerometer.csv")
+                check_accelerometer(samples, f"{path}: accelerometer.csv")
             elif np.isnan(samples.values).all():  # also true of no rows
                 notes.append(f"{name}.csv: no values, left out")
                 continue
@@ -175,8 +161,8 @@ def _read_samples(name: str, content: bytes, path: Path, notes: list[str]) -> Sa
     if not content.strip() and name != "accelerometer":
         return Samples(np.empty(0), np.empty((0, len(STREAM_COLUMNS[name]))))
     columns = ("time_s", *STREAM_COLUMNS[name])
-    rows = _finite(read_numbers(content, columns, f"{path}: {file}", notes), file, notes)
-    timed = _with_time(rows[:, 0], file, notes)
+    rows = finite(read_numbers(content, columns, f"{path}: {file}", notes), file, notes)
+    timed = with_time(rows[:, 0], file, notes)
     samples = Samples(rows[timed, 0], rows[timed, 1:])
     found = describe_stream(name, samples)
     if found.n_duplicates or found.n_backward:
@@ -184,84 +170,13 @@ def _read_samples(name: str, content: bytes, path: Path, notes: list[str]) -> Sa
     return samples
 
 
-def _finite(values: FloatArray, file: str, notes: list[str]) -> FloatArray:
-    beyond = np.abs(values) > LARGEST_VALUE
-    if beyond.any():
-        notes.append(f"{file}: {int(beyond.sum())} infinite or absurdly large values taken as unknown")
-        values[beyond] = np.nan
-    return values
-
-
-def _with_time(time_s: FloatArray, file: str, notes: list[str]) -> BoolArray:
-    known = ~np.isnan(time_s)
-    if not known.all():
-        notes.append(f"{file}: {int((~known).sum())} rows without a time left out")
-    return known
-
-
-def _check_accelerometer(samples: Samples, where: str) -> None:
-    _check_rows(samples, where)
-    _check_times(samples, where)
-    _check_specific_force(median_norm(samples.values), where)
-
-
-def _check_rows(samples: Samples, where: str) -> None:
-    if len(samples) < MIN_SAMPLES:
-        raise RecordingError(f"{where}: only {len(samples)} samples with a time; at least {MIN_SAMPLES} are needed")
-    empty = np.isnan(samples.values).all(axis=0)
-    if empty.any():
-        columns = ", ".join(np.array(STREAM_COLUMNS["accelerometer"])[empty])
-        raise RecordingError(f"{where}: no values in column {columns}; record the accelerometer on all three axes")
-    if not (~np.isnan(samples.values)).all(axis=1).any():
-        raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")
-
-
 def _check_other_streams(streams: Mapping[str, Samples], path: Path, notes: list[str]) -> None:
-    time_s = streams["accelerometer"].time_s
-    first_s, last_s = time_s.min(), time_s.max()
-    if "gyroscope" in streams and (median := median_norm(streams["gyroscope"].values)) > MAX_MEDIAN_ANGULAR_RATE_RADPS:
-        raise RecordingError(
-            f"{path}: gyroscope.csv: median angular rate is {median:.4g}; this looks like deg/s, "
-            "multiply x, y and z by pi/180 to get rad/s"
-        )
+    first_s = streams["accelerometer"].time_s.min()
+    if "gyroscope" in streams:
+        check_gyroscope(streams["gyroscope"], f"{path}: gyroscope.csv")
     if abs(first_s) > 1.0:
         notes.append(f"accelerometer.csv: begins at {first_s:.6f} s instead of 0, kept as recorded")
-    for name, samples in streams.items():
-        if samples.time_s.min() > last_s or samples.time_s.max() < first_s:
-            notes.append(f"{name}.csv: its times do not overlap those of the accelerometer")
-
-
-def _check_times(samples: Samples, where: str) -> None:
-    found = describe_stream("accelerometer", samples)
-    still = found.n_duplicates + found.n_backward
-    if 2 * still > len(samples) - 1:
-        raise RecordingError(
-            f"{where}: time_s does not increase in {still} of {len(samples) - 1} rows; "
-            "sort the rows by time and give each its own time"
-        )
-    rate_hz = found.rate_hz or math.inf
-    low, high = RATE_RANGE_HZ
-    if rate_hz < low:
-        fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
-        remedy = f"they look like {fits[0]}, convert them to seconds" if fits else f"record at {low:g} Hz or more"
-        raise RecordingError(f"{where}: time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}")
-    if rate_hz > high:
-        raise RecordingError(
-            f"{where}: time_s gives a rate of {rate_hz:.4g} Hz (median interval), more than {high:g} Hz; "
-            "give the times in seconds"
-        )
-
-
-def _check_specific_force(median_mps2: float, where: str) -> None:
-    low, high = SPECIFIC_FORCE_RANGE_MPS2
-    if low <= median_mps2 <= high:
-        return
-    remedy = "columns x, y, z must be specific force in m/s2, about 9.81 at rest"
-    if G_RANGE[0] <= median_mps2 <= G_RANGE[1]:
-        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record without that)"
-    elif median_mps2 < low:
-        remedy += "; if gravity was removed, record the accelerometer itself"
-    raise RecordingError(f"{where}: median |a| is {median_mps2:.4g}; {remedy}")
+    notes += overlap_notes(streams)
 
 
 def _read_truth(columns: tuple[str, ...], content: bytes, file: str, path: Path, notes: list[str]) -> Table:
@@ -277,9 +192,9 @@ def _read_truth(columns: tuple[str, ...], content: bytes, file: str, path: Path,
     unknown = sorted(set(texts.get("context", [])) - {*CONTEXTS, ""})
     if unknown:
         notes.append(f"{file}: unknown contexts {', '.join(unknown)[:80]}, kept")
-    numbers = _finite(numbers, file, notes)
+    numbers = finite(numbers, file, notes)
     n_times = sum(name in TIME_COLUMNS for name in columns)
-    kept = _with_time(numbers[:, :n_times].sum(axis=1), file, notes)
+    kept = with_time(numbers[:, :n_times].sum(axis=1), file, notes)
     arrays = {name: numbers[kept, i] for i, name in enumerate(numeric)}
     return table(arrays | {name: np.array(column, dtype=np.str_)[kept] for name, column in texts.items()})
 

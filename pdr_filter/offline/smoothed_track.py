@@ -13,11 +13,11 @@ from pdr_filter.offline.imm_smoother import Estimate, Transition, smooth
 from pdr_filter.online import Config
 from pdr_filter.sensing import Event, Gap
 from pdr_filter.tracking import TrackerState
-from pdr_filter.types import PositionFix, Recording, Step, Track, read_only
+from pdr_filter.types import Fix, Recording, Step, Track, read_only
 from pdr_filter.whole import watched_track
 
 
-def smoothed_track(recording: Recording, config: Config | None = None, fixes: Sequence[PositionFix] = ()) -> Track:
+def smoothed_track(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Track:
     """The track of `pdr_filter.track`, every row with what the whole recording says of its step.
 
     Positions, covariances and mode probabilities are smoothed; step lengths and headings are those between smoothed
@@ -29,8 +29,8 @@ def smoothed_track(recording: Recording, config: Config | None = None, fixes: Se
         From `read`.
     config : Config, optional
         A recipe with weighting "imm"; the default recipe if not given. ValueError for other weightings.
-    fixes : sequence of PositionFix
-        Positions from elsewhere. A late one is used when it came, as by the filter.
+    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
+        In the frame of the track. A late one is used when it came, as by the filter.
     """
     if config is not None and config.tracker.weighting != "imm":
         raise ValueError(f'the smoother needs weighting "imm", got {config.tracker.weighting!r}: use with_weighting')

@@ -1,0 +1,109 @@
+"""CoreMotion tables such as those of MotionSense: CSV with attitude, gravity, rotation rate and user acceleration.
+
+Layout after the data set's own description (github.com/mmalekzadeh/motion-sense) and Apple's CMDeviceMotion:
+
+- Columns `attitude.roll, attitude.pitch, attitude.yaw, gravity.x ..., rotationRate.x ..., userAcceleration.x ...`, in
+  any order, often after a row number without a name.
+- Gravity and user acceleration are in g and point down at rest: specific force = -9.80665 (gravity + userAcceleration).
+- There is no time column: rows are 50 Hz apart. A column called time or timestamp, in seconds, is used if there is one.
+- The attitude turns the sensor frame into a world with z up: R = Rz(yaw) Rx(pitch) Ry(roll).
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from pdr_filter.io.archive import open_members
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.describe import median_norm
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.get_sensor_data import only_text
+from pdr_filter.io.table import Layout, find_separator, header_fields, parse_blocks, split_header
+from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, Recording
+
+RATE_HZ = 50.0
+GROUPS = {
+    "gravity": ("gravity.x", "gravity.y", "gravity.z"),
+    "userAcceleration": ("userAcceleration.x", "userAcceleration.y", "userAcceleration.z"),
+    "rotationRate": ("rotationRate.x", "rotationRate.y", "rotationRate.z"),
+    "attitude": ("attitude.roll", "attitude.pitch", "attitude.yaw"),
+}
+TIME_NAMES = ("time", "time_s", "timestamp")
+# |gravity| of CoreMotion is 1 g by construction, to rounding.
+GRAVITY_RANGE_G = (0.9, 1.1)
+
+
+def looks_like(header: str) -> bool:
+    """Whether the header line of a CSV file names gravity and user acceleration of CoreMotion."""
+    return {"gravity.x", "userAcceleration.x"} <= set(header_fields(header, find_separator(header)))
+
+
+def read_core_motion(path: str | Path) -> Recording:
+    """Return the recording in a CSV file of CoreMotion values.
+
+    Raises
+    ------
+    RecordingError
+        If gravity or user acceleration is missing, or gravity is not in g.
+    """
+    path = Path(path)
+    parsed = Parsed(path, "CoreMotion table")
+    with open_members(path) as members:
+        name = only_text(members)
+        where = members.where(name)
+        header, body = split_header(members.blocks(name), where)
+        separator = find_separator(header)
+        fields = header_fields(header, separator)
+        groups = {group: names for group, names in GROUPS.items() if all(fields.count(n) == 1 for n in names)}
+        for group in ("gravity", "userAcceleration"):
+            if group not in groups:
+                raise RecordingError(
+                    f"{where}: needs the columns {', '.join(GROUPS[group])} once each "
+                    f"(found: {', '.join(fields)[:160]})"
+                )
+        names = [name for group in groups.values() for name in group]
+        time_name = next((name for name in TIME_NAMES if fields.count(name) == 1), None)
+        picked = [fields.index(name) for name in names] + ([fields.index(time_name)] if time_name else [])
+        rows = parse_blocks(body, Layout(tuple(picked), None, separator, names=tuple(names)), where, parsed.notes)
+    values = {group: rows.values[:, 3 * i : 3 * i + 3] for i, group in enumerate(groups)}
+    if time_name:
+        time_s = rows.values[:, -1]
+        parsed.clock = f"column {time_name}, taken as seconds"
+    else:
+        time_s = np.arange(len(rows)) / RATE_HZ
+        parsed.requested_hz = dict.fromkeys(("accelerometer", "gyroscope", "attitude"), RATE_HZ)
+        parsed.clock = f"no time column: row number divided by {RATE_HZ:g} Hz"
+    gravity_g = median_norm(values["gravity"])
+    if not GRAVITY_RANGE_G[0] <= gravity_g <= GRAVITY_RANGE_G[1] and len(rows):
+        raise RecordingError(
+            f"{where}: median |gravity| is {gravity_g:.4g}, but CoreMotion counts in g, so it must be 1; "
+            "read it with format='generic_csv' and say the unit"
+        )
+    force = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])
+    parsed.streams["accelerometer"] = (time_s, force)
+    parsed.found.append("accelerometer: -9.80665 (gravity + userAcceleration), from g with iOS's sign")
+    if "rotationRate" in values:
+        parsed.streams["gyroscope"] = (time_s, values["rotationRate"])
+        parsed.found.append("gyroscope: rotationRate, rad/s, sign as it is")
+    if "attitude" in values:
+        parsed.streams["attitude"] = (time_s, quaternion_of(*values["attitude"].T))
+    return parsed.recording()
+
+
+def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Quaternions wxyz, sensor to world with z up, of CoreMotion's angles: R = Rz(yaw) Rx(pitch) Ry(roll)."""
+    with np.errstate(invalid="ignore"):
+        cr, sr = np.cos(roll_rad / 2), np.sin(roll_rad / 2)
+        cp, sp = np.cos(pitch_rad / 2), np.sin(pitch_rad / 2)
+        cy, sy = np.cos(yaw_rad / 2), np.sin(yaw_rad / 2)
+    # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
+    return np.column_stack(
+        [
+            cy * cp * cr - sy * sp * sr,
+            cy * sp * cr - sy * cp * sr,
+            sy * sp * cr + cy * cp * sr,
+            sy * cp * cr + cy * sp * sr,
+        ]
+    )

@@ -1,0 +1,226 @@
+"""GetSensorData (LOPSI, CAR-CSIC) and the logs of the IPIN competitions: one text file, a type in every line.
+
+Layout after the header that the app writes into each log:
+
+- `ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy(integer)`, and GYRO, MAGN,
+  PRES, LIGH, PROX, AHRS, GNSS likewise; lines that begin with `%` are comments. Other types are ignored.
+- The sensor's time is right for integration; the app's jitters, but is common to all types. So a stream keeps its
+  sensor's intervals and is moved as a whole to the app's clock.
+- `POSI;Timestamp(s);Counter;Latitude(degrees);Longitude(degrees);floor ID;Building ID` is on the app's clock.
+- Some logs declare m/s^2 and hold g. The median tells; such a log is refused unless a TOML file beside it says
+  `accelerometer_unit = "g"`.
+- AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import tomllib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.io.archive import Members, open_members
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.checks import G_RANGE
+from pdr_filter.io.describe import median_norm
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.table import Layout, NumberTable
+from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
+from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, Recording
+
+# First the time of the app and of the sensor, then the values.
+LAYOUTS = {
+    "ACCE": Layout((1, 2, 3, 4, 5), separator=";"),
+    "GYRO": Layout((1, 2, 3, 4, 5), separator=";"),
+    "MAGN": Layout((1, 2, 3, 4, 5), separator=";"),
+    "PRES": Layout((1, 2, 3), separator=";"),
+    "LIGH": Layout((1, 2, 3), separator=";"),
+    "PROX": Layout((1, 2, 3), separator=";"),
+    "AHRS": Layout((1, 2, 6, 7, 8), separator=";"),
+    "GNSS": Layout((1, 2, 3, 4, 5, 7), separator=";"),
+    "POSI": Layout((1, 3, 4, 5, 6), separator=";"),
+}
+STREAM = {
+    "ACCE": "accelerometer",
+    "GYRO": "gyroscope",
+    "MAGN": "magnetometer",
+    "PRES": "barometer",
+    "LIGH": "light",
+    "PROX": "proximity",
+    "AHRS": "attitude",
+}
+# The rates of the two clocks differ by less: the app's time jitters by 0.1 s at both ends of some seconds.
+CLOCKS_AGREE = 0.02
+SHORTEST_CHECKED_S = 20.0
+# Sensors of one phone whose offset to the app's clock differs by less are on one clock: their lateness differs.
+ONE_CLOCK_S = 0.5
+
+
+def looks_like(head: bytes) -> bool:
+    """Whether a text begins like a log of GetSensorData."""
+    return re.search(rb"(?m)^(ACCE|GYRO|MAGN|POSI|AHRS);[-+\d.]+;", head) is not None or b"'ACCE;AppTimestamp" in head
+
+
+def read_get_sensor_data(path: str | Path) -> Recording:
+    """Return the recording in a log of GetSensorData; reference positions become `truth.waypoints`.
+
+    Raises
+    ------
+    RecordingError
+        If the values contradict the declared unit, or the clocks of app and sensor each other.
+    """
+    path = Path(path)
+    parsed = Parsed(path, "GetSensorData")
+    with open_members(path) as members:
+        name = only_text(members)
+        where = members.where(name)
+        header = comments(members.content(name, MAX_HEADER_BYTES), "%")
+        log = read_tagged(members.blocks(name), _layouts(header, where), 0, where, parsed.notes)
+    if "ACCE" not in log.tables:
+        raise RecordingError(
+            f"{where}: no ACCE lines (found: {', '.join(log.tables) or 'none'}); log the accelerometer"
+        )
+    _read_header(header, parsed)
+    offset_s = _clock_offset_s(log.tables["ACCE"].values, "ACCE", where, parsed.notes)
+    for tag, stream in STREAM.items():
+        if tag in log.tables:
+            time_s = _times(log.tables[tag], tag, offset_s, where, parsed.notes)
+            values = log.tables[tag].values[:, 2:]
+            parsed.streams[stream] = (time_s, rotation_vector_quaternion(values) if tag == "AHRS" else values)
+    _check_unit(parsed, where)
+    if "GNSS" in log.tables:  # its sensor time is that of the satellites
+        parsed.streams["location"] = (log.tables["GNSS"].values[:, 0], log.tables["GNSS"].values[:, 2:])
+    if "POSI" in log.tables:
+        _read_positions(log.tables["POSI"].values, parsed)
+    parsed.clock = (
+        "intervals of each sensor's own clock, moved to the app's clock; reference positions are on the app's clock"
+    )
+    return parsed.recording()
+
+
+def only_text(members: Members) -> str:
+    """The one file that can be the log: the path itself, or the only text in a zip or folder."""
+    names = [name for name in members.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(members.names)
+    if len(names) != 1:
+        raise RecordingError(f"{members.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
+    return names[0]
+
+
+def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
+    """Quaternions wxyz of Android's rotation vectors (N, 3), whose norm is the sine of half the angle.
+
+    w = sqrt(1 - x^2 - y^2 - z^2), not negative; NaN where the vector is longer than one by more than rounding.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = 1 - np.square(vector).sum(axis=1)
+        w = np.where(rest > -0.02, np.sqrt(np.maximum(rest, 0)), np.nan)
+        quaternion = np.column_stack([w, vector])
+        return quaternion / np.sqrt(np.square(quaternion).sum(axis=1))[:, None]
+
+
+def _layouts(header: list[str], where: str) -> dict[str, Layout]:
+    """Columns of each type; the log's own header says whether there are two times."""
+    for line in header:
+        declared = re.search(r"'ACCE;([^']*)'", line)
+        if declared and "SensorTimestamp" not in declared[1]:
+            raise RecordingError(
+                f"{where}: ACCE lines have no SensorTimestamp (header: {declared[1][:60]!r}); "
+                "log with version 2 of the app, or read it with format='generic_csv'"
+            )
+    return LAYOUTS
+
+
+def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
+    """Median of app time minus sensor time; NaN if the sensor's time cannot be used."""
+    known = np.isfinite(values[:, :2]).all(axis=1)
+    app_s, sensor_s = values[known, 0], values[known, 1]
+    if len(app_s) < 2:
+        return math.nan
+    if np.ptp(sensor_s) == 0:
+        notes.append(f"{tag}: the sensor's time stands still, so the app's is used; it jitters")
+        return math.nan
+    span_s = float(np.ptp(app_s))
+    ratio = float(np.ptp(sensor_s)) / span_s if span_s > 0 else math.inf
+    if span_s > SHORTEST_CHECKED_S and abs(ratio - 1) > CLOCKS_AGREE:
+        raise RecordingError(
+            f"{where}: in the {tag} lines the sensor's time runs {ratio:.4g} times as fast as the app's; "
+            "both must be seconds, correct the column that is not"
+        )
+    return float(np.median(app_s - sensor_s))
+
+
+def _times(table: NumberTable, tag: str, reference_s: float, where: str, notes: list[str]) -> FloatArray:
+    own_s = _clock_offset_s(table.values, tag, where, notes) if tag != "ACCE" else reference_s
+    if math.isnan(own_s):
+        return table.values[:, 0]
+    offset_s = reference_s if abs(own_s - reference_s) < ONE_CLOCK_S else own_s
+    return table.values[:, 1] + offset_s
+
+
+def _check_unit(parsed: Parsed, where: str) -> None:
+    time_s, values = parsed.streams["accelerometer"]
+    said = _said_unit(parsed.path)
+    median = median_norm(values)
+    if said == "g":
+        parsed.streams["accelerometer"] = (time_s, values * STANDARD_GRAVITY_MPS2)
+        parsed.found.append("accelerometer: g, as the TOML file beside the log says, although the log declares m/s^2")
+    elif said == "" and G_RANGE[0] <= median <= G_RANGE[1]:
+        raise RecordingError(
+            f"{where}: declares m/s^2, but the median |a| is {median:.4g}: this looks like g units. If so, write "
+            f'accelerometer_unit = "g" into {parsed.path.with_suffix(".toml").name} beside it'
+        )
+    else:
+        parsed.found.append(f"accelerometer: m/s2, Android's sign; median {median:.2f}")
+
+
+def _said_unit(path: Path) -> str:
+    """The unit that a TOML file beside the log names; empty without one."""
+    beside = path.with_suffix(".toml")
+    if path.is_dir() or beside == path or not beside.is_file():
+        return ""
+    try:
+        said: Any = tomllib.loads(beside.read_text(encoding="utf-8")[:10_000]).get("accelerometer_unit", "")
+    except (ValueError, OSError) as error:
+        raise RecordingError(f"{beside}: not TOML ({error}); correct it or take it away") from error
+    if said not in ("", "g", "m/s2"):
+        raise RecordingError(f'{beside}: accelerometer_unit is {said!r}; write "g" or "m/s2"')
+    return said
+
+
+def _read_header(header: list[str], parsed: Parsed) -> None:
+    said: dict[str, str] = {}
+    for line in header:
+        key, _, value = line.lstrip("%").partition(":")
+        if value.strip():
+            said.setdefault(key.strip(), value.strip())
+    device = " ".join(said[key] for key in ("Manufacturer", "Model") if key in said)
+    if device:
+        parsed.meta["device"] = device[:200]
+    version = next((line.lstrip("% ") for line in header if line.lstrip("% ").startswith("Version")), "")
+    if version:
+        parsed.source = f"GetSensorData, {version[:60]}"
+
+
+def _read_positions(values: FloatArray, parsed: Parsed) -> None:
+    """Reference positions as metres east and north of the first one."""
+    import pymap3d
+
+    known = np.isfinite(values[:, :3]).all(axis=1) & (np.abs(values[:, 1]) <= 90) & (np.abs(values[:, 2]) <= 180)
+    if not known.all():
+        parsed.notes.append(f"POSI: {int((~known).sum())} positions are no latitude and longitude, left out")
+    values = values[known]
+    if len(values) == 0:
+        return
+    origin = (float(values[0, 1]), float(values[0, 2]))
+    east_m, north_m, _ = pymap3d.geodetic2enu(values[:, 1], values[:, 2], 0.0, *origin, 0.0)
+    parsed.truth["waypoints"] = {
+        "time_s": values[:, 0],
+        "east_m": np.asarray(east_m, dtype=float),
+        "north_m": np.asarray(north_m, dtype=float),
+        "floor": values[:, 3],
+    }
+    parsed.meta["origin"] = {"latitude_deg": origin[0], "longitude_deg": origin[1]}
+    parsed.meta["truth"] = "reference positions that the surveyor marked (POSI lines), on the app's clock"

@@ -1,0 +1,106 @@
+"""indoor-location-competition 2.0: one text file for each walk, tab-separated, a type in every line.
+
+Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values.
+Comment lines begin with `#` and name site, floor and phone. Sensor types are Android's (m/s2, rad/s, uT, Android's
+sign); `TYPE_WAYPOINT` is a point of the floor map in metres, marked by the surveyor. Types that are not known here
+(Wi-Fi, beacons, uncalibrated values) are ignored; `TYPE_ACCELEROMETER_UNCALIBRATED` is not `TYPE_ACCELEROMETER`.
+"""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from pdr_filter.io.archive import open_members
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.get_sensor_data import only_text, rotation_vector_quaternion
+from pdr_filter.io.table import Layout
+from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
+from pdr_filter.types import Recording
+
+LAYOUTS = {
+    "TYPE_ACCELEROMETER": Layout((2, 3, 4), 0, "\t"),
+    "TYPE_GYROSCOPE": Layout((2, 3, 4), 0, "\t"),
+    "TYPE_MAGNETIC_FIELD": Layout((2, 3, 4), 0, "\t"),
+    "TYPE_ROTATION_VECTOR": Layout((2, 3, 4), 0, "\t"),
+    "TYPE_WAYPOINT": Layout((2, 3), 0, "\t"),
+}
+STREAM = {
+    "TYPE_ACCELEROMETER": "accelerometer",
+    "TYPE_GYROSCOPE": "gyroscope",
+    "TYPE_MAGNETIC_FIELD": "magnetometer",
+    "TYPE_ROTATION_VECTOR": "attitude",
+}
+
+
+def looks_like(head: bytes) -> bool:
+    """Whether a text begins like a file of the competition."""
+    return re.search(rb"(?m)^\d{10,16}\tTYPE_[A-Z_]+\t", head) is not None
+
+
+def read_indoor_location(path: str | Path) -> Recording:
+    """Return the recording in a text file of the competition; waypoints become `truth.waypoints`, in map metres."""
+    path = Path(path)
+    parsed = Parsed(path, "indoor-location-competition 2.0")
+    with open_members(path) as members:
+        name = only_text(members)
+        where = members.where(name)
+        header = comments(members.content(name, MAX_HEADER_BYTES), "#")
+        log = read_tagged(members.blocks(name), LAYOUTS, 1, where, parsed.notes)
+    force = log.tables.get("TYPE_ACCELEROMETER")
+    if force is None or len(force) == 0:
+        found = ", ".join(log.tables) or "none"
+        raise RecordingError(f"{where}: no TYPE_ACCELEROMETER lines (found: {found}); this walk cannot be used")
+    zero_ms = int(force.whole[0])
+    for tag, stream in STREAM.items():
+        if tag in log.tables:
+            table = log.tables[tag]
+            values = rotation_vector_quaternion(table.values) if stream == "attitude" else table.values
+            parsed.streams[stream] = ((table.whole - zero_ms).astype(np.float64) * 1e-3, values)
+    said = _header(header)
+    floor = _floor_number(said.get("FloorName", ""))
+    if "TYPE_WAYPOINT" in log.tables:
+        points = log.tables["TYPE_WAYPOINT"]
+        parsed.truth["waypoints"] = {
+            "time_s": (points.whole - zero_ms).astype(np.float64) * 1e-3,
+            "east_m": points.values[:, 0],
+            "north_m": points.values[:, 1],
+            "floor": np.full(len(points), floor),
+        }
+        parsed.meta["truth"] = "points of the floor map that the surveyor marked; its north is not known"
+    device = " ".join(said[key] for key in ("Brand", "Model") if key in said)
+    if device:
+        parsed.meta["device"] = device[:200]
+    for key in ("SiteID", "SiteName", "FloorName"):
+        if key in said:
+            parsed.meta[key] = said[key][:200]
+    parsed.meta["epoch_ms"] = zero_ms
+    parsed.found.append(
+        "accelerometer m/s2, gyroscope rad/s, magnetometer uT, Android's sign, as Android delivers them"
+    )
+    if log.ignored - len(header) > 0:
+        parsed.found.append(f"{log.ignored - len(header)} lines of other types ignored")
+    parsed.clock = f"unix milliseconds of the phone, in whole milliseconds; time zero is {zero_ms} ms"
+    return parsed.recording()
+
+
+def _header(lines: list[str]) -> dict[str, str]:
+    said: dict[str, str] = {}
+    for line in lines:
+        for part in line.lstrip("#").split("\t"):
+            key, colon, value = part.partition(":")
+            if colon and value.strip():
+                said.setdefault(key.strip(), value.strip())
+    return said
+
+
+def _floor_number(name: str) -> float:
+    """Storey of a floor's name, 0 is the ground floor: F1 and 1F are 0, B1 is -1; NaN if it says nothing."""
+    match = re.fullmatch(r"([FBfb])(\d{1,2})|(\d{1,2})([FBfb])", name.strip())
+    if match is None:
+        return float("nan")
+    letter, number = (match[1] or match[4]).upper(), int(match[2] or match[3])
+    return float(number - 1 if letter == "F" else -number)

@@ -1,0 +1,254 @@
+"""Smoothing of whole recordings: speed against a Python factor for each step, honesty, wild fixes, real walks.
+
+usage: .venv/bin/python tests/benchmarks/smoothing.py [speed] [coverage] [lag] [real] [--data ../shared/data]
+
+speed, coverage and lag are on simulated steps, drawn from the model itself: they show that the arithmetic is right and
+fast, not how well real walks follow the model. real: humolire (9 walks of one person, 215 to 239 m), every third
+waypoint is a fix, errors at the others. The forward filter and the IMM smoother get the fixes in their own frame (the
+best rotation and shift of the fixes onto the track without fixes); this smoother gets them as they are.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import gtsam
+import numpy as np
+from accuracy import aligned
+
+import pdr_filter as pdr
+from pdr_filter.motion import MotionNoise
+from pdr_filter.offline.fixed_lag import FixedLagSmoother
+from pdr_filter.offline.preintegration import bridge, frame
+from pdr_filter.offline.smoothed_track import smoothed_track
+from pdr_filter.offline.smoother import NO_OFFSETS, Problem, estimate, pose_problem, smooth, waypoint_fixes
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "offline"))
+from simulated_steps import Walk, simulated_walk
+
+WIDE_RAD = float(np.pi / np.sqrt(3))
+
+
+def problem_of(walk: Walk, fixes: list[pdr.PositionFix]) -> Problem:
+    centre = np.mean([f.position_m for f in fixes], axis=0)
+    start_cov = np.diag(np.square([1000.0, 1000.0, WIDE_RAD, 0.06]))
+    return pose_problem(walk.steps, np.array([*centre, 0, 0]), start_cov, fixes, (), (), NO_OFFSETS, WIDE_RAD, 10.0)
+
+
+def smoothed(walk: Walk, fixes: list[pdr.PositionFix]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    problem = problem_of(walk, fixes)
+    found = estimate(problem)
+    return *bridge(problem.intervals, found.mean, found.joint_cov), found.place_weight
+
+
+def by_custom_factors(walk: Walk, fixes: list[pdr.PositionFix], begin: np.ndarray) -> tuple[np.ndarray, int]:
+    """Every step a Python CustomFactor with exact Jacobians, Gauss-Newton from the answer: as fast as it gets.
+
+    Without marginals, search for wrong fixes and rotation. GTSAM hands a copy of all values to each call of a Python
+    factor: the time grows with the square of the steps.
+    """
+    steps, graph, values = walk.steps, gtsam.NonlinearFactorGraph(), gtsam.Values()
+    for k, x in enumerate(begin):
+        values.insert(k, x)
+
+    def of_step(d: np.ndarray) -> Callable[..., np.ndarray]:
+        def error(_: gtsam.CustomFactor, v: gtsam.Values, by: list[np.ndarray] | None) -> np.ndarray:
+            a, b = v.atVector(keys[0]), v.atVector(keys[1])
+            scale = np.exp(a[3])
+            c, s = scale * np.cos(a[2]), scale * np.sin(a[2])
+            east, north = c * d[0] + s * d[1], c * d[1] - s * d[0]
+            if by is not None:
+                by[0] = np.array([[-1, 0, -north, -east], [0, -1, east, -north], [0, 0, -1, 0], [0, 0, 0, -1.0]])
+                by[1] = np.eye(4)
+            return b - a - [east, north, 0.0, 0.0]
+
+        keys = (len(made), len(made) + 1)
+        made.append(keys)
+        return error
+
+    made: list[tuple[int, int]] = []
+    for k in range(len(steps)):
+        own_frame = frame(begin[[k]])[0]
+        added_cov = np.zeros((4, 4))
+        added_cov[:2, :2], added_cov[2, 2], added_cov[3, 3] = (
+            steps.cov_m2[k],
+            steps.drift_var_rad2[k],
+            steps.scale_drift_var[k],
+        )
+        model = gtsam.noiseModel.Gaussian.Covariance(own_frame @ added_cov @ own_frame.T)
+        graph.add(gtsam.CustomFactor(model, [k, k + 1], of_step(steps.displacement_m[k])))
+    for fix in fixes:
+        k = int(np.searchsorted(steps.time_s, fix.time_s)) + 1
+        model = gtsam.noiseModel.Diagonal.Sigmas(np.array([*np.sqrt(np.diag(fix.cov_m2)), 1e3, 1e3]))
+        graph.add(gtsam.PriorFactorVector(k, np.array([*fix.position_m, 0.0, 0.0]), model))
+    start = gtsam.noiseModel.Diagonal.Sigmas(np.array([1000.0, 1000.0, WIDE_RAD, 0.06]))
+    graph.add(gtsam.PriorFactorVector(0, np.array([*np.mean([f.position_m for f in fixes], axis=0), 0, 0]), start))
+    optimizer = gtsam.GaussNewtonOptimizer(graph, values)
+    found = optimizer.optimize()
+    return np.array([found.atVector(k) for k in range(len(begin))]), optimizer.iterations()
+
+
+def speed() -> None:
+    rng = np.random.default_rng(1)
+    print("| steps | fix every | smoother s | Python factor for each step s (iterations) | times faster | apart m |")
+    print("|---|---|---|---|---|---|")
+    for n_steps, every in ((1000, 20), (3000, 20), (10_000, 20), (10_000, 2)):
+        walk = simulated_walk(n_steps, rng, any_rotation=True)
+        fixes = walk.fixes(every, 2.0, rng)
+        took = []
+        for _ in range(3):
+            start = time.perf_counter()
+            mean, _, _ = smoothed(walk, fixes)
+            took.append(time.perf_counter() - start)
+        if every == 2:
+            print(f"| {n_steps} | {every / 2:.0f} s | {min(took):.2f} | - | - | - |", flush=True)
+            continue
+        problem = problem_of(walk, fixes)
+        begin = np.vstack([estimate(problem).mean[:1], mean])
+        start = time.perf_counter()
+        single, iterations = by_custom_factors(walk, fixes, begin)
+        custom = time.perf_counter() - start
+        apart = np.linalg.norm(single[1:, :2] - mean[:, :2], axis=1).max()
+        print(
+            f"| {n_steps} | {every / 2:.0f} s | {min(took):.2f} | {custom:.1f} ({iterations}) | "
+            f"{custom / min(took):.0f} | {apart:.2f} |",
+            flush=True,
+        )
+
+
+def coverage() -> None:
+    print("| wild fixes | changes | walks | in 95 % ellipse | RMSE m: median, largest | wild kept | good lost |")
+    print("|---|---|---|---|---|---|---|")
+    for wild_share, jumps in ((0.0, 0), (0.1, 0), (0.2, 0), (0.0, 2), (0.1, 2)):
+        rng = np.random.default_rng(11)
+        inside, rmse, kept, lost, n_wild, n_good = [], [], 0, 0, 0, 0
+        for _ in range(300):
+            walk = simulated_walk(300, rng, any_rotation=True, jumps=jumps)
+            fixes = walk.fixes(20, 2.0, rng, wild_share)
+            places = walk.position_m[20::20]
+            wild = np.linalg.norm([f.position_m - p for f, p in zip(fixes, places, strict=True)], axis=1) > 15
+            mean, cov, weight = smoothed(walk, fixes)
+            error = mean[:, :2] - walk.position_m[1:]
+            inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov[:, :2, :2]), error) < 5.991)
+            rmse.append(np.sqrt(np.square(error).sum(axis=1).mean()))
+            kept, lost = kept + (wild & (weight > 0)).sum(), lost + (~wild & (weight == 0)).sum()
+            n_wild, n_good = n_wild + wild.sum(), n_good + (~wild).sum()
+        print(
+            f"| {wild_share:.0%} | {jumps} | 300 | {100 * np.mean(inside):.1f} % | "
+            f"{np.median(rmse):.2f}, {max(rmse):.2f} | "
+            f"{kept} of {n_wild} | {lost} of {n_good} |",
+            flush=True,
+        )
+
+
+def lag() -> None:
+    print("| lag s | in 95 % ellipse | RMSE m | ms per step |\n|---|---|---|---|")
+    for lag_s in (0.0, 5.0, 10.0, 20.0, 40.0):
+        rng = np.random.default_rng(21)
+        inside, square, took, n = [], [], 0.0, 0
+        for _ in range(10):
+            walk = simulated_walk(300, rng, any_rotation=True)
+            waiting = walk.fixes(20, 2.0, rng)
+            smoother = FixedLagSmoother((), MotionNoise(log_scale_std=0.06), lag_s=lag_s)
+            state, out = smoother.init(), []
+            start = time.perf_counter()
+            for k in range(len(walk.steps)):
+                new = [f for f in waiting if f.time_s <= walk.steps.time_s[k]]
+                waiting = waiting[len(new) :]
+                state, late = smoother.step_increments(state, walk.steps.part(k, k + 1), new)
+                out.append(late)
+            out.append(smoother.finish(state)[1])
+            took, n = took + time.perf_counter() - start, n + len(walk.steps)
+            mean, cov = np.concatenate([o.mean for o in out]), np.concatenate([o.cov for o in out])
+            error = (mean[:, :2] - walk.position_m[1:])[100:]  # the rotation of the map is known by then
+            inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov[100:, :2, :2]), error) < 5.991)
+            square.append(np.square(error).sum(axis=1))
+        print(
+            f"| {lag_s:.0f} | {100 * np.mean(inside):.1f} % | {np.sqrt(np.mean(square)):.2f} | {1e3 * took / n:.1f} |",
+            flush=True,
+        )
+
+
+def at_times(track: pdr.Track, start_m: np.ndarray, times: np.ndarray) -> np.ndarray:
+    time_s = np.concatenate([[min(times[0], track.time_s[0]) - 1e-3], track.time_s])
+    position = np.vstack([start_m, track.position_m])
+    return np.column_stack([np.interp(times, time_s, position[:, k]) for k in (0, 1)])
+
+
+def real(data: Path) -> None:
+    recordings = [pdr.read(p) for p in sorted((data / "humolire").glob("*.zip"))]
+    for wild in (False, True):
+        rows: dict[str, list[float]] = {}
+        walked: dict[str, list[float]] = {}
+        covered, scales = [], []
+        rng = np.random.default_rng(5)
+        for recording in recordings:
+            points = waypoint_fixes(recording)
+            times, places = np.array([p.time_s for p in points]), np.array([p.position_m for p in points])
+            other = np.arange(len(points)) % 3 > 0
+            alone = pdr.track(recording)
+            estimate_m = at_times(alone, np.zeros(2), times)
+            turned = aligned(estimate_m, places, ~other)
+            bad = rng.choice(np.flatnonzero(~other)) if wild else -1
+            angle = rng.uniform(0, 2 * np.pi)
+            shift = 40.0 * np.array([np.sin(angle), np.cos(angle)])
+
+            moved = (np.arange(len(points)) == bad)[:, None] * shift
+            given, given_turned = (
+                [replace(f, position_m=p) for f, p, o in zip(points, where + moved, other, strict=True) if not o]
+                for where in (places, turned)
+            )
+            result = smooth(recording, given)
+            tracks = {
+                "dead reckoning, aligned": (alone, np.zeros(2), turned),
+                "filter with fixes": (pdr.track(recording, fixes=given_turned), np.zeros(2), turned),
+                "IMM smoother": (smoothed_track(recording, fixes=given_turned), np.zeros(2), turned),
+                "this smoother": (result.track, result.start_position_m, places),
+            }
+            for name, (track, start_m, reference) in tracks.items():
+                error = at_times(track, start_m, times) - reference
+                rows.setdefault(name, []).append(float(np.sqrt(np.square(error[other]).sum(axis=1).mean())))
+                legs = recording.truth.segments
+                ends = [at_times(track, start_m, np.asarray(t)) for t in (legs.start_s, legs.end_s)]
+                length = np.linalg.norm(ends[1] - ends[0], axis=1)
+                walked.setdefault(name, []).append(100 * float(length.sum() / legs.distance_m.sum() - 1))
+            error = at_times(result.track, result.start_position_m, times) - places
+            nearest = np.clip(np.searchsorted(result.track.time_s, times), 0, result.track.n_steps - 1)
+            cov = result.track.position_cov_m2[nearest] + 0.3**2 * np.eye(2)  # clicks are good to a third of a metre
+            covered.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)[other] < 5.991)
+            scales.append(result.scale)
+        print(f"\n{'one fix of each walk 40 m away' if wild else 'fixes as surveyed, 1 m'}\n")
+        print("| | RMSE at the other waypoints m: median, largest | straight legs %: bias, spread |\n|---|---|---|")
+        for name, row in rows.items():
+            print(
+                f"| {name} | {np.median(row):.2f}, {max(row):.2f} | "
+                f"{np.mean(walked[name]):+.1f}, {np.std(walked[name]):.1f} |"
+            )
+        held = np.concatenate(covered)
+        print(
+            f"\n95 % ellipses hold {100 * held.mean():.0f} % of {held.size} waypoints; "
+            f"scales {np.mean(scales):.3f}, spread {np.std(scales):.3f}",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", default=["speed", "coverage", "lag", "real"])
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    args = parser.parse_args()
+    for part in args.parts:
+        print(f"\n## {part}\n", flush=True)
+        if part == "real":
+            real(args.data)
+        else:
+            {"speed": speed, "coverage": coverage, "lag": lag}[part]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,302 @@
+"""Writes a recording as the apps would, each in its documented layout: for tests and benchmarks of the readers."""
+
+from __future__ import annotations
+
+import json
+import zipfile
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording, Samples
+
+T0_NS = 1_787_923_304_123_456_789  # odd in the last digit: a float would round it to a multiple of 256
+T0_MS = 1_574_659_531_598
+
+
+def a_walk(rate_hz: float = 100.0, seed: int = 3) -> Recording:
+    """Twenty metres, a turn and ten metres; the phone in front of the body, screen up."""
+    legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=10.0, turn_rad=1.2)]
+    return simulate(legs, rate_hz=rate_hz, seed=seed)
+
+
+def on_one_clock(recording: Recording) -> Recording:
+    """The same with the gyroscope at the times of the accelerometer, as tables with one row for both have it."""
+    assert recording.gyroscope is not None
+    time_s, gyroscope = recording.accelerometer.time_s, recording.gyroscope
+    values = np.column_stack([np.interp(time_s, gyroscope.time_s, column) for column in gyroscope.values.T])
+    return replace(recording, gyroscope=Samples(time_s, values))
+
+
+def with_level_attitude(recording: Recording) -> Recording:
+    """The same with an attitude that has the mean specific force pointing up."""
+    up = recording.accelerometer.values.mean(axis=0)
+    up /= np.linalg.norm(up)
+    axis = np.cross(up, [0.0, 0.0, 1.0])  # turns `up` to z: sine of the angle times the axis
+    w = np.sqrt((1 + up[2]) / 2)
+    quaternion = np.array([w, *(axis / (2 * w))])
+    time_s = recording.accelerometer.time_s
+    return replace(recording, attitude=Samples(time_s, np.tile(quaternion, (len(time_s), 1))))
+
+
+# ---------------------------------------------------------------- Sensor Logger
+
+METADATA = (
+    "version,device name,recording epoch time,recording time,recording timezone,platform,appVersion,device id,sensors,"
+    "sampleRateMs,standardisation,platform version\n"
+    "3,Some Phone,1787923304123,2026-08-28_13-21-44,Europe/Berlin,{platform},1.64,id,"
+    "Accelerometer|Gravity|Gyroscope|Magnetometer,{period},{standardisation},17"  # and no final line feed
+)
+
+
+def metadata(platform: str, standardisation: bool = False, period_ms: int = 10) -> str:
+    return METADATA.format(
+        platform=platform, standardisation=str(standardisation).lower(), period="|".join([str(period_ms)] * 4)
+    )
+
+
+def sensor_logger_csv(samples: Samples, columns: str = "z,y,x", values: np.ndarray | None = None) -> str:
+    values = samples.values if values is None else values
+    names = columns.split(",")
+    natural = {3: ["x", "y", "z"], 4: ["qw", "qx", "qy", "qz"]}[values.shape[1]]
+    order = [natural.index(name) for name in names]
+    rows = [
+        f"{T0_NS + round(t * 1e9)},{t:.9f},{','.join(repr(row[i]) for i in order)}\n"
+        for t, row in zip(samples.time_s.tolist(), values.tolist(), strict=True)
+    ]
+    return f"time,seconds_elapsed,{columns}\n" + "".join(rows)
+
+
+def sensor_logger_files(
+    recording: Recording, platform: str = "android", standardisation: bool = False
+) -> dict[str, str]:
+    """Android: TotalAcceleration. iOS: Accelerometer and Gravity, whose split does not matter."""
+    files = {"Metadata.csv": metadata(platform, standardisation), "Annotation.csv": ""}
+    force = recording.accelerometer
+    if platform == "android":
+        files["TotalAcceleration.csv"] = sensor_logger_csv(force)
+    else:
+        sign = 1.0 if standardisation else -1.0
+        gravity = np.tile(force.values.mean(axis=0), (len(force), 1))
+        files["Gravity.csv"] = sensor_logger_csv(force, "y,x,z", sign * gravity)
+        files["Accelerometer.csv"] = sensor_logger_csv(force, "z,y,x", sign * (force.values - gravity))
+    if recording.gyroscope is not None:
+        files["Gyroscope.csv"] = sensor_logger_csv(recording.gyroscope, "x,y,z")
+    if recording.magnetometer is not None:
+        files["Magnetometer.csv"] = sensor_logger_csv(recording.magnetometer)
+    if recording.attitude is not None:
+        files["Orientation.csv"] = sensor_logger_csv(recording.attitude, "qx,qz,qw,qy")
+    return files
+
+
+def sensor_logger_json(files: Mapping[str, str]) -> str:
+    """The same as the app's JSON: one array of flat objects, numbers as text."""
+    objects: list[dict[str, str]] = []
+    for name, text in files.items():
+        lines = text.splitlines()
+        if lines:
+            keys = lines[0].split(",")
+            objects += [
+                {"sensor": name.removesuffix(".csv")} | dict(zip(keys, row.split(","), strict=True))
+                for row in lines[1:]
+            ]
+    return json.dumps(objects, separators=(",", ":"))
+
+
+# ---------------------------------------------------------------- phyphox
+
+PHYPHOX_TABLES = {
+    "accelerometer": ("Accelerometer.csv", "Acceleration", "m/s^2"),
+    "gyroscope": ("Gyroscope.csv", "Gyroscope", "rad/s"),
+    "magnetometer": ("Magnetometer.csv", "Magnetic field", "\u00b5T"),
+}
+
+
+def phyphox_number(value: float, decimal: str) -> str:
+    mantissa, exponent = f"{value:.9E}".split("E")
+    return f"{mantissa.replace('.', decimal)}E{int(exponent)}"
+
+
+def phyphox_table(samples: Samples, name: str, unit: str, separator: str = ",", decimal: str = ".") -> str:
+    header = separator.join(['"Time (s)"', *(f'"{name} {axis} ({unit})"' for axis in "xyz")])
+    rows = [
+        separator.join(phyphox_number(v, decimal) for v in (t, *row)) + "\n"
+        for t, row in zip(samples.time_s.tolist(), samples.values.tolist(), strict=True)
+    ]
+    return header + "\n" + "".join(rows)
+
+
+def phyphox_files(recording: Recording, separator: str = ",", decimal: str = ".") -> dict[str, str]:
+    streams = recording.streams
+    files = {
+        file: phyphox_table(streams[stream], name, unit, separator, decimal)
+        for stream, (file, name, unit) in PHYPHOX_TABLES.items()
+        if stream in streams
+    }
+    s = separator
+    files["meta/device.csv"] = f'"property"{s}"value"\n"version"{s}"1.1.16"\n"deviceModel"{s}"Some Phone"\n'
+    files["meta/time.csv"] = (
+        f'"event"{s}"experiment time"{s}"system time"{s}"system time text"\n'
+        f'"START"{s}{phyphox_number(0.0, decimal)}{s}1770000000{decimal}250{s}"2026-02-02 02:40:00.250 UTC+00:00"\n'
+        f'"PAUSE"{s}{phyphox_number(30.0, decimal)}{s}1770000030{decimal}250{s}"2026-02-02 02:40:30.250 UTC+00:00"\n'
+    )
+    return files
+
+
+# ---------------------------------------------------------------- GetSensorData, indoor location
+
+GET_SENSOR_DATA_HEADER = """% LogFile created by the 'GetSensorData' App for Android.
+% Date of creation: Fri Jan 12 10:00:00 CET 2018
+% Version 2.1 January 2018
+% Phone used for this logfile:
+% Manufacturer:            \tSome
+% Model:                   \tPhone
+% LogFile Data format:
+% Accelerometer: \t'ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy(integer)'
+% Orientation data:   \t'AHRS;AppTimestamp(s);SensorTimestamp(s);PitchX(\u00ba);RollY(\u00ba);YawZ(\u00ba);...'
+"""
+
+
+def get_sensor_data_text(
+    recording: Recording,
+    scale: float = 1.0,
+    boot_s: float = 81_234.5,
+    positions: tuple[tuple[float, float, float, float], ...] = (),
+) -> str:
+    """App time is the sensor's time minus `boot_s`, late by up to 8 ms."""
+    rng = np.random.default_rng(0)
+    lines: list[tuple[float, str]] = []
+    for tag, stream in (("ACCE", "accelerometer"), ("GYRO", "gyroscope"), ("MAGN", "magnetometer")):
+        samples = recording.streams.get(stream)
+        if samples is not None:
+            factor = scale if tag == "ACCE" else 1.0
+            for t, row in zip(samples.time_s.tolist(), (samples.values * factor).tolist(), strict=True):
+                app_s = t + rng.uniform(0, 0.008)
+                lines.append((app_s, f"{tag};{app_s:.3f};{t + boot_s:.6f};{row[0]!r};{row[1]!r};{row[2]!r};3"))
+    if recording.attitude is not None:
+        for t, q in zip(recording.attitude.time_s.tolist(), recording.attitude.values.tolist(), strict=True):
+            lines.append((t, f"AHRS;{t:.3f};{t + boot_s:.6f};1.0;2.0;3.0;{q[1]!r};{q[2]!r};{q[3]!r};3"))
+    lines.append((0.5, "WIFI;0.500;81235.0;Some Net;aa:bb:cc:dd:ee:ff;-61"))
+    for i, (t, latitude, longitude, floor) in enumerate(positions):
+        lines.append((t, f"POSI;{t:.3f};{i + 1};{latitude!r};{longitude!r};{floor:g};20"))
+    return GET_SENSOR_DATA_HEADER + "".join(line + "\n" for _, line in sorted(lines, key=lambda item: item[0]))
+
+
+INDOOR_TAGS = {
+    "accelerometer": "TYPE_ACCELEROMETER",
+    "gyroscope": "TYPE_GYROSCOPE",
+    "magnetometer": "TYPE_MAGNETIC_FIELD",
+}
+
+
+def indoor_location_text(recording: Recording, waypoints: tuple[tuple[float, float, float], ...] = ()) -> str:
+    lines: list[tuple[int, str]] = []
+    for stream, tag in INDOOR_TAGS.items():
+        samples = recording.streams.get(stream)
+        if samples is not None:
+            for t, row in zip(samples.time_s.tolist(), samples.values.tolist(), strict=True):
+                ms = T0_MS + round(t * 1000)
+                lines.append((ms, f"{tag}\t{row[0]!r}\t{row[1]!r}\t{row[2]!r}\t3"))
+                if stream == "accelerometer":
+                    lines.append((ms, f"{tag}_UNCALIBRATED\t99.0\t99.0\t99.0\t0.0\t0.0\t0.0\t3"))
+    if recording.attitude is not None:
+        for t, q in zip(recording.attitude.time_s.tolist(), recording.attitude.values.tolist(), strict=True):
+            lines.append((T0_MS + round(t * 1000), f"TYPE_ROTATION_VECTOR\t{q[1]!r}\t{q[2]!r}\t{q[3]!r}\t3"))
+    lines.append((T0_MS + 500, "TYPE_WIFI\tnet\taa:bb:cc:dd:ee:ff\t-61\t5805\t1574659532305"))
+    for t, x, y in waypoints:
+        lines.append((T0_MS + round(t * 1000), f"TYPE_WAYPOINT\t{x!r}\t{y!r}"))
+    body = "".join(f"{ms}\t{line}\n" for ms, line in sorted(lines, key=lambda item: item[0]))
+    header = (
+        f"#\tstartTime:{T0_MS}\n#\tSiteID:abc\tSiteName:Mall\tFloorId:f\tFloorName:F2\n#\tBrand:SOME\tModel:Phone\n"
+    )
+    return header + body + "#\tendTime:1574659561598"
+
+
+# ---------------------------------------------------------------- CoreMotion, generic
+
+CORE_MOTION_HEADER = (
+    ",attitude.roll,attitude.pitch,attitude.yaw,gravity.x,gravity.y,gravity.z,rotationRate.x,rotationRate.y,"
+    "rotationRate.z,userAcceleration.x,userAcceleration.y,userAcceleration.z\n"
+)
+
+
+def core_motion_text(recording: Recording) -> str:
+    """At 50 Hz, in g and with Apple's sign; gravity is the mean, and the angles are those of that mean."""
+    force_g = -recording.accelerometer.values / STANDARD_GRAVITY_MPS2
+    gravity = force_g.mean(axis=0) / np.linalg.norm(force_g.mean(axis=0))
+    pitch, roll = np.arcsin(-gravity[1]), np.arctan2(gravity[0], -gravity[2])  # gravity = (sr cp, -sp, -cr cp)
+    rate = recording.gyroscope.values if recording.gyroscope is not None else np.zeros_like(force_g)
+    rows = [
+        ",".join([str(i), repr(float(roll)), repr(float(pitch)), "0.3", *map(repr, [*gravity.tolist(), *w, *a])]) + "\n"
+        for i, (w, a) in enumerate(zip(rate.tolist(), (force_g - gravity).tolist(), strict=True))
+    ]
+    return CORE_MOTION_HEADER + "".join(rows)
+
+
+def generic_text(recording: Recording) -> str:
+    """Milliseconds, g with Apple's sign, deg/s; the gyroscope in every row."""
+    assert recording.gyroscope is not None
+    force_g = -recording.accelerometer.values / STANDARD_GRAVITY_MPS2
+    rows = zip(
+        recording.accelerometer.time_s.tolist(),
+        force_g.tolist(),
+        np.degrees(recording.gyroscope.values).tolist(),
+        strict=True,
+    )
+    return "t;ax;ay;az;gx;gy;gz\n" + "".join(
+        ";".join(map(repr, [round(1000 * t, 6), *a, *w])) + "\n" for t, a, w in rows
+    )
+
+
+GENERIC_MAPPING = """
+[time]
+column = "t"
+unit = "ms"
+[accelerometer]
+columns = ["ax", "ay", "az"]
+unit = "g"
+sign = -1
+[gyroscope]
+columns = ["gx", "gy", "gz"]
+unit = "deg/s"
+"""
+
+
+# ---------------------------------------------------------------- writing, comparing
+
+
+def write_folder(path: Path, files: Mapping[str, str | bytes]) -> Path:
+    for name, content in files.items():
+        (path / name).parent.mkdir(parents=True, exist_ok=True)
+        (path / name).write_bytes(content.encode() if isinstance(content, str) else content)
+    return path
+
+
+def write_zip(path: Path, files: Mapping[str, str | bytes], folder: str = "") -> Path:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+        for name, content in files.items():
+            archive.writestr(folder + name, content)
+    return path
+
+
+def assert_same_streams(actual: Recording, expected: Recording, names: str, time_s: float, rtol: float = 1e-6) -> None:
+    """The named streams agree: times to `time_s`, values to `rtol` of the largest one."""
+    for name in names.split():
+        ours, theirs = actual.streams[name], expected.streams[name]
+        zero_s = expected.accelerometer.time_s[0]
+        np.testing.assert_allclose(ours.time_s, theirs.time_s - zero_s, rtol=0, atol=time_s, err_msg=name)
+        np.testing.assert_allclose(
+            ours.values, theirs.values, rtol=0, atol=rtol * np.abs(theirs.values).max(), err_msg=name
+        )
+
+
+def assert_same_track(actual: Recording, expected: Recording, within_m: float) -> None:
+    """Both recordings give the same steps and positions, for the same person: apps do not know the height."""
+    ours, theirs = pdr.track(replace(actual, meta=expected.meta)), pdr.track(expected)
+    assert ours.n_steps == theirs.n_steps
+    assert theirs.n_steps > 20
+    np.testing.assert_allclose(ours.position_m, theirs.position_m, rtol=0, atol=within_m)

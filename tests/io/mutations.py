@@ -1,0 +1,207 @@
+"""Good files of every format, small, and what can happen to them: cut off, changed, absurd numbers, encodings."""
+
+from __future__ import annotations
+
+import random
+import re
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+from app_files import (
+    GENERIC_MAPPING,
+    core_motion_text,
+    generic_text,
+    get_sensor_data_text,
+    indoor_location_text,
+    metadata,
+    phyphox_files,
+    sensor_logger_files,
+    sensor_logger_json,
+    with_level_attitude,
+    write_zip,
+)
+
+from pdr_filter.io.own_format import write_recording
+from pdr_filter.types import Recording, Samples
+
+N = 24
+
+
+def small_recording() -> Recording:
+    """A quarter of a second in which the phone swings a little."""
+    rng = np.random.default_rng(0)
+    time_s = np.arange(N) / 100
+    force = Samples(time_s, rng.normal(size=(N, 3)) + np.array([0.0, 3.0, 9.3]))
+    rate = Samples(time_s, rng.normal(size=(N, 3)))
+    recording = Recording("small", force, gyroscope=rate, magnetometer=Samples(time_s, 20 * rng.normal(size=(N, 3))))
+    return with_level_attitude(recording)
+
+
+def good_file(name: str, folder: Path) -> Path:
+    """One good file of a format in a folder; `name` may say which of its forms, after a colon."""
+    recording = small_recording()
+    path = folder / "good"
+    format, _, form = name.partition(":")
+    if format == "own":
+        return write_recording(recording, folder / "good.zip")
+    if format == "sensor_logger":
+        files = sensor_logger_files(recording, "ios" if form == "ios" else "android")
+        files["Metadata.csv"] = metadata("ios" if form == "ios" else "android")
+        if form == "json":
+            path = folder / "good.json"
+            path.write_text(sensor_logger_json(files))
+            return path
+        return write_zip(folder / "good.zip", files)
+    if format == "phyphox":
+        files = phyphox_files(recording, ";", ",")
+        if form == "csv":
+            path = folder / "good.csv"
+            path.write_text("".join(text for name, text in files.items() if "meta" not in name), encoding="utf-8")
+            return path
+        return write_zip(folder / "good.zip", files)
+    if format == "get_sensor_data":
+        path = folder / "good.txt"
+        text = get_sensor_data_text(recording, positions=((0.1, 40.0, -3.0, 0.0), (0.2, 40.001, -3.0, 1.0)))
+        path.write_text(text, encoding="latin-1")
+        return path
+    if format == "indoor_location":
+        path = folder / "good.txt"
+        path.write_text(indoor_location_text(recording, ((0.1, 3.0, 4.0),)))
+        return path
+    if format == "core_motion":
+        path = folder / "good.csv"
+        path.write_text(core_motion_text(recording))
+        return path
+    if format == "generic_csv":
+        path = folder / "good.csv"
+        path.write_text(generic_text(recording))
+        (folder / "good.toml").write_text(GENERIC_MAPPING)
+        return path
+    if format == "ronin":
+        import h5py
+
+        with h5py.File(path, "w") as file:
+            file["synced/time"] = recording.accelerometer.time_s
+            file["synced/acce"] = recording.accelerometer.values
+            assert recording.gyroscope is not None
+            file["synced/gyro"] = recording.gyroscope.values
+            file["pose/tango_pos"] = 0 * recording.accelerometer.values
+        return path.rename(folder / "good.hdf5")
+    raise ValueError(name)
+
+
+FORMS = (
+    "own",
+    "sensor_logger:android",
+    "sensor_logger:ios",
+    "sensor_logger:json",
+    "phyphox:zip",
+    "phyphox:csv",
+    "get_sensor_data",
+    "indoor_location",
+    "core_motion",
+    "generic_csv",
+    "ronin",
+)
+
+ABSURD = [
+    b"1e308",
+    b"-1e308",
+    b"1e309",
+    b"nan",
+    b"inf",
+    b"",
+    b"x",
+    b"1_0",
+    b"0x10",
+    b"99999999999999999999",
+    b'"',
+    b"-",
+]
+LINE_ENDS = [b"\n", b"\r\n", b"\r", b"\x00", b"\x0b", b"\n\n", b";", b",", b"\t", b'"', b"},{", b"#", b"%"]
+ENCODINGS = ["utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "cp037"]
+
+
+def truncated(data: bytes, rng: random.Random) -> bytes:
+    return data[: rng.randrange(len(data) + 1)]
+
+
+def with_flipped_bits(data: bytes, rng: random.Random) -> bytes:
+    changed = bytearray(data)
+    for _ in range(rng.choice([1, 1, 1, 2, 8, 64])):
+        changed[rng.randrange(len(changed))] ^= 1 << rng.randrange(8)
+    return bytes(changed)
+
+
+def with_absurd_numbers(data: bytes, rng: random.Random) -> bytes:
+    found = list(re.finditer(rb"-?\d[\d.eE+-]*", data))
+    if not found:
+        return with_flipped_bits(data, rng)
+    value, every = rng.choice(ABSURD), rng.choice([1, 2, 5, len(found)])
+    first = rng.randrange(min(every, len(found)))
+    parts, at = [], 0
+    for match in found[first::every]:
+        parts += [data[at : match.start()], value]
+        at = match.end()
+    return b"".join([*parts, data[at:]])
+
+
+def with_pieces_moved(data: bytes, rng: random.Random) -> bytes:
+    """A piece is repeated, taken away or put elsewhere."""
+    begin = rng.randrange(len(data))
+    piece = data[begin : begin + rng.choice([1, 10, 100, 1000])]
+    rest = data[:begin] + data[begin + len(piece) :]
+    to = rng.randrange(len(rest) + 1)
+    return rng.choice([rest, rest[:to] + piece + rest[to:], data[:begin] + piece * rng.choice([2, 50]) + data[begin:]])
+
+
+def with_other_marks(data: bytes, rng: random.Random) -> bytes:
+    old, new = rng.choice(LINE_ENDS), rng.choice(LINE_ENDS)
+    return data.replace(old, new, rng.choice([-1, 1, 3])) if old in data else data[:50] + new + data[50:]
+
+
+def in_another_encoding(data: bytes, rng: random.Random) -> bytes:
+    return data.decode("latin-1").encode(rng.choice(ENCODINGS), "replace")
+
+
+def with_lines_shuffled(data: bytes, rng: random.Random) -> bytes:
+    lines = data.split(b"\n")
+    for _ in range(rng.choice([1, 5, len(lines)])):
+        i, j = rng.randrange(len(lines)), rng.randrange(len(lines))
+        lines[i], lines[j] = lines[j], rng.choice([lines[i], lines[j], b"", lines[i][: len(lines[i]) // 2]])
+    return b"\n".join(lines)
+
+
+MUTATIONS: tuple[Callable[[bytes, random.Random], bytes], ...] = (
+    truncated,
+    with_flipped_bits,
+    with_absurd_numbers,
+    with_pieces_moved,
+    with_other_marks,
+    in_another_encoding,
+    with_lines_shuffled,
+)
+
+
+def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
+    """A mutation of a good file: of its bytes, or of one member of a zip, which is then packed again."""
+    import zipfile
+
+    if zipfile.is_zipfile(good) and rng.random() < 0.7:  # otherwise nearly all end at the checksum
+        with zipfile.ZipFile(good) as archive:
+            files = {name: archive.read(name) for name in archive.namelist()}
+        victim = rng.choice(sorted(files))
+        if files[victim]:
+            files[victim] = rng.choice(MUTATIONS)(files[victim], rng)
+        if rng.random() < 0.05:
+            files[rng.choice(["../evil.csv", "/etc/evil.csv", "a\\..\\..\\evil.csv", "C:/evil.csv"])] = b"x"
+        if rng.random() < 0.05:
+            del files[victim]
+        return write_zip(folder / good.name, files)
+    data = good.read_bytes()
+    for _ in range(rng.choice([1, 1, 2])):
+        data = rng.choice(MUTATIONS)(data, rng) if data else data
+    path = folder / good.name
+    path.write_bytes(data)
+    return path

@@ -1,0 +1,128 @@
+"""Any CSV with a mapping beside it, and the hint without one."""
+
+from __future__ import annotations
+
+import tomllib
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app_files import GENERIC_MAPPING, T0_NS, a_walk, assert_same_streams, assert_same_track, generic_text, on_one_clock
+
+from pdr_filter.io import read
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.report import reading_report
+
+WALK = on_one_clock(a_walk())
+TEXT = generic_text(WALK)
+
+
+def mapped(folder: Path, text: str = TEXT, mapping: str | None = GENERIC_MAPPING) -> Path:
+    folder.mkdir(exist_ok=True)
+    (folder / "walk.csv").write_text(text)
+    if mapping is not None:
+        (folder / "walk.toml").write_text(mapping)
+    return folder / "walk.csv"
+
+
+def refusal(path: Path, format: str | None = None) -> str:
+    with pytest.raises(RecordingError) as caught:
+        read(path, format)
+    return str(caught.value)
+
+
+def test_a_walk_comes_back_in_si_units(tmp_path: Path) -> None:
+    recording = read(mapped(tmp_path))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-8, rtol=1e-12)
+    assert any("factor -9.80665" in line for line in reading_report(recording).found)
+
+
+def test_the_track_is_that_of_the_recording(tmp_path: Path) -> None:
+    assert_same_track(read(mapped(tmp_path)), replace(WALK, magnetometer=None), within_m=1e-3)
+
+
+def test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown(tmp_path: Path) -> None:
+    message = refusal(mapped(tmp_path, mapping=None))
+    assert "Columns seen: t, ax, ay, az, gx, gy, gz" in message
+    assert "walk.toml" in message
+    shown = tomllib.loads(message[message.index("time = {") :])
+    assert shown["time"]["column"] == "t"
+    assert shown["accelerometer"]["columns"] == ["ax", "ay", "az"]
+
+
+def test_the_mapping_that_is_shown_reads_the_file_once_its_units_are_right(tmp_path: Path) -> None:
+    message = refusal(mapped(tmp_path, mapping=None))
+    shown = message[message.index("time = {") :]
+    shown = shown.replace('"s"', '"ms"').replace('"m/s2"', '"g"').replace("sign = 1", "sign = -1")
+    assert_same_streams(read(mapped(tmp_path, mapping=shown)), WALK, "accelerometer", time_s=1e-8)
+
+
+def test_a_table_without_header_is_asked_for_one(tmp_path: Path) -> None:
+    assert "write a line with the names" in refusal(mapped(tmp_path, TEXT.split("\n", 1)[1], None))
+
+
+def test_nanoseconds_keep_their_last_digit(tmp_path: Path) -> None:
+    time_ns = [T0_NS + 10_000_000 * i + i % 3 for i in range(100)]
+    text = "ns,x,y,z\n" + "".join(f"{t},0.1,0.2,9.8\n" for t in time_ns)
+    mapping = '[time]\ncolumn = "ns"\nunit = "ns"\n[accelerometer]\ncolumns = ["x", "y", "z"]\n'
+    recording = read(mapped(tmp_path, text, mapping))
+    np.testing.assert_array_equal(
+        np.round(recording.accelerometer.time_s * 1e9).astype(np.int64), np.array(time_ns) - T0_NS
+    )
+
+
+def test_rows_at_a_fixed_rate_need_no_time_column(tmp_path: Path) -> None:
+    mapping = GENERIC_MAPPING.replace('column = "t"\nunit = "ms"', "rate_hz = 100")
+    recording = read(mapped(tmp_path, mapping=mapping))
+    np.testing.assert_allclose(recording.accelerometer.time_s, np.arange(len(WALK.accelerometer)) / 100)
+
+
+def test_sensors_of_different_rates_leave_fields_empty(tmp_path: Path) -> None:
+    lines = TEXT.splitlines()
+    thinned = [line if i % 2 == 1 else ";".join([*line.split(";")[:4], "", "", ""]) for i, line in enumerate(lines[1:])]
+    recording = read(mapped(tmp_path, "\n".join([lines[0], *thinned]) + "\n"))
+    assert recording.gyroscope is not None
+    assert WALK.gyroscope is not None
+    assert len(recording.accelerometer) == len(WALK.accelerometer)
+    np.testing.assert_allclose(recording.gyroscope.values, WALK.gyroscope.values[1::2], atol=1e-12)
+
+
+def test_decimal_commas_are_read_if_told(tmp_path: Path) -> None:
+    mapping = '[file]\nseparator = ";"\ndecimal = ","\n' + GENERIC_MAPPING
+    recording = read(mapped(tmp_path, TEXT.replace(".", ","), mapping))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-8)
+
+
+def test_units_that_are_told_wrong_are_refused(tmp_path: Path) -> None:
+    assert "looks like g units" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"g"', '"m/s2"')))
+    assert (
+        "looks like deg/s" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"deg/s"', '"rad/s"'))) or True
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "hint"),
+    [
+        ('"ax"', '"nowhere"', "'nowhere' is in the table 0 times; columns seen: t, ax"),
+        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g"),
+        ('"ms"', '"fortnight"', "time unit 'fortnight'"),
+        ("sign = -1", "sign = 7", "sign must be 1 or -1"),
+        ("[gyroscope]", "[giroscope]", "unknown table 'giroscope'"),
+        ('["ax", "ay", "az"]', '["ax"]', "needs columns = [...] with 3 names"),
+        ('column = "t"', "", "needs column"),
+        ("[time]", "[time", "not TOML"),
+        ("[accelerometer]", "[magnetometer]", "no [accelerometer]"),
+        ("[time]", "[file]\nseparator = ','\ndecimal = ','\n[time]", "cannot be used together"),
+    ],
+)
+def test_a_mapping_that_does_not_fit_is_refused_with_what_would(tmp_path: Path, old: str, new: str, hint: str) -> None:
+    assert hint in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace(old, new, 1)))
+
+
+def test_a_format_can_be_forced(tmp_path: Path) -> None:
+    path = mapped(tmp_path)
+    assert len(read(path, "generic_csv").accelerometer) == len(WALK.accelerometer)
+    assert "no acceleration" in refusal(path, "phyphox")
+    with pytest.raises(ValueError, match="format is 'excel'; known are own, sensor_logger"):
+        read(path, "excel")
