@@ -1,6 +1,6 @@
 """The interacting multiple model on filterpy's classes: slow, readable, and the oracle of `pdr_filter.imm`.
 
-`IMMEstimator` of filterpy 1.4 has four traps, which `MendedIMMEstimator` is without:
+`IMMEstimator` of filterpy 2.0 has four traps, which `MendedIMMEstimator` is without:
 
 1. Its documentation says that M[i, j] leads from mode j to mode i. It leads from i to j; rows sum to one.
 2. `update(None)` shall change nothing, but weighs the modes by how well they predict no innovation at all.

@@ -256,6 +256,8 @@ class Tracker:
 
     def on_window(self, state: TrackerState, window: WindowContext) -> tuple[TrackerState, list[StepUpdate]]:
         """New state, and the steps that this window made final."""
+        if not np.isfinite(window.prob).all():
+            return self._settle(state, force=False)  # it says nothing
         kept = (w for w in state.windows if w.time_s > window.time_s - _WINDOW_MEMORY_S)
         state = replace(state, windows=(*kept, window))
         return self._settle(state, force=False)
@@ -493,7 +495,9 @@ class Tracker:
         while state.pending:
             step = state.pending[0]
             own = self._window_at(state, step.time_s + self.window_hop_s)
-            if own is None and not force:
+            # where windows do not come, steps wait no longer than windows are remembered
+            waits = state.pending[-1].time_s - step.time_s <= _WINDOW_MEMORY_S
+            if own is None and waits and not force:
                 break
             state, update = self._weighted_step(state, step, is_final=True)
             updates.append(update)

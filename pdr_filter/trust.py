@@ -78,9 +78,10 @@ def report(track: Track) -> str:
     seconds = {name: s for name, s in track.context_seconds().items() if s >= 0.5}
     if seconds:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
-    used = [fix.nis for fix in track.fixes if fix.accepted]
+    used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
-        lines.append(f"fixes: {len(used)} used, mean squared innovation {np.mean(used):.1f} (2 if all is as predicted)")
+        mean = f"mean squared innovation {np.mean(used):.1f}, about 2 for positions that fit"
+        lines.append(f"fixes: {len(used)} used ({mean})")
     problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
     return "\n".join(lines)

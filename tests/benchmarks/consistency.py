@@ -1,0 +1,484 @@
+# ruff: noqa: N806 - the letters of the equations
+"""Is the filter's covariance the size of its errors: on walks drawn from its own model, on real walks, over a day.
+
+usage: .venv/bin/python tests/benchmarks/consistency.py [simulated] [real] [day] [--data ../shared/data] [--walks 200]
+
+simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, drawn from what the default
+recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
+drift by `MotionNoise`. The classifier is a linear one on Gaussian features, so that its probabilities are calibrated.
+NEES is of the position (2 degrees of freedom) and of the whole state (4), ten times in a walk of 300 steps, NIS of a
+fix of 3 m every 60 steps. The bounds are those of a chi-square mean over the walks; that of the NIS is over all
+fixes. Rows below "the filter's own model" leave it, by what their names say.
+
+real: the share of waypoints of humolire and ms_indoor in the 50 % and 95 % ellipses of the default recipe. The truth is
+turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count;
+waypoints are uncertain by 0.7 m along each axis, which is added to the ellipses. That turning tells the direction
+better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned, as fixes.
+
+day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+
+import numpy as np
+from accuracy import aligned
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter import imm
+from pdr_filter.context.stage import WindowContext
+from pdr_filter.motion import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.step_length import length_and_jacobian
+from pdr_filter.tracking import Tracker, TrackerState, present_position
+from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
+
+EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
+# Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
+# tells 87 % of the windows right; the shipped model gets 86 to 97 % of people left out.
+SEPARATION = 2.5
+WAYPOINT_STD_M = 0.7
+LATENCY_S = 0.7  # from a contact to its step, where windows overlap
+
+
+def own_model(context: str | None = None) -> Tracker:
+    """The default recipe's tracker with evidence that means what it says; of one known context if one is named.
+
+    Evidence is not tempered, the prior divided out whole, and a detected step says nothing: windows of the simulated
+    classifier do not overlap, and steps are drawn in every context alike.
+    """
+    tracker = replace(
+        pdr.recipes.default().tracker,
+        evidence_exponent=1.0,
+        prior_exponent=1.0,
+        evidence_floor=1e-12,
+        step_log_odds_stationary=0.0,
+    )
+    if context is None:
+        return tracker
+    return replace(
+        tracker, modes=tuple(m for m in tracker.modes if m.context == context), transition_prob=np.ones((1, 1))
+    )
+
+
+@dataclass(frozen=True)
+class Walk:
+    """Steps, what the classifier said, and the truth after each step."""
+
+    steps: list[Step]
+    windows: list[WindowContext]
+    state: FloatArray  # (K, 4) of the filter's states
+    modes: FloatArray  # (K,)
+
+
+def a_step(
+    k: int, time_s: float, rng: np.random.Generator, frequency_hz: float, heading_rad: float, latency_s: float = 0.0
+) -> Step:
+    """A step with the features that the default's models need."""
+    amplitude = 2.5 * np.exp(0.1 * rng.normal())
+    return Step(
+        time_s=time_s,
+        detected_time_s=time_s + latency_s,
+        duration_s=1 / frequency_hz,
+        frequency_hz=frequency_hz,
+        variance=4.0,
+        vertical_max_mps2=3.0,
+        vertical_min_mps2=-3.0,
+        magnitude_max_mps2=13.0,
+        magnitude_min_mps2=7.0,
+        mean_abs_mps2=1.5,
+        heading_change_rad=0.0,
+        device_heading_rad=heading_rad,
+        vertical_amplitude_mps2=amplitude,
+        usual_amplitude_mps2=2.5,
+        from_rest=k == 0,
+    )
+
+
+def root(cov: FloatArray) -> FloatArray:
+    """A with A A' = cov, which may be singular."""
+    values, vectors = np.linalg.eigh(cov)
+    return vectors * np.sqrt(np.maximum(values, 0.0))
+
+
+def simulated_walk(
+    tracker: Tracker, n_steps: int, rng: np.random.Generator, *, one_theta: bool = False, overlapping: bool = False
+) -> Walk:
+    """A walk of the tracker's own model.
+
+    Parameters
+    ----------
+    one_theta
+        The parameters of each length model are off once a person, not at every step anew, as the filter has it.
+    overlapping
+        Windows of 2 s end every second, so that neighbours share half of their noise; else every second step has one
+        of its own.
+    """
+    noise, modes = tracker.noise, tracker.modes
+    offset = noise.initial_heading_offset_std_rad * rng.normal()
+    scale = noise.log_scale_std * rng.normal()
+    fits = [m.step_length for m in modes]
+    roots = [root(f.theta_cov) for f in fits]
+    off = [r @ rng.normal(size=len(r)) for r in roots]
+    into = np.cumsum(tracker.transition_prob, axis=1)
+    mode = int(np.searchsorted(np.cumsum(tracker.init().mode_prob), rng.random()))
+    cadence_hz, heading_rad, time_s = rng.uniform(1.7, 2.1), 0.0, 0.0
+    position_m = np.zeros(2)
+    steps, states, chosen = [], [], []
+    for k in range(n_steps):
+        mode = min(int(np.searchsorted(into[mode], rng.random(), side="right")), len(modes) - 1)
+        heading_rad += 0.03 * rng.normal() + (rng.choice([-1, 1]) * np.pi / 2 if rng.random() < 0.05 else 0.0)
+        frequency_hz = cadence_hz * (1 + 0.04 * rng.normal())
+        time_s += 1 / frequency_hz
+        step = a_step(k, time_s, rng, frequency_hz, heading_rad, LATENCY_S if overlapping else 0.0)
+        steps.append(step)
+        chosen.append(mode)
+        fit = fits[mode]
+        if not one_theta:
+            off[mode] = roots[mode] @ rng.normal(size=len(fit.theta))
+        length_m, jacobian = length_and_jacobian(fit.model, step, fit.theta)
+        length_m = max(float(length_m), 0.0) + float(jacobian @ off[mode]) + fit.residual_std_m * rng.normal()
+        psi = heading_rad + offset + modes[mode].heading_offset_rad + modes[mode].heading_std_rad * rng.normal()
+        position_m = position_m + length_m * np.exp(scale) * np.array([np.sin(psi), np.cos(psi)])
+        offset += noise.heading_drift_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal()
+        scale += noise.log_scale_drift_per_sqrt_step * rng.normal()
+        states.append([*position_m, offset, scale])
+    contexts = np.array([CONTEXTS.index(modes[m].context) for m in chosen])
+    windows = said_of(contexts, np.array([s.time_s for s in steps]), rng, overlapping)
+    return Walk(steps, windows, np.array(states), np.array(chosen))
+
+
+def said_of(contexts: IntArray, time_s: FloatArray, rng: np.random.Generator, overlapping: bool) -> list[WindowContext]:
+    """What a calibrated classifier says: p ~ prior exp(s z_c), z ~ N(s e_c, I), s the separation."""
+    if overlapping:
+        ends_s = np.arange(2.0, time_s[-1] + 1.0)
+        shared = rng.normal(size=(len(ends_s) + 1, len(CONTEXTS)))
+        features = (shared[1:] + shared[:-1]) / np.sqrt(2)
+        contexts = contexts[np.minimum(np.searchsorted(time_s, ends_s - 1.0), len(time_s) - 1)]
+    else:
+        ends_s, contexts = time_s[::2], contexts[::2]
+        features = rng.normal(size=(len(ends_s), len(CONTEXTS)))
+    features[np.arange(len(contexts)), contexts] += SEPARATION
+    prob = np.exp(SEPARATION * (features - features.max(axis=1, keepdims=True)))
+    prob /= prob.sum(axis=1, keepdims=True)
+    return [WindowContext(float(t), p, EVEN_PRIOR) for t, p in zip(ends_s, prob, strict=True)]
+
+
+@dataclass(frozen=True)
+class Errors:
+    """Normalised errors squared of walks."""
+
+    position: FloatArray  # (N, T)
+    position_linear: FloatArray  # (N, T) without `second_order_m`
+    state: FloatArray  # (N, T)
+    fixes: FloatArray  # (N, F) normalised innovations squared
+    right: FloatArray  # (N,) share of steps whose most probable mode is the true one
+    rejected: int
+
+
+def normalised(error: FloatArray, cov: FloatArray) -> float:
+    return float(error @ np.linalg.solve(cov, error))
+
+
+def filtered_errors(
+    tracker: Tracker,
+    walk: Walk,
+    rng: np.random.Generator,
+    check_every: int,
+    fix_every: int,
+    fix_std_m: float,
+    late_s: float = 0.0,
+) -> tuple[list[tuple[float, float, float]], list[float], float, int]:
+    """NEES (position, without second order, state) at the checks, NIS of fixes, share of right modes, rejections.
+
+    A check comes before the fix of its step. A late fix is of a time before, and its NIS is left out.
+    """
+    state, found, nis, right = tracker.init(), [], [], 0
+    windows = list(walk.windows)
+    times = np.array([s.time_s for s in walk.steps])
+    for k, step in enumerate(walk.steps):
+        while windows and windows[0].time_s <= step.detected_time_s:
+            state, _ = tracker.on_window(state, windows.pop(0))
+        state, updates = tracker.on_step(state, step)
+        right += int(updates[-1].mode_prob.argmax() == walk.modes[k])
+        if (k + 1) % check_every == 0:
+            x, P = imm.combine(state.mean, state.cov, state.mode_prob)
+            error = walk.state[k] - x
+            seen = P.copy()
+            seen[:2, :2] = present_position(state)[1]
+            found.append(
+                (normalised(error[:2], seen[:2, :2]), normalised(error[:2], P[:2, :2]), normalised(error, seen))
+            )
+        if fix_every and (k + 1) % fix_every == 0:
+            of_s = step.time_s - late_s
+            truth_m = np.array([np.interp(of_s, times, walk.state[:, i]) for i in (0, 1)])
+            fix = PositionFix(of_s, truth_m + fix_std_m * rng.normal(size=2), fix_std_m**2 * np.eye(2), step.time_s)
+            position_m, cov_m2 = present_position(state)
+            if late_s == 0:
+                nis.append(normalised(fix.position_m - position_m, cov_m2 + fix.cov_m2))
+            state, _ = tracker.on_fix(state, fix)
+    return found, nis, right / len(walk.steps), state.rejected_fixes
+
+
+def errors_of_walks(
+    drawn_from: Tracker,
+    tracker: Tracker,
+    n_walks: int,
+    n_steps: int,
+    *,
+    seed: int = 1,
+    check_every: int = 30,
+    fix_every: int = 60,
+    fix_std_m: float = 3.0,
+    late_s: float = 0.0,
+    one_theta: bool = False,
+    overlapping: bool = False,
+) -> Errors:
+    """Errors of the tracker on walks drawn from another (or the same) one."""
+    nees, nis, right, rejected = [], [], [], 0
+    for n in range(n_walks):
+        rng = np.random.default_rng([seed, n])
+        walk = simulated_walk(drawn_from, n_steps, rng, one_theta=one_theta, overlapping=overlapping)
+        found, of_fixes, share, lost = filtered_errors(tracker, walk, rng, check_every, fix_every, fix_std_m, late_s)
+        nees.append(found)
+        nis.append(of_fixes)
+        right.append(share)
+        rejected += lost
+    a = np.array(nees)
+    return Errors(a[..., 0], a[..., 1], a[..., 2], np.array(nis), np.array(right), rejected)
+
+
+def bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
+    """Of the mean of n chi-square numbers, with this probability."""
+    low, high = chi2.ppf([(1 - prob) / 2, (1 + prob) / 2], dof * n) / n
+    return float(low), float(high)
+
+
+def line(name: str, errors: Errors) -> str:
+    """One row of the table: mean, checks inside the bounds, for each of the errors."""
+    n, cells = len(errors.position), []
+    for values, dof in ((errors.position, 2), (errors.position_linear, 2), (errors.state, 4)):
+        low, high = bounds(dof, n)
+        mean = values.mean(axis=0)
+        inside = int(((mean >= low) & (mean <= high)).sum())
+        cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}/{len(mean)}")
+    nis = "-"
+    if errors.fixes.size:
+        # of a mixture the NIS has the mean of the chi-square, and longer tails
+        low, high = bounds(2, errors.fixes.size)
+        sampled = 1.96 * errors.fixes.mean(axis=1).std(ddof=1) / np.sqrt(n)
+        nis = f"{errors.fixes.mean():.2f} +- {sampled:.2f} ({low:.2f} to {high:.2f})"
+    return f"| {name} | {' | '.join(cells)} | {nis} | {errors.rejected} | {errors.right.mean():.2f} |"
+
+
+def simulated(n_walks: int) -> None:
+    """Row by row further from the model."""
+    exact, shipped = own_model(), pdr.recipes.default().tracker
+    tempered = replace(exact, evidence_exponent=shipped.evidence_exponent, evidence_floor=shipped.evidence_floor)
+    walking = own_model("walking")
+    detected = np.where([m.context == "stationary" for m in exact.modes], np.exp(shipped.step_log_odds_stationary), 1.0)
+    of_detected = exact.transition_prob * detected
+    rare = replace(exact, transition_prob=of_detected / of_detected.sum(axis=1, keepdims=True))
+    alike = replace(exact, noise=replace(exact.noise, log_scale_std=0.01))
+    low2, high2 = bounds(2, n_walks)
+    low4, high4 = bounds(4, n_walks)
+    print(
+        f"{n_walks} walks of 300 steps. Bounds of a check: position {low2:.2f} to {high2:.2f}, "
+        f"state {low4:.2f} to {high4:.2f}.\n\n"
+        "| | NEES position: mean (of checks), inside | without second order | NEES state | NIS +- sampled (bounds) | "
+        "rejected | modes right |\n|---|---|---|---|---|---|---|"
+    )
+    rows = (
+        ("walking alone, known", walking, walking, {}),
+        ("the same without fixes", walking, walking, {"fix_every": 0}),
+        ("mixed contexts, the filter's own model", exact, exact, {}),
+        ("no fixes", exact, exact, {"fix_every": 0}),
+        ("no fixes, and all people of one scale", alike, alike, {"fix_every": 0}),
+        ("fixes 3 s late", exact, exact, {"late_s": 3.0}),
+        ("parameters off once a person", exact, exact, {"one_theta": True}),
+        ("overlapping windows, not tempered", exact, exact, {"overlapping": True}),
+        ("overlapping windows, tempered", exact, tempered, {"overlapping": True}),
+        ("all shipped settings", exact, shipped, {"overlapping": True}),
+        ("all shipped settings, false steps as rare as it takes them", rare, shipped, {"overlapping": True}),
+        ("the same, parameters off once a person", rare, shipped, {"overlapping": True, "one_theta": True}),
+    )
+    for name, drawn_from, used, options in rows:
+        print(line(name, errors_of_walks(drawn_from, used, n_walks, 300, **options)), flush=True)
+
+
+# --- real walks -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Waypoints:
+    """Waypoints in the frame of a track."""
+
+    time_s: FloatArray  # (W,)
+    position_m: FloatArray  # (W, 2)
+    first: BoolArray  # (W,) in the first 20 % of the path
+
+
+def in_frame_of(track: pdr.Track, recording: pdr.Recording) -> Waypoints:
+    """The waypoints, turned and moved so that those of the first 20 % of the path fit the track best."""
+    points = recording.truth.waypoints
+    reference = np.column_stack([points.east_m, points.north_m])
+    along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference, axis=0), axis=1))])
+    first = along_m <= max(0.2 * along_m[-1], along_m[min(2, len(along_m) - 1)])
+    estimate, _ = at(track, np.asarray(points.time_s))
+    return Waypoints(np.asarray(points.time_s), aligned(estimate, reference, first), first)
+
+
+def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Positions (T, 2) and covariances (T, 2, 2) at any times."""
+    time_s = np.concatenate([[min(times_s[0], track.time_s[0]) - 1e-3], track.time_s])
+    position_m = np.vstack([[0.0, 0.0], track.position_m])
+    cov_m2 = np.concatenate([np.zeros((1, 2, 2)), track.position_cov_m2]).reshape(-1, 4)
+    found = [np.column_stack([np.interp(times_s, time_s, c) for c in v.T]) for v in (position_m, cov_m2)]
+    return found[0], found[1].reshape(-1, 2, 2)
+
+
+def waypoint_errors(track: pdr.Track, truth: Waypoints) -> FloatArray:
+    """Squared errors over the ellipses, (W,), of the waypoints after the first 20 %."""
+    estimate, cov = at(track, truth.time_s)
+    error = truth.position_m - estimate
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov + WAYPOINT_STD_M**2 * np.eye(2)), error)
+    return nees[~truth.first]
+
+
+def real(data: Path) -> None:
+    """Coverage by site: of the track alone, and of one that got the first waypoints, as turned, as fixes."""
+    print(
+        "| site | first 20 % as fixes | walks | waypoints | in 50 % ellipse | in 95 % ellipse, mean of walks | "
+        "squared error over predicted: mean, median |"
+    )
+    print("|---|---|---|---|---|---|---|")
+    levels = chi2.ppf([0.5, 0.95], 2)
+    for site in ("humolire", "ms_indoor"):
+        alone, told = [], []
+        for path in sorted((data / site).glob("*.zip")):
+            recording = pdr.read(path)
+            config = pdr.recipes.for_recording("default", recording)
+            track = pdr.track(recording, config)
+            if track.n_steps == 0:
+                continue
+            truth = in_frame_of(track, recording)
+            alone.append(waypoint_errors(track, truth))
+            fixes = [
+                PositionFix(float(t), p, WAYPOINT_STD_M**2 * np.eye(2))
+                for t, p in zip(truth.time_s[truth.first], truth.position_m[truth.first], strict=True)
+            ]
+            told.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth))
+        for name, found in (("no", alone), ("yes", told)):
+            nees = np.concatenate(found)
+            half, most = (100 * np.mean(nees <= level) for level in levels)
+            per_walk = [100 * np.mean(e <= levels[1]) for e in found if len(e)]
+            print(
+                f"| {site} | {name} | {len(per_walk)} | {nees.size} | {half:.0f} % | {most:.0f} %, "
+                f"{np.mean(per_walk):.0f} % | {nees.mean():.2f}, {np.median(nees):.2f} |",
+                flush=True,
+            )
+
+
+# --- a day ----------------------------------------------------------------------------------------------------------
+
+
+def day(
+    n_steps: int, day_s: float, seed: int = 0, fix_every_s: float = 600.0
+) -> Iterator[Step | WindowContext | PositionFix]:
+    """Bouts of about 100 steps with rest between, a window every second, and a good fix now and then.
+
+    The person is where the fixes say: steps lead in a circle, so that a fix may always be near the start.
+    """
+    rng = np.random.default_rng(seed)
+    step_s, bout = 0.52, 100
+    rest_s = max(day_s / (n_steps / bout) - bout * step_s, 5.0)
+    sure = {c: np.where(np.arange(len(CONTEXTS)) == i, 0.9, 0.02) for i, c in enumerate(CONTEXTS)}
+    clock_s, window_s, fix_s, made = 0.0, 1.0, fix_every_s, 0
+
+    def until(end_s: float, context: str) -> Iterator[WindowContext]:
+        nonlocal window_s
+        while window_s <= end_s:
+            yield WindowContext(window_s, sure[context], EVEN_PRIOR)
+            window_s += 1.0
+
+    while made < n_steps:
+        context = str(rng.choice(["walking", "walking", "walking", "upstairs", "downstairs", "running"]))
+        for k in range(min(bout, n_steps - made)):
+            clock_s += step_s
+            yield from until(clock_s, context)
+            # twice around in a bout: the bout ends where it began
+            yield a_step(k, clock_s, rng, 1 / step_s, 4 * np.pi * k / bout)
+            made += 1
+        if clock_s >= fix_s:
+            yield PositionFix(clock_s, rng.normal(scale=3.0, size=2), 100.0 * np.eye(2))
+            fix_s = clock_s + fix_every_s
+        clock_s += rest_s
+        yield from until(clock_s, "stationary")
+
+
+def sizes(state: TrackerState) -> tuple[int, int, int, int]:
+    """Numbers in all arrays of the state, windows, rows of the trail, waiting steps."""
+    own = sum(v.size for f in fields(TrackerState) if isinstance(v := getattr(state, f.name), np.ndarray))
+    of_windows = sum(w.prob.size + w.training_prior.size + w.carrying_prob.size for w in state.windows)
+    return own + of_windows, len(state.windows), len(state.trail), len(state.pending)
+
+
+def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[TrackerState, list[tuple[int, int, int, int]]]:
+    """The state at the end, and the sizes at every twentieth step."""
+    state, found = tracker.init(), []
+    for event in day(n_steps, day_s):
+        if isinstance(event, PositionFix):
+            state, _ = tracker.on_fix(state, event)
+        elif isinstance(event, WindowContext):
+            state, _ = tracker.on_window(state, event)
+        else:
+            state, _ = tracker.on_step(state, event)
+            if state.n_final % 20 == 0:
+                found.append(sizes(state))
+    return state, found
+
+
+def whole_day() -> None:
+    """Sizes of the first and last tenth, and the end."""
+    for weighting in ("imm", "wc"):
+        tracker = replace(pdr.recipes.default().tracker, weighting=weighting)
+        begin = time.perf_counter()
+        state, found = run_day(tracker, 60_000, 86_400.0)
+        took = time.perf_counter() - begin
+        tenth = len(found) // 10
+        first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
+        asymmetry = np.abs(state.cov - state.cov.swapaxes(-1, -2)).max() / np.abs(state.cov).max()
+        std = np.sqrt(np.diagonal(state.cov, axis1=1, axis2=2).max(axis=0))
+        print(
+            f"{weighting}: {state.n_final} steps in {took:.0f} s with the measuring; largest state (numbers, windows, "
+            f"trail, waiting) {first.tolist()} in the first tenth, {last.tolist()} in the last; at the end smallest "
+            f"eigenvalue {np.linalg.eigvalsh(state.cov).min():.1e}, asymmetry {asymmetry:.0e}, probabilities sum to "
+            f"1 {state.mode_prob.sum() - 1:+.0e}, heading std {std[HEADING_OFFSET]:.2f} rad, scale std "
+            f"{std[LOG_SCALE]:.3f}, "
+            f"{state.rejected_fixes} fixes rejected",
+            flush=True,
+        )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("parts", nargs="*", default=["simulated", "real", "day"])
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser.add_argument("--walks", type=int, default=200)
+    args = parser.parse_args()
+    for part in args.parts:
+        print(f"\n## {part}\n", flush=True)
+        {"simulated": lambda: simulated(args.walks), "real": lambda: real(args.data), "day": whole_day}[part]()
+
+
+if __name__ == "__main__":
+    main()

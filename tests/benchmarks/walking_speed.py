@@ -1,0 +1,74 @@
+"""Walking speed against the straight legs of humolire and motion capture of tyrex: error, and what was said of it.
+
+usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/walking_speed.py [--data ../shared/data]
+
+humolire: mean smoothed speed of each leg against its length over its time (9 walks, 133 legs, one person). tyrex:
+smoothed speed at each step against the speed of the phone, its path low-passed at 0.5 Hz (one person; walking
+scenarios). Inside: share of the errors within one and two of the deviations that the filter gives, 68 and 95 % if these
+are right.
+"""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+import pdr_filter as pdr
+
+WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
+
+
+def on_legs(path: Path) -> list[tuple[float, float, float]]:
+    """True speed, found speed and its deviation of each leg."""
+    recording = pdr.read(path)
+    track = pdr.track(recording)
+    rows = []
+    for leg in recording.truth.segments:
+        inside = (track.time_s >= leg["start_s"]) & (track.time_s <= leg["end_s"])
+        if inside.sum() >= 4:
+            true = leg["distance_m"] / (leg["end_s"] - leg["start_s"])
+            rows.append((true, track.smoothed_speed_mps[inside].mean(), track.smoothed_speed_std_mps[inside].mean()))
+    return rows
+
+
+def in_the_room(path: Path) -> list[tuple[float, float, float]]:
+    """The same at each step."""
+    recording = pdr.read(path)
+    track, truth, label = pdr.track(recording), recording.truth.position, recording.truth.labels[0]
+    grid_s = np.arange(truth.time_s[0], truth.time_s[-1], 0.02)
+    place = np.column_stack([np.interp(grid_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    smooth = sosfiltfilt(butter(2, 0.5, fs=50.0, output="sos"), place, axis=0)
+    speed = np.linalg.norm(np.gradient(smooth, 0.02, axis=0), axis=1)
+    inside = (track.time_s >= label["start_s"]) & (track.time_s <= label["end_s"])
+    true = np.interp(track.time_s[inside], grid_s, speed)
+    return list(zip(true, track.smoothed_speed_mps[inside], track.smoothed_speed_std_mps[inside], strict=True))
+
+
+def row(name: str, found: list[tuple[float, float, float]]) -> None:
+    """One line of the table."""
+    true, speed, std = np.array(found).T
+    error = speed - true
+    within = [np.mean(np.abs(error) <= k * std) for k in (1, 2)]
+    print(
+        f"| {name} | {len(error)} | {true.mean():.2f} | {error.mean():+.3f} | {error.std():.3f} | "
+        f"{np.abs(error).mean():.3f} | {within[0]:.2f}, {within[1]:.2f} |"
+    )
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    data = parser.parse_args().data
+    print("| where | n | true m/s | bias m/s | spread m/s | mean absolute m/s | inside 1, 2 deviations |")
+    print("|---|---|---|---|---|---|---|")
+    row("humolire, legs", [r for p in sorted((data / "humolire").glob("*.zip")) for r in on_legs(p)])
+    for scenario in WALKING:
+        paths = sorted((data / "tyrex").glob(f"*_{scenario}.zip"))
+        row(f"tyrex {scenario}, steps", [r for path in paths for r in in_the_room(path)])
+
+
+if __name__ == "__main__":
+    main()
