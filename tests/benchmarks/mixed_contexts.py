@@ -1,0 +1,618 @@
+"""Walks through several contexts: the classifier's arg-max, the IMM's mode probabilities, and distances side by side.
+
+usage: .venv/bin/python tests/benchmarks/mixed_contexts.py [--data ../shared/data] [--cache FOLDER] [--walks 24]
+
+Real: no public recording here has a labelled change of context, so recordings of one person of MotionSense (trouser
+pocket) are put one after the other: sitting, walking, upstairs, walking, downstairs, walking, running, standing. Each
+is turned so that its mean gravity agrees with the first's, and between two of them is a second of the same person's
+standing; nothing is cross-faded. Two such walks of each of 12 people. The model is the default's, trained in three
+folds without the four people that it is scored on; it runs in the default recipe, in blocks of a tenth of a second.
+Their distance is not known: distances are compared with that of the same steps and lengths in the true contexts.
+
+Simulated: walks with exact distances, phone in the hand. The shipped model takes all that a simulated hand does for
+walking, which says nothing about weightings. So each walk gets the windows of one of the people above: for every
+stretch of a context, what the model that had not seen them said of theirs, in order from its start.
+"""
+
+from __future__ import annotations
+
+import argparse
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+from threadpoolctl import threadpool_limits
+
+import pdr_filter as pdr
+from pdr_filter.context.familiarity import fit_familiarity
+from pdr_filter.context.model import ContextModel
+from pdr_filter.context.stage import WindowContext
+from pdr_filter.context.train import FEATURE_LIMIT, PLANS, Fitted, LabelledWindows, fit, label_of, labelled_windows
+from pdr_filter.context.transitions import (
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    filter_windows,
+    fit_tempering,
+)
+from pdr_filter.features.windows import FEATURE_SETS
+from pdr_filter.offline.smoothed_track import smoothed_track
+from pdr_filter.online import Config, finish, init, step
+from pdr_filter.recipes import context_transitions, default, with_context_model
+from pdr_filter.sensing import Event, Gap
+from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.tracking import StepUpdate
+from pdr_filter.types import CONTEXTS, FloatArray, ImuBlock, IntArray, Recording, Samples, Truth, table
+from pdr_filter.whole import sensed_events
+
+PLAN = PLANS[0]
+N_FOLDS = 3
+STILL_S = 1.0
+BLOCK_S = 0.1
+# Two seconds of walking: what a final step of HC and WC waits too.
+LAG_STEPS = 4
+STATIONARY = CONTEXTS.index("stationary")
+# Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
+N_WALKS = 2
+PARTS: tuple[tuple[tuple[str, str], float], ...] = (
+    (("sit_5", "sit_5"), 12.0),
+    (("wlk_7", "wlk_8"), 25.0),
+    (("ups_3", "ups_4"), 20.0),
+    (("wlk_8", "wlk_15"), 20.0),
+    (("dws_1", "dws_2"), 20.0),
+    (("wlk_15", "wlk_7"), 20.0),
+    (("jog_9", "jog_16"), 20.0),
+    (("std_6", "std_14"), 12.0),
+)
+
+
+# --- Models of people left out ---------------------------------------------------------------------------------------
+
+
+def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
+    """What `make` gives, from a file of the cache folder if it is there."""
+    if folder is None:
+        return make()
+    path = folder / f"{name}.pkl"
+    if not path.is_file():
+        folder.mkdir(parents=True, exist_ok=True)
+        path.write_bytes(pickle.dumps(make()))
+    return pickle.loads(path.read_bytes())  # our own
+
+
+def windows_of(data: Path) -> LabelledWindows:
+    """All windows that the default's model is made of."""
+    paths = [p for d in PLAN.datasets for p in sorted((data / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
+    return labelled_windows(paths, feature_set=PLAN.feature_set)
+
+
+def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
+    """The default's model as `pdr-filter train` makes it, of all people but these."""
+    names = FEATURE_SETS[PLAN.feature_set]
+    use = PLAN.rows(windows) & ~np.isin(windows.person, people)
+    features = windows.features[use][:, [names.index(n) for n in PLAN.feature_names]]
+    y, person = windows.context[use], windows.person[use]
+    with threadpool_limits(1):
+        fitted = fit(PLAN.machine_fit, CONTEXTS, features, y, person, np.ones(len(y)))
+    # The limit of what is familiar: from four of the people in training, left out for it.
+    four = np.isin(person, [p for p in np.unique(person) if p.startswith("motionsense")][:4])
+    part = fit_familiarity(standardised(features[~four], fitted), 1.0)
+    limit = float(np.quantile([part.distance(z) for z in standardised(features[four], fitted)], 0.99))
+    return ContextModel(
+        name="left_out",
+        feature_names=PLAN.feature_names,
+        classes=fitted.classes,
+        training_prior=np.array([np.mean(y == c) for c in CONTEXTS]),
+        feature_mean=fitted.mean,
+        feature_scale=fitted.scale,
+        machine=fitted.machine,
+        card={},
+        temperature=fitted.temperature,
+        slip=fitted.slip,
+        feature_limit=FEATURE_LIMIT,
+        familiarity=fit_familiarity(standardised(features, fitted), limit),
+    )
+
+
+def standardised(features: FloatArray, fitted: Fitted) -> FloatArray:
+    """Features as the machine sees them, uncut."""
+    return (features - fitted.mean) / fitted.scale
+
+
+# --- Mixed walks of real recordings ----------------------------------------------------------------------------------
+
+
+def mixed_walk(data: Path, person: str, number: int) -> Recording:
+    """Recordings of one person one after the other, a still second between them, labels of each."""
+
+    def trial(name: str) -> Recording:
+        return pdr.read(data / "motionsense" / f"motionsense_{person}_{name}.zip")
+
+    standing = trial("std_6")
+    force, rate, rows, clock = [], [], [], 0
+    for k, (names, length_s) in enumerate(PARTS):
+        recording = trial(names[number])
+        pieces = [] if k == 0 else [(*clip(standing, 10.0 + k, STILL_S), "stationary")]
+        # 4 s in: the phone has been put away by then
+        context = str(recording.truth.labels["context"][0])
+        pieces.append((*clip(recording, 4.0 + 3.0 * k * (context == "walking"), length_s), context))
+        for a, w, what in pieces:
+            down = force[0].mean(axis=0) if force else a.mean(axis=0)
+            turn = Rotation.align_vectors([down / np.linalg.norm(down)], [a.mean(axis=0)])[0]
+            force.append(turn.apply(a))
+            rate.append(turn.apply(w))
+            rows.append((clock, clock + len(a), what))
+            clock += len(a)
+    interval_s = float(np.median(np.diff(standing.accelerometer.time_s)))
+    time_s = interval_s * np.arange(clock)
+    start, end, context = zip(*rows, strict=True)
+    return Recording(
+        name=f"{person}_{number}",
+        accelerometer=Samples(time_s, np.concatenate(force)),
+        gyroscope=Samples(time_s, np.concatenate(rate)),
+        truth=Truth(
+            labels=table(
+                {
+                    "start_s": interval_s * np.array(start),
+                    "end_s": interval_s * np.array(end),
+                    "context": np.array(context),
+                    "carrying_mode": np.array(["pocket"] * len(rows)),
+                }
+            )
+        ),
+        meta=dict(standing.meta),
+    )
+
+
+def clip(recording: Recording, start_s: float, length_s: float) -> tuple[FloatArray, FloatArray]:
+    """Specific force and angular rate of a part; of a shorter recording what there is."""
+    assert recording.gyroscope is not None
+    time_s = recording.accelerometer.time_s
+    start_s = max(min(start_s, time_s[-1] - length_s), 0.0)
+    use = (time_s >= start_s) & (time_s < start_s + length_s)
+    rate = recording.gyroscope
+    interpolated = np.column_stack([np.interp(time_s[use], rate.time_s, rate.values[:, i]) for i in range(3)])
+    return recording.accelerometer.values[use], interpolated
+
+
+# --- What was said, and when -----------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Said:
+    """Of a walk: windows and steps with their probabilities and when they became known."""
+
+    walk: Recording
+    person: str
+    window_s: FloatArray  # (W,) ends
+    window_known_s: FloatArray
+    window_prob: FloatArray  # (W, C)
+    training_prior: FloatArray  # (C,)
+    step_s: FloatArray  # (K,)
+    step_known_s: FloatArray
+    of_window: FloatArray  # (K, C) the window that each step used
+    filtered: FloatArray  # (K, C)
+    smoothed: FloatArray  # (K, C)
+    learnt: FloatArray  # (K, C) filtered, with transitions and exponents of other people's walks
+    events: list[Event]
+    config: Config
+
+    @property
+    def lagged(self) -> FloatArray:
+        """Of each step with the evidence of some more, (K, C)."""
+        return lagged(self)
+
+    @property
+    def lagged_known_s(self) -> FloatArray:
+        """When that is known, (K,): with the step so many later, or with the last."""
+        return self.step_known_s[np.minimum(np.arange(len(self.step_s)) + LAG_STEPS, len(self.step_s) - 1)]
+
+
+def said_online(walk: Recording, person: str, config: Config) -> Said:
+    """Everything that the filter says, samples pushed in blocks of a tenth of a second, and the smoother after it."""
+    samples = pdr.merge_streams(walk)
+    state = init(config)
+    windows: list[tuple[float, Any]] = []
+    updates: list[tuple[float, Any]] = []
+    for block in blocks(samples):
+        state, output = step(config, state, block)
+        known_s = float(block.time_s[-1])
+        windows += [(known_s, w) for w in output.windows]
+        updates += [(known_s, u) for u in output.updates if u.is_final]
+    state, output = finish(config, state)
+    end_s = float(samples.time_s[-1])
+    updates += [(end_s, u) for u in output.updates if u.is_final]
+    smoothed = smoothed_track(walk, config)
+    assert len(smoothed.time_s) == len(updates)
+    return Said(
+        walk,
+        person,
+        np.array([w.time_s for _, w in windows]),
+        np.array([t for t, _ in windows]),
+        np.array([w.prob for _, w in windows]),
+        windows[0][1].training_prior,
+        np.array([u.step.time_s for _, u in updates]),
+        np.array([t for t, _ in updates]),
+        np.array([u.context_prob for _, u in updates]),
+        np.array([u.mode_prob for _, u in updates]),
+        smoothed.mode_prob,
+        np.array([u.mode_prob for _, u in updates]),
+        list(sensed_events(config.sensing, walk)),
+        config,
+    )
+
+
+def mean_of_five(prob: FloatArray) -> FloatArray:
+    """Mean probabilities (W, C) of each window with two before and two after it: what averaging alone is worth."""
+    return np.array([prob[max(k - 2, 0) : k + 3].mean(axis=0) for k in range(len(prob))])
+
+
+def lagged(said: Said) -> FloatArray:
+    """Mode probabilities (K, C) of each step with the evidence of `LAG_STEPS` more: backwards from the filtered ones.
+
+    p(j at k | k + L) = sum_i p(i at k + 1 | k + L) mu_j t_ji / sum_j mu_j t_ji, of the modes alone.
+    """
+    t, filtered = context_transitions(), said.filtered
+    result = filtered.copy()
+    for k in range(len(filtered)):
+        end = min(k + LAG_STEPS, len(filtered) - 1)
+        prob = filtered[end]
+        for before in filtered[k:end][::-1]:
+            prob = before * (t @ (prob / (before @ t)))
+        result[k] = prob
+    return result
+
+
+def blocks(samples: ImuBlock) -> Iterator[ImuBlock]:
+    """The samples in blocks of a tenth of a second."""
+    edges = np.searchsorted(samples.time_s, np.arange(BLOCK_S, samples.time_s[-1] + BLOCK_S, BLOCK_S))
+    for start, end in zip([0, *edges[:-1]], edges, strict=True):
+        if end > start:
+            use = slice(int(start), int(end))
+            yield ImuBlock(
+                samples.time_s[use],
+                samples.specific_force_mps2[use],
+                samples.angular_rate_radps[use],
+                samples.magnetic_field_ut[use],
+            )
+
+
+def context_at(walk: Recording, time_s: float) -> int:
+    """True context at a time, `UNKNOWN` outside every label and in the still seconds put in."""
+    for label in walk.truth.labels:
+        if label["start_s"] <= time_s < label["end_s"] and label["end_s"] - label["start_s"] > 2 * STILL_S:
+            return CONTEXTS.index(str(label["context"]))
+    return UNKNOWN
+
+
+def last_steps(said: Said) -> IntArray:
+    """The last step that used each window, (W,): in its last second; -1 where there is none."""
+    last = np.searchsorted(said.step_s, said.window_s) - 1
+    found = (last >= 0) & (said.step_s[np.maximum(last, 0)] >= said.window_s - 1.0)
+    return np.where(found, last, -1)
+
+
+def window_scores(all_said: list[Said]) -> None:
+    """Accuracy over windows, clean or not, with and without those that have no step."""
+    truth, clean, stepped, answers = (
+        [],
+        [],
+        [],
+        {"arg-max": [], "mean of 5": [], "filtered": [], "learnt": [], "lagged": [], "smoothed": []},
+    )
+    person = []
+    for said in all_said:
+        last = last_steps(said)
+        truth += [context_at(said.walk, t - 1.0) for t in said.window_s]
+        clean += [label_of(said.walk, t - 2.0, t) is not None for t in said.window_s]
+        stepped += list(last >= 0)
+        person += [said.person] * len(last)
+        answers["arg-max"] += list(said.window_prob.argmax(axis=1))
+        answers["mean of 5"] += list(mean_of_five(said.window_prob).argmax(axis=1))
+        for name, prob in (
+            ("filtered", said.filtered),
+            ("learnt", said.learnt),
+            ("lagged", lagged(said)),
+            ("smoothed", said.smoothed),
+        ):
+            answers[name] += list(np.where(last >= 0, prob[last].argmax(axis=1), STATIONARY))
+    y, is_clean, has_step, who = np.array(truth), np.array(clean), np.array(stepped), np.array(person)
+    for name, use in (
+        ("inside one context, with a step", is_clean & has_step & (y >= 0)),
+        ("inside one context, all", is_clean & (y >= 0)),
+        ("also across a change, all", y >= 0),
+    ):
+        print(f"windows {name} (n = {use.sum()}):")
+        right = {answer: np.array(of) == y for answer, of in answers.items()}
+        for answer, ok in right.items():
+            recall = [f"{CONTEXTS[c]} {ok[use & (y == c)].mean():.3f}" for c in np.unique(y[use])]
+            by_person = np.array([ok[use & (who == p)].mean() for p in np.unique(who)])
+            gain = by_person - np.array([right["arg-max"][use & (who == p)].mean() for p in np.unique(who)])
+            print(
+                f"  {answer:9} {ok[use].mean():.4f}, recall {', '.join(recall)}; worst person {by_person.min():.3f}; "
+                f"gain on people mean {gain.mean():+.4f}, s.e. {gain.std(ddof=1) / np.sqrt(len(gain)):.4f}, "
+                f"better {np.sum(gain > 1e-9)}, worse {np.sum(gain < -1e-9)} of {len(gain)}"
+            )
+
+
+def step_scores(all_said: list[Said]) -> None:
+    """Accuracy over steps: what the window of a step says, and what the filter and the smoother say of it."""
+    y = np.concatenate([[context_at(s.walk, t) for t in s.step_s] for s in all_said])
+    use = y >= 0
+    print(f"steps (n = {use.sum()}, of which {np.sum(y == STATIONARY)} while standing or sitting):")
+    for name, prob in (
+        ("arg-max", np.concatenate([s.of_window for s in all_said])),
+        ("filtered", np.concatenate([s.filtered for s in all_said])),
+        ("learnt", np.concatenate([s.learnt for s in all_said])),
+        ("lagged", np.concatenate([lagged(s) for s in all_said])),
+        ("smoothed", np.concatenate([s.smoothed for s in all_said])),
+    ):
+        loss = -np.log(np.maximum(prob[use, y[use]], 1e-6)).mean()
+        print(f"  {name:9} {np.mean(prob[use].argmax(axis=1) == y[use]):.4f}, log loss {loss:.3f}")
+
+
+def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, list[float]]:
+    """Time from each change to a moving context until it is named for a second on end; infinite if it never is."""
+    result: dict[int, list[float]] = {}
+    answer = prob.argmax(axis=1)
+    for label in said.walk.truth.labels[1:]:
+        context = CONTEXTS.index(str(label["context"]))
+        if context == STATIONARY:
+            continue
+        found = np.inf
+        for i in np.flatnonzero((known_s >= label["start_s"]) & (known_s < label["end_s"])):
+            if (answer[(known_s >= known_s[i]) & (known_s <= known_s[i] + 1.0 + BLOCK_S)] == context).all():
+                found = float(known_s[i] - label["start_s"])
+                break
+        result.setdefault(context, []).append(found)
+    return result
+
+
+def print_delays(all_said: list[Said]) -> None:
+    """Median and ninth decile of the delays, by context."""
+    for name, known, prob in (
+        ("arg-max", "window_known_s", "window_prob"),
+        ("filtered", "step_known_s", "filtered"),
+        ("learnt", "step_known_s", "learnt"),
+        ("lagged", "lagged_known_s", "lagged"),
+        ("arg-max of its step, by the step's own time", "step_s", "of_window"),
+        ("filtered, by the step's own time", "step_s", "filtered"),
+        ("learnt, by the step's own time", "step_s", "learnt"),
+        ("smoothed, by the step's own time", "step_s", "smoothed"),
+    ):
+        found: dict[int, list[float]] = {}
+        for said in all_said:
+            for context, delays in delays_s(said, getattr(said, known), getattr(said, prob)).items():
+                found.setdefault(context, []).extend(delays)
+        every = [d for delays in found.values() for d in delays]
+        rows = {"all": every, **{CONTEXTS[c]: d for c, d in sorted(found.items())}}
+        text = "; ".join(
+            f"{what} {np.quantile(d, 0.5, method='higher'):.1f}, {np.quantile(d, 0.9, method='higher'):.1f}, "
+            f"never {np.isinf(d).sum()} of {len(d)}"
+            for what, d in rows.items()
+        )
+        print(f"delay s (median, 90 %) {name}: {text}")
+
+
+def labelled(all_said: list[Said]) -> LabelledProbabilities:
+    """Windows of walks as sequences."""
+    n = [len(s.window_s) for s in all_said]
+    return LabelledProbabilities(
+        prob=np.concatenate([s.window_prob for s in all_said]),
+        training_prior=np.concatenate([np.tile(s.training_prior, (k, 1)) for s, k in zip(all_said, n, strict=True)]),
+        label=np.concatenate([[context_at(s.walk, t - 1.0) for t in s.window_s] for s in all_said]),
+        person=np.repeat([s.person for s in all_said], n),
+        sequence=np.repeat([s.walk.name for s in all_said], n),
+    )
+
+
+def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
+    """The walks of a fold, filtered with transitions and exponents of all other people's walks."""
+    others = [s for s in all_said if s.person not in fold]
+    sequences = labelled(others)
+    known = sequences.label != UNKNOWN  # the still seconds are no context that is changed to
+    steps = np.concatenate(
+        [np.searchsorted(s.step_s, s.window_s) - np.searchsorted(s.step_s, s.window_s - 1.0) for s in others]
+    )
+    counts = count_transitions(sequences.label[known], sequences.sequence[known], len(CONTEXTS), steps[known])
+    transition_prob = estimate_transitions(counts, context_transitions())
+    exponents = fit_tempering(sequences, np.linalg.matrix_power(transition_prob, 2))
+    print(
+        f"without {', '.join(fold)}: stays of "
+        + ", ".join(f"{c} {1 / (1 - p):.0f}" for c, p in zip(CONTEXTS, transition_prob.diagonal(), strict=True))
+        + f" steps; exponents: evidence {exponents.evidence_exponent:.1f}, prior {exponents.prior_exponent:.1f}"
+    )
+    result: list[Said] = []
+    for said in (s for s in all_said if s.person in fold):
+        tracker = replace(
+            said.config.tracker,
+            transition_prob=transition_prob,
+            evidence_exponent=exponents.evidence_exponent,
+            prior_exponent=exponents.prior_exponent,
+        )
+        updates = tracked(said.events, replace(said.config, tracker=tracker), "imm")
+        result.append(replace(said, learnt=np.array([u.mode_prob for u in updates])))
+    return result
+
+
+def real(data: Path, cache: Path | None) -> list[Said]:
+    """Walks of real recordings: figures printed, and what was said of them."""
+    windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    folds = [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
+    all_said: list[Said] = []
+    distance_m: dict[str, list[float]] = {}
+    for k, fold in enumerate(folds):
+        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
+        for person in fold:
+            for number in range(N_WALKS):
+                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
+                config = with_context_model(default(walk.subject), model)
+                all_said.append(said_online(walk, person, config))
+                for name, found_m in distances_m(all_said[-1].events, config, walk).items():
+                    distance_m.setdefault(name, []).append(found_m)
+        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
+    all_said = [said for fold in folds for said in with_learnt(all_said, fold)]
+    minutes = sum(s.walk.duration_s for s in all_said) / 60
+    print(f"real recordings put together: {len(all_said)} walks of {len(people)} people, {minutes:.0f} min")
+    window_scores(all_said)
+    step_scores(all_said)
+    print_delays(all_said)
+    print("distance against that of the same steps in the true contexts:")
+    known = np.array(distance_m.pop(KNOWN))
+    print_errors(distance_m, known)
+
+    sequences = labelled(all_said)
+    between = np.linalg.matrix_power(context_transitions(), 2)
+    chosen = fit_tempering(sequences, between)
+    plain = filter_windows(sequences, between, 0.5, 0.25, 0.01)
+    use = sequences.label != UNKNOWN
+    loss = -np.log(plain[use, sequences.label[use]]).mean()
+    right = {
+        "arg-max": np.mean(sequences.prob[use].argmax(axis=1) == sequences.label[use]),
+        "filtered": np.mean(plain[use].argmax(axis=1) == sequences.label[use]),
+    }
+    print(
+        f"tempering on these windows: evidence {chosen.evidence_exponent:.1f}, prior {chosen.prior_exponent:.1f}, log "
+        f"loss {chosen.log_loss:.3f}, on people left out of the choice {chosen.held_out_log_loss:.3f}; with the "
+        f"default 0.5 and 0.25 {loss:.3f}; without steps, accuracy of windows "
+        + ", ".join(f"{name} {value:.4f}" for name, value in right.items())
+    )
+    return all_said
+
+
+# --- Distances -------------------------------------------------------------------------------------------------------
+
+KNOWN = "contexts known"
+Change = Callable[[WindowContext], WindowContext]
+
+
+def stretch(walk: Recording, window: WindowContext) -> tuple[int, float]:
+    """Context at the middle of a window, and the time since it began."""
+    labels = walk.truth.labels
+    middle_s = window.time_s - 1.0
+    k = min(int(np.searchsorted(labels["end_s"], middle_s, side="right")), len(labels) - 1)
+    first = k
+    while first and labels["context"][first - 1] == labels["context"][k]:
+        first -= 1
+    return CONTEXTS.index(str(labels["context"][k])), middle_s - float(labels["start_s"][first])
+
+
+def true_contexts(walk: Recording) -> Change:
+    """Windows with one for the true context."""
+    return lambda window: replace(window, prob=np.eye(len(CONTEXTS))[stretch(walk, window)[0]])
+
+
+def contexts_of(said: Said, walk: Recording) -> Change:
+    """Windows with what a model that had not seen them said of somebody's real windows of the same context.
+
+    The one as long after the start of a stretch of the context, and again from its start at its end.
+    """
+    truth = np.array([context_at(said.walk, t - 1.0) for t in said.window_s])
+
+    def change(window: WindowContext) -> WindowContext:
+        context, since_s = stretch(walk, window)
+        starts = [i for i in np.flatnonzero(truth == context) if i == 0 or truth[i - 1] != context]
+        # walking has three stretches: another one each time
+        start = starts[round(window.time_s - since_s) % len(starts)]
+        length = int(np.argmax(np.append(truth[start:] != context, True)))
+        k = start + int(max(since_s, 0.0)) % length
+        return replace(window, prob=said.window_prob[k], training_prior=said.training_prior)
+
+    return change
+
+
+def tracked(events: list[Event], config: Config, weighting: str, change: Change | None = None) -> list[StepUpdate]:
+    """Final steps of the events of a walk, its windows changed."""
+    tracker = config.with_weighting(weighting).tracker
+    state, updates = tracker.init(), []
+    for event in events:
+        if isinstance(event, WindowContext):
+            state, new = tracker.on_window(state, change(event) if change else event)
+        elif isinstance(event, Gap):
+            state, new = tracker.on_gap(state, event.duration_s)
+        else:
+            state, new = tracker.on_step(state, event)
+        updates += [u for u in new if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
+
+
+def distances_m(events: list[Event], config: Config, walk: Recording, change: Change | None = None) -> dict[str, float]:
+    """Distance of the same steps by each weighting, and with the contexts known."""
+    runs = {"HC": ("hc", change), "WC": ("wc", change), "IMM": ("imm", change), KNOWN: ("hc", true_contexts(walk))}
+    return {name: sum(u.step_length_m for u in tracked(events, config, w, c)) for name, (w, c) in runs.items()}
+
+
+def print_errors(found_m: dict[str, list[float]], true_m: FloatArray) -> None:
+    """Bias and spread of relative distance errors."""
+    for name, found in found_m.items():
+        e = 100 * (np.array(found) / true_m - 1)
+        print(
+            f"  {name:14} bias {e.mean():+.1f} %, spread {e.std(ddof=1):.1f} %, rms {np.sqrt(np.mean(e**2)):.1f} %, "
+            f"median |e| {np.median(np.abs(e)):.1f} %, largest {np.abs(e).max():.1f} % (n = {len(e)})"
+        )
+
+
+def simulated_walk(seed: int) -> Recording:
+    """A person of the simulator's population on a walk through all contexts but sideways, in the hand."""
+    rng = np.random.default_rng(seed)
+    flights = [Leg("upstairs", distance_m=0.29 * rng.integers(12, 33)), Leg("downstairs", distance_m=0.29 * 20)]
+    middle = [*flights, Leg("running", distance_m=float(rng.uniform(30, 60)))]
+    legs = [Leg("stationary", duration_s=5.0)]
+    for i in rng.permutation(len(middle)):
+        legs += [
+            Leg("walking", distance_m=float(rng.uniform(25, 60)), turn_rad=float(rng.choice([-1, 1]) * np.pi / 2)),
+            middle[i],
+        ]
+    legs += [Leg("walking", distance_m=float(rng.uniform(25, 60))), Leg("stationary", duration_s=4.0)]
+    return simulate(legs, Gait.random(seed), seed=seed, name=f"simulated_{seed}")
+
+
+def simulated(n_walks: int, all_said: list[Said]) -> None:
+    """Distances of simulated walks, by the shipped model and with the windows of real people."""
+    by_model: dict[str, list[float]] = {}
+    by_people: dict[str, list[float]] = {}
+    right: dict[str, list[bool]] = {"arg-max": [], "filtered": []}
+    true_m: list[float] = []
+    for seed in range(n_walks):
+        walk = simulated_walk(seed)
+        true_m.append(float(walk.truth.segments["distance_m"].sum()))
+        config = default(walk.subject)
+        events = list(sensed_events(config.sensing, walk))
+        # another person each time, then another walk of theirs
+        change = contexts_of(all_said[(N_WALKS * seed + seed // 12) % len(all_said)], walk)
+        for c, found in ((None, by_model), (change, by_people)):
+            for name, distance_m in distances_m(events, config, walk, c).items():
+                found.setdefault(name, []).append(distance_m)
+        updates = tracked(events, config, "imm", change)
+        y = np.array([context_at(walk, u.step.time_s) for u in updates])
+        right["arg-max"] += list((np.array([u.context_prob.argmax() for u in updates]) == y)[y >= 0])
+        right["filtered"] += list((np.array([u.mode_prob.argmax() for u in updates]) == y)[y >= 0])
+    truth = np.array(true_m)
+    known = np.array(by_people[KNOWN])
+    print(f"simulated: {n_walks} walks of {truth.min():.0f} to {truth.max():.0f} m, phone in the hand")
+    print("with windows of real people, distance error:")
+    print_errors(by_people, truth)
+    print("against that of the same steps in the true contexts:")
+    print_errors({name: m for name, m in by_people.items() if name != KNOWN}, known)
+    print("  steps named right: " + ", ".join(f"{k} {np.mean(v):.3f}" for k, v in right.items()))
+    print("by the shipped model, distance error:")
+    print_errors(by_model, truth)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
+    parser.add_argument("--walks", type=int, default=24, help="simulated walks")
+    args = parser.parse_args()
+    simulated(args.walks, real(args.data, args.cache))
+
+
+if __name__ == "__main__":
+    main()
