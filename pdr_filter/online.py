@@ -33,6 +33,7 @@ class Config:
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
 
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""

@@ -232,7 +232,8 @@ def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Conf
         if placement == "foot"
         else "zhou2019 is made for a sensor on the foot; here every event is a step of a carried phone"
     )
-    return _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=(), notes=(note,))
+    config = _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=(), notes=(note,))
+    return replace(config, on_foot=placement == "foot")
 
 
 def guo2018(subject: Subject | None = None) -> Config:

@@ -111,7 +111,7 @@ def _run(
     collect(output)
 
     report = state.sensing.conditioner.report
-    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, updates)]
+    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, config, updates)]
     notes += [*context_notes(state.seen), *config.notes]
     if state.tracker.rejected_fixes:
         notes.append(f"{state.tracker.rejected_fixes} fixes were rejected as outliers")
@@ -246,9 +246,9 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
     )
 
 
-def _fit_notes(recording: Recording, updates: Sequence[StepUpdate]) -> list[str]:
+def _fit_notes(recording: Recording, config: Config, updates: Sequence[StepUpdate]) -> list[str]:
     notes: list[str] = []
-    if "foot" in str(recording.meta.get("placement", "")).lower():
+    if not config.on_foot and "foot" in str(recording.meta.get("placement", "")).lower():
         notes.append("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")
     if not updates:
         notes.append("no steps found: dead reckoning does not apply here")

@@ -146,3 +146,11 @@ def test_events_come_in_the_order_in_which_they_became_known_and_steps_before_th
 def test_stages_of_different_rates_are_refused() -> None:
     with pytest.raises(ValueError, match="one rate_hz"):
         Sensing(attitude=AttitudeEstimator(rate_hz=50.0))
+
+
+def test_a_recipe_for_the_foot_does_not_say_that_it_fits_no_foot() -> None:
+    walk = simulate([Leg("walking", distance_m=10.0)])
+    worn = replace(walk, meta={**walk.meta, "placement": "on the left foot"})
+    for name, complains in (("zhou2019", False), ("default", True)):
+        notes = pdr.track(worn, recipes.for_recording(name, worn)).notes
+        assert any("for a carried phone" in note for note in notes) == complains
