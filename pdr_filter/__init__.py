@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 __version__ = "0.1.0"
 
 if TYPE_CHECKING:
+    from pdr_filter import batch as batch
     from pdr_filter import recipes as recipes
     from pdr_filter import simulate as simulate
     from pdr_filter.conditioning import merge_streams as merge_streams
@@ -66,7 +67,7 @@ _HOME = {
     "smooth": "offline.smoother",
     "track": "whole",
 }
-_MODULES = ("recipes", "simulate")
+_MODULES = ("batch", "recipes", "simulate")
 
 __all__ = [
     "CONTEXTS",
@@ -87,6 +88,7 @@ __all__ = [
     "StepUpdate",
     "Track",
     "Windows",
+    "batch",
     "calibrate",
     "classify",
     "detect_steps",

@@ -93,12 +93,29 @@ def track(
     ] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")] = None,
     origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Start in degrees: also NAME.geojson.")] = None,
+    report: Annotated[
+        bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")
+    ] = False,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")] = None,
     as_json: AsJson = False,
 ) -> None:
-    """Track recordings: steps, distance, end point and contexts of each."""
+    """Track recordings: steps, distance, end point and contexts of each.
+
+    A folder of recordings, --jobs or --scheduler make one table, tracks.csv in the folder of --out: it grows as
+    recordings finish, and a run that was broken off goes on from it.
+    """
     import pdr_filter as pdr
+    from pdr_filter.batch import recordings_in
 
     with _one_line_errors():
+        if jobs is not None or scheduler is not None or any(f.is_dir() and recordings_in(f) != [f] for f in files):
+            if model is not None or origin is not None or report or as_json:
+                raise ValueError("many recordings make one table: leave out --model, --origin, --report and --json")
+            table = (out or Path()) / "tracks.csv"
+            options = {"file_format": file_format, "height_m": height_m, "calibration": calibration}
+            _track_many(files, recipe, weighting.value if weighting else None, table, jobs or 1, scheduler, options)
+            return
         start = _origin(origin)
         if start is not None and out is None:
             raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
@@ -117,6 +134,10 @@ def track(
         )
         if out is not None:
             _write_files(result, out, start, written)
+        if report:
+            from pdr_filter.report_html import write_report
+
+            write_report(result, (out or Path()) / f"{result.name}.html", recording)
         if as_json:
             _print_json(result.summary())
             _print_notes(result, _stderr())
@@ -132,6 +153,36 @@ def track(
         if out is not None:
             _stderr().print(f"files written to {escape(str(out))}", highlight=False)
     _exit(failed, len(files))
+
+
+def _track_many(
+    files: Sequence[Path],
+    recipe: str,
+    weighting: str | None,
+    table: Path,
+    jobs: int,
+    scheduler: str | None,
+    options: dict[str, Any],
+) -> None:
+    from pdr_filter import batch
+
+    with _progress("tracking") as show:
+
+        def tell(p: batch.Progress) -> None:
+            left = "" if p.left_s is None else f", {p.left_s:.0f} s left"
+            show(p.fraction, f"{p.n_done}/{p.n}, {p.n_failed} failed{left}")
+
+        try:
+            rows = batch.track(
+                files, recipe, weighting, out=table, jobs=jobs, scheduler=scheduler, progress=tell, **options
+            )
+        except RuntimeError as error:  # a cluster that is gone
+            raise ValueError(_message(error)) from error
+    failed = {Path(row.path): row.reason for row in rows if row.status == "failed"}
+    for path, reason in failed.items():
+        _say_error(f"{path}: {reason}")
+    typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
+    _exit(failed, len(rows))
 
 
 @app.command()

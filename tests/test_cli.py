@@ -291,3 +291,28 @@ def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> N
     result = run("info", walk, "--format", "quux")
     assert result.exit_code == 2
     assert "known are" in result.stderr
+
+
+def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "many"
+    folder.mkdir()
+    recording = pdr.read(walk)
+    for name in ("a", "b"):
+        write_recording(replace(recording, name=name), folder / f"{name}.zip")
+    (folder / "broken.zip").write_bytes(b"no zip")
+    for _ in range(2):
+        result = run("track", folder, "--out", tmp_path / "out")
+        assert result.exit_code == 1
+        assert "2 recordings tracked, 1 failed" in result.stdout
+        assert "broken.zip" in result.stderr
+        lines = (tmp_path / "out" / "tracks.csv").read_text(encoding="utf-8").splitlines()
+        assert len(lines) == 4
+    result = run("track", folder, "--json")
+    assert result.exit_code == 2
+    assert "leave out --model" in result.stderr
+
+
+def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:
+    assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
+    [page] = tmp_path.glob("*.html")
+    assert "<svg" in page.read_text(encoding="utf-8")
