@@ -12,6 +12,7 @@ __version__ = "0.1.0"
 
 if TYPE_CHECKING:
     from pdr_filter import batch as batch
+    from pdr_filter import evaluate as evaluate
     from pdr_filter import recipes as recipes
     from pdr_filter import simulate as simulate
     from pdr_filter.conditioning import merge_streams as merge_streams
@@ -67,7 +68,7 @@ _HOME = {
     "smooth": "offline.smoother",
     "track": "whole",
 }
-_MODULES = ("batch", "recipes", "simulate")
+_MODULES = ("batch", "evaluate", "recipes", "simulate")
 
 __all__ = [
     "CONTEXTS",
@@ -92,6 +93,7 @@ __all__ = [
     "calibrate",
     "classify",
     "detect_steps",
+    "evaluate",
     "merge_streams",
     "read",
     "recipes",

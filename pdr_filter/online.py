@@ -344,7 +344,7 @@ class OnlineFilter:
     def notes(self) -> tuple[str, ...]:
         """What was wrong with the samples so far, in plain words."""
         rejected = self.state.tracker.rejected_fixes
-        fixes = (f"{rejected} fixes were rejected as outliers",) if rejected else ()
+        fixes = (f"fixes rejected as outliers: {rejected}",) if rejected else ()
         return (
             *self.state.sensing.conditioner.report.notes(),
             *context_notes(self.state.seen),

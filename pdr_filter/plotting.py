@@ -66,7 +66,7 @@ def plot_track(track: Track, path: str | Path | None = None, reference_m: FloatA
 
 def plot_plane(axes: Axes, track: Track, reference_m: FloatArray | None = None) -> None:
     """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
-    way = np.vstack([np.zeros((1, 2)), track.position_m])
+    way = np.vstack([track.start_position_m, track.position_m])
     colours = context_colours(track.contexts)
     if reference_m is not None:
         axes.plot(*reference_m.T, color=_INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)

@@ -288,7 +288,7 @@ def _map(track: Track) -> str:
     if not usable.any():
         return _empty("There are no steps: nothing to draw.")
     position_m, context = track.position_m[usable], track.context_prob[usable].argmax(axis=1)
-    way = np.vstack([np.zeros((1, 2)), position_m])
+    way = np.vstack([track.start_position_m, position_m])
     rows = _ellipse_rows(track, usable)
     half_m = _SCALE_95 * np.sqrt(np.maximum(np.diagonal(track.position_cov_m2[rows], axis1=1, axis2=2), 0.0))
     seen = np.vstack([way, track.position_m[rows] - half_m, track.position_m[rows] + half_m])

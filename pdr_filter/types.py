@@ -429,6 +429,7 @@ class Track:
     weighting: str
     notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
     fixes: tuple[FixResult, ...] = field(default=())
+    start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"

@@ -114,9 +114,9 @@ def _run(
     notes = [*recording.notes, *report.notes(), *_fit_notes(recording, config, updates)]
     notes += [*context_notes(state.seen), *config.notes]
     if state.tracker.rejected_fixes:
-        notes.append(f"{state.tracker.rejected_fixes} fixes were rejected as outliers")
+        notes.append(f"fixes rejected as outliers: {state.tracker.rejected_fixes}")
     if state.waiting_fixes:
-        notes.append(f"{len(state.waiting_fixes)} fixes came after the last sample and were not used")
+        notes.append(f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
     track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
@@ -238,6 +238,7 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
     turned = track.walking_heading_rad + np.where(first, alignment.angle_rad, 0.0)
     return replace(
         track,
+        start_position_m=read_only(alignment.positions(np.zeros(2))),
         position_m=read_only(np.where(first[:, None], alignment.positions(track.position_m), track.position_m)),
         position_cov_m2=read_only(
             np.where(first[:, None, None], R @ track.position_cov_m2 @ R.T, track.position_cov_m2)

@@ -118,7 +118,7 @@ def write_tum(track: Track, path: str | Path) -> Path:
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])
     half_yaw_rad = yaw_from_heading(heading_rad if track.n_steps else np.zeros(1)) / 2
-    vertices = np.vstack([np.zeros((1, 2)), track.position_m])
+    vertices = np.vstack([track.start_position_m, track.position_m])
     lines: list[str] = []
     last_s = -np.inf
     for time_s, (east_m, north_m), half_rad in zip(_vertex_times(track), vertices, half_yaw_rad, strict=True):
@@ -143,7 +143,7 @@ def _geodetic(track: Track, origin: Sequence[float]) -> tuple[FloatArray, FloatA
             f"origin must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({lat_deg}, {lon_deg}); "
             "are the two exchanged, or in radians?"
         )
-    east_m, north_m = np.vstack([np.zeros((1, 2)), track.position_m]).T
+    east_m, north_m = np.vstack([track.start_position_m, track.position_m]).T
     lat, lon, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), lat_deg, lon_deg, 0.0)
     return np.asarray(lat, dtype=float), np.asarray(lon, dtype=float)
 

@@ -946,6 +946,7 @@ def _smoothed(
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=tuple(notes),
+        start_position_m=read_only(found.mean[0, :2]),
     )
     return Smoothed(
         track=smoothed,

@@ -1,0 +1,133 @@
+"""Several tracks of one recording beside its truth: recipes, and the weightings HC, WC and IMM."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.evaluate.distance import percent_error, walked_m
+from pdr_filter.evaluate.steps import count_error_percent
+from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at, rigid_fit
+from pdr_filter.motion import Mode
+from pdr_filter.online import Config
+from pdr_filter.types import FloatArray, Recording, Step, Table, Track, table
+from pdr_filter.weighting import WEIGHTINGS
+from pdr_filter.whole import track as track_of
+
+
+def comparison_table(recording: Recording, tracks: Mapping[str, Track]) -> Table:
+    """A row for each track of the recording: `name, n_steps, distance_m`, and what its truth says, NaN without.
+
+    `step_error_percent`: number of steps against the true ones. `leg_error_percent`: steps' lengths in all truth
+    segments of known distance together. `rmse_m`: at the waypoints, after a turn and a move onto all of them.
+    `end_error_percent`: of the path, at the last waypoint, after a turn and a move onto those of the first 20 %.
+    """
+    rows = [_row(recording, t) for t in tracks.values()]
+    names = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent")
+    return table(
+        {
+            "name": np.array(list(tracks)),
+            "n_steps": np.array([t.n_steps for t in tracks.values()]),
+            "distance_m": np.array([t.distance_m for t in tracks.values()]),
+        }
+        | {name: np.array([row[k] for row in rows]) for k, name in enumerate(names)}
+    )
+
+
+def straight_leg_error_percent(recording: Recording, track: Track) -> float:
+    """Error of the displacement over all truth segments of known distance together; ValueError without any.
+
+    For segments that are walked straight: what `pdr_filter.calibrate` fits, and what a tape measure says.
+    """
+    segments = recording.truth.segments
+    known = None if segments is None else segments[segments.distance_m > 0]
+    if known is None or not len(known):
+        raise ValueError(f"{recording.name or 'the recording'} has no truth segments of known distance")
+    found_m = moved_m(track.time_s, track.position_m, known["start_s"], known["end_s"])
+    return float(percent_error(found_m.sum(), known["distance_m"].sum()))
+
+
+def in_truth_frame(recording: Recording, track: Track) -> FloatArray:
+    """Start and positions of a track (K + 1, 2), turned and moved onto all waypoints of the recording."""
+    points = recording.truth.waypoints
+    if points is None:
+        raise ValueError(f"{recording.name or 'the recording'} has no waypoints: there is nothing to turn it onto")
+    estimate = positions_at(track.time_s, track.position_m, points.time_s)
+    rotation, shift_m = rigid_fit(estimate, np.column_stack([points.east_m, points.north_m]))
+    return np.vstack([[0.0, 0.0], track.position_m]) @ rotation.T + shift_m
+
+
+def weighting_tracks(recording: Recording, config: Config) -> dict[str, Track]:
+    """Tracks of the recording with HC, WC and IMM, all else alike."""
+    return {name: track_of(recording, config, weighting=name) for name in WEIGHTINGS}
+
+
+def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:
+    """Distance with WC at each threshold, columns `threshold, distance_m`.
+
+    0 is always WC, 1 is HC (Martinelli et al. 2018, Fig. 14).
+    """
+    weighted = config.with_weighting("wc")
+    tracks = [
+        track_of(recording, replace(weighted, tracker=replace(weighted.tracker, wc_threshold=float(t))))
+        for t in thresholds
+    ]
+    return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
+
+
+def second_over_first(prob: FloatArray) -> FloatArray:
+    """Second-highest over highest probability, (N,) of (N, C): at or above the threshold, WC weights.
+
+    The ratio of Algorithm 2 of Martinelli et al. 2018. 0 where one is certain, 1 where two are equal.
+    """
+    if not len(prob):
+        return np.zeros(0)
+    second, first = np.partition(prob, -2, axis=1)[:, -2:].T
+    return second / first
+
+
+def epoch_distances(track: Track, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
+    """What `pdr_filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
+
+    Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
+    eq. 17 and 18), and the probabilities of all windows.
+
+    Parameters
+    ----------
+    track : Track
+    modes : sequence of Mode
+        One for each context, as in `config.tracker.modes`.
+    """
+    if sorted(m.context for m in modes) != sorted(track.contexts):
+        raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")
+    fit = {m.context: m.step_length for m in modes}
+    steps = [_step(row) for row in track.steps]
+    length_m = np.array([[fit[c].predict(s)[0] for c in track.contexts] for s in steps]).reshape(-1, len(fit))
+    ends_s = track.windows.time_s
+    each = [walked_m(track.time_s, length_m[:, c], ends_s[:-1], ends_s[1:]) for c in range(len(fit))]
+    return np.column_stack(each), track.windows.context_prob
+
+
+def _step(row: np.record) -> Step:
+    values = {name: float(row[name]) for name in row.dtype.names or () if name != "from_rest"}
+    return Step(**values, from_rest=bool(row["from_rest"]))
+
+
+def _row(recording: Recording, track: Track) -> tuple[float, float, float, float]:
+    steps, segments, points = recording.truth.steps, recording.truth.segments, recording.truth.waypoints
+    count = legs = rmse = end = np.nan
+    if steps is not None and len(steps):
+        count = float(count_error_percent(track.n_steps, len(steps)))
+    if segments is not None:
+        known = segments[segments.distance_m > 0]
+        if len(known):
+            walked = walked_m(track.time_s, track.step_length_m, known["start_s"], known["end_s"])
+            legs = float(percent_error(walked.sum(), known["distance_m"].sum()))
+    if points is not None and len(points) > 2:
+        reference = np.column_stack([points.east_m, points.north_m])
+        estimate = positions_at(track.time_s, track.position_m, points.time_s)
+        rmse = position_rmse_m(estimate, reference, "all")
+        end = end_error_percent(estimate, reference, "first")
+    return count, legs, rmse, end

@@ -1,0 +1,128 @@
+"""Comparisons of several tracks of one recording."""
+
+from __future__ import annotations
+
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.evaluate import comparison, tracks
+from pdr_filter.types import CONTEXTS, Truth
+from pdr_filter.weighting import HC, weighted_distances
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
+import accuracy as benchmark
+
+
+@pytest.fixture(scope="module")
+def walk() -> pdr.Recording:
+    return pdr.simulate.demo_walk()
+
+
+@pytest.fixture(scope="module")
+def config(walk: pdr.Recording) -> pdr.Config:
+    return pdr.recipes.for_recording("default", walk)
+
+
+@pytest.fixture(scope="module")
+def by_weighting(walk: pdr.Recording, config: pdr.Config) -> dict[str, pdr.Track]:
+    return comparison.weighting_tracks(walk, config)
+
+
+def test_the_weightings_share_their_steps_and_windows(by_weighting: dict[str, pdr.Track]) -> None:
+    assert list(by_weighting) == ["hc", "wc", "imm"]
+    assert [t.weighting for t in by_weighting.values()] == ["hc", "wc", "imm"]
+    for other in by_weighting.values():
+        np.testing.assert_array_equal(other.time_s, by_weighting["hc"].time_s)
+        np.testing.assert_array_equal(other.windows.context_prob, by_weighting["hc"].windows.context_prob)
+
+
+def test_the_table_is_what_the_functions_say(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
+    found = comparison.comparison_table(walk, by_weighting)
+    assert found.name.tolist() == ["hc", "wc", "imm"]
+    imm, points = by_weighting["imm"], walk.truth.waypoints
+    reference = np.column_stack([points.east_m, points.north_m])
+    estimate = tracks.positions_at(imm.time_s, imm.position_m, points.time_s)
+    assert found.rmse_m[2] == tracks.position_rmse_m(estimate, reference, "all")
+    assert found.end_error_percent[2] == tracks.end_error_percent(estimate, reference, "first")
+    assert found.distance_m[2] == imm.distance_m
+    assert found.step_error_percent[2] == pytest.approx(100 * (imm.n_steps / len(walk.truth.steps) - 1))
+    # the legs of the simulated walk are all of it, from its first sample to its last
+    total_m = walk.truth.segments.distance_m.sum()
+    assert found.leg_error_percent[2] == pytest.approx(100 * (imm.distance_m / total_m - 1), abs=1.0)
+
+
+def test_straight_legs_are_those_of_the_accuracy_benchmark(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    imm = by_weighting["imm"]
+    segments = walk.truth.segments
+    walked = replace(walk, truth=replace(walk.truth, segments=segments[segments.distance_m > 0]))
+    expected = benchmark.track_errors(walked, imm)[3]
+    # where within its first step the walk begins is taken otherwise: less than that step
+    first = 100 * imm.step_length_m[0] / segments.distance_m.sum()
+    assert comparison.straight_leg_error_percent(walk, imm) == pytest.approx(expected, abs=first)
+    with pytest.raises(ValueError, match="no truth segments"):
+        comparison.straight_leg_error_percent(replace(walk, truth=Truth()), imm)
+
+
+def test_without_truth_there_are_no_errors(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
+    blind = replace(walk, truth=Truth())
+    found = comparison.comparison_table(blind, by_weighting)
+    for name in ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent"):
+        assert np.isnan(found[name]).all()
+    with pytest.raises(ValueError, match="no waypoints"):
+        comparison.in_truth_frame(blind, by_weighting["imm"])
+
+
+def test_in_the_frame_of_the_truth_it_is_as_far_off_as_the_table_says(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    imm, points = by_weighting["imm"], walk.truth.waypoints
+    turned = comparison.in_truth_frame(walk, imm)
+    assert turned.shape == (imm.n_steps + 1, 2)
+    moved_m = np.linalg.norm(np.diff(np.vstack([[0, 0], imm.position_m]), axis=0), axis=1)
+    np.testing.assert_allclose(np.linalg.norm(np.diff(turned, axis=0), axis=1), moved_m, atol=1e-9)
+    inside = (points.time_s >= imm.time_s[0]) & (points.time_s <= imm.time_s[-1])
+    at = np.column_stack([np.interp(points.time_s[inside], imm.time_s, turned[1:, k]) for k in (0, 1)])
+    estimate = tracks.positions_at(imm.time_s, imm.position_m, points.time_s)
+    expected = tracks.aligned(estimate, np.column_stack([points.east_m, points.north_m]), "all")[inside]
+    np.testing.assert_allclose(at, expected, atol=1e-9)
+
+
+def test_the_sweep_goes_from_always_weighted_to_the_highest(
+    walk: pdr.Recording, config: pdr.Config, by_weighting: dict[str, pdr.Track]
+) -> None:
+    found = comparison.threshold_sweep(walk, config, (0.0, config.tracker.wc_threshold, 1.0))
+    assert found.distance_m[1] == by_weighting["wc"].distance_m
+    assert found.distance_m[2] == pytest.approx(by_weighting["hc"].distance_m, rel=1e-9)
+    assert found.distance_m[0] != pytest.approx(found.distance_m[2], rel=1e-3)
+
+
+def test_the_ratio_is_zero_if_one_is_certain_and_one_if_two_are_equal() -> None:
+    prob = np.array([[1.0, 0.0, 0.0], [0.4, 0.2, 0.4], [0.2, 0.3, 0.5]])
+    np.testing.assert_allclose(comparison.second_over_first(prob), [0.0, 1.0, 0.6])
+    assert comparison.second_over_first(np.zeros((0, 6))).shape == (0,)
+
+
+def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
+    config: pdr.Config, by_weighting: dict[str, pdr.Track]
+) -> None:
+    hc = by_weighting["hc"]
+    distance_m, prob = comparison.epoch_distances(hc, config.tracker.modes)
+    assert distance_m.shape == (len(prob) - 1, len(CONTEXTS))
+    ends_s = hc.windows.time_s
+    inside = (hc.time_s > ends_s[0]) & (hc.time_s <= ends_s[-1])
+    static = config.tracker.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
+    assert distance_m[:, CONTEXTS.index("upstairs")].sum() == pytest.approx(static * inside.sum())
+    totals = weighted_distances(distance_m, prob, HC)
+    assert totals.total_final_m[-1] == pytest.approx(hc.step_length_m[inside].sum(), rel=0.1)
+
+
+def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:
+    with pytest.raises(ValueError, match="one mode for each"):
+        comparison.epoch_distances(by_weighting["hc"], config.tracker.modes[:-1])
