@@ -130,6 +130,12 @@ class Recording:
         subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
         return replace(self, meta={**self.meta, "subject": subject})
 
+    def save(self, path: str | Path) -> Path:
+        """Write it in the project's own format and return the path: a zip file, or a folder without suffix."""
+        from pdr_filter.io.own_format import write_recording
+
+        return write_recording(self, path)
+
     @property
     def streams(self) -> dict[str, Samples]:
         """The sensor streams that exist, by name."""

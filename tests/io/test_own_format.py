@@ -537,3 +537,12 @@ def test_any_json_gives_a_recording_with_a_subject_or_a_refusal(tmp_path: Path, 
         return
     assert recording.subject.height_m is None or recording.subject.height_m > 0
     assert recording.name.isprintable()
+
+
+def test_a_recording_that_was_saved_is_read_as_it_was(tmp_path: Path) -> None:
+    from pdr_filter.simulate import demo_walk
+
+    walk = demo_walk()
+    again = read(walk.save(tmp_path / "walk.zip"))
+    np.testing.assert_allclose(again.accelerometer.values, walk.accelerometer.values, rtol=1e-6, atol=1e-6)
+    assert again.subject == walk.subject
