@@ -164,7 +164,7 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
 
     Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
-    walking, for which no public recordings exist; the step lengths are those of the default recipe, because their k
+    walking, for which no public recordings exist; the parameters of eq. 12 are fitted to other walks, because theirs
     are not printed.
     """
     return Config(
