@@ -14,7 +14,7 @@ from pdr_filter.context.stage import WindowContext, with_climb
 from pdr_filter.features.barometric import Climb, ClimbRate, ClimbState
 from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
-from pdr_filter.types import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Standstill
+from pdr_filter.types import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Standstill, received_s
 
 _STATIONARY = CONTEXTS.index("stationary")
 
@@ -185,8 +185,8 @@ def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[St
         return state, Output()
     state, output = _process(config, state, config.sensing.finish(state.sensing), watch)
     tracker, last = config.tracker.finish(state.tracker)
-    due = [f for f in state.waiting_fixes if f.known_s <= state.sensing.processed_s]
-    late = tuple(f for f in state.waiting_fixes if f.known_s > state.sensing.processed_s)
+    due = [f for f in state.waiting_fixes if received_s(f) <= state.sensing.processed_s]
+    late = tuple(f for f in state.waiting_fixes if received_s(f) > state.sensing.processed_s)
     for fix in due:
         tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s)
         output.fixes.append(result)
@@ -238,10 +238,10 @@ def due_s(config: Config, fix: Fix) -> float:
     A standstill waits for nothing: it is about steps to come.
     """
     if isinstance(fix, Standstill):
-        return fix.known_s
+        return received_s(fix)
     sensing = config.sensing
     delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
-    return max(fix.known_s, fix.time_s + delay_s)
+    return max(received_s(fix), fix.time_s + delay_s)
 
 
 def _use_fix(config: Config, state: TrackerState, fix: Fix, now_s: float) -> tuple[TrackerState, FixResult]:

@@ -246,11 +246,6 @@ class PositionFix:
     cov_m2: FloatArray
     received_time_s: float | None = None
 
-    @property
-    def known_s(self) -> float:
-        """When it arrived."""
-        return self.time_s if self.received_time_s is None else self.received_time_s
-
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
         object.__setattr__(self, "cov_m2", read_only(self.cov_m2))
@@ -283,11 +278,6 @@ class HeadingFix:
     std_rad: float
     received_time_s: float | None = None
 
-    @property
-    def known_s(self) -> float:
-        """When it arrived."""
-        return self.time_s if self.received_time_s is None else self.received_time_s
-
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
         if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < np.inf):
@@ -316,11 +306,6 @@ class SpeedFix:
     std_mps: float
     received_time_s: float | None = None
 
-    @property
-    def known_s(self) -> float:
-        """When it arrived."""
-        return self.time_s if self.received_time_s is None else self.received_time_s
-
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
         if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < np.inf):
@@ -346,11 +331,6 @@ class Standstill:
     end_s: float
     received_time_s: float | None = None
 
-    @property
-    def known_s(self) -> float:
-        """When it became known."""
-        return self.time_s if self.received_time_s is None else self.received_time_s
-
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
@@ -367,6 +347,11 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 
 # What a filter takes besides samples.
 Fix = PositionFix | HeadingFix | SpeedFix | Standstill
+
+
+def received_s(fix: Fix) -> float:
+    """When a fix became known: when it was received, or at once."""
+    return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
 @dataclass(frozen=True, slots=True)
