@@ -344,11 +344,9 @@ class Tracker:
         self, state: TrackerState, z: FloatArray, H: FloatArray, variance: float
     ) -> tuple[TrackerState, float]:
         """State after a measurement of one number whose value z (M,) is another one for each mode."""
-        # The same innovation for all: moved to the mode's own value, so that one call updates them together.
-        shift = z - state.mean @ H[0]
         results = [
             self._imm.update(state.mean[k : k + 1], state.cov[k : k + 1], z[k : k + 1], H, np.array([[variance]]))
-            for k in range(len(shift))
+            for k in range(len(z))
         ]
         mean, cov, log_likelihood, nis = (np.concatenate([r[i] for r in results]) for i in range(4))
         return self._taken(state, mean, cov, log_likelihood, nis, self.scalar_gate_nis)
