@@ -98,6 +98,38 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     return np.where(told, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
 
 
+def lagged_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int) -> FloatArray:
+    """Mode probabilities (K, M) of each step with the evidence of up to `lag` more, from the filtered ones (K, M).
+
+    The fixed-lag smoother of the modes: p(j at k | k + L) = sum_i p(i at k + 1 | k + L) mu_k(j) t_ji /
+    sum_j mu_k(j) t_ji, backwards from k + L. Exact for modes that move alike, a hidden Markov model; what the positions
+    say of the modes between is in the filtered probabilities only.
+
+    Parameters
+    ----------
+    mode_prob : (K, M)
+        After each step, as `Track.mode_prob`.
+    transition_prob : (M, M)
+        From one step to the next, as `Tracker.transition_prob`.
+    lag : int
+        Steps of hindsight L; 4 are two seconds of walking.
+    """
+    mode_prob = np.asarray(mode_prob, dtype=float)
+    check_transition_prob(transition_prob, mode_prob.shape[-1])
+    if lag < 0:
+        raise ValueError(f"lag must be 0 steps or more, got {lag}")
+    predicted = mode_prob @ transition_prob
+    k = np.arange(len(mode_prob))
+    end = np.minimum(k + lag, len(k) - 1)
+    lagged = mode_prob[end]
+    for back in range(1, lag + 1):
+        use = end - back >= k
+        at = end[use] - back
+        ratio = np.divide(lagged[use], predicted[at], where=predicted[at] > 0, out=np.zeros((len(at), lagged.shape[1])))
+        lagged[use] = mode_prob[at] * (ratio @ transition_prob.T)
+    return lagged
+
+
 def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Moment-matched mean (..., n) and covariance (..., n, n).
 

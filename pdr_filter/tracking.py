@@ -24,6 +24,7 @@ from pdr_filter.motion import (
     LOG_SCALE,
     N_STATES,
     NORTH,
+    Directions,
     Mode,
     MotionNoise,
     advance,
@@ -33,7 +34,7 @@ from pdr_filter.motion import (
     initial_estimate,
     learn_heading,
     linearise,
-    second_order_error,
+    second_order_errors,
 )
 from pdr_filter.speed import WalkingSpeed, after_step
 from pdr_filter.step_length import StepLengths
@@ -48,17 +49,18 @@ from pdr_filter.types import (
     Step,
     read_only,
 )
-from pdr_filter.weighting import HC, WEIGHTINGS, context_log_evidence, context_weights
+from pdr_filter.weighting import HC, WEIGHTINGS, ModeEvidence, context_weights
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
 # Windows are remembered so long: a gate may hold the first steps of a bout for some seconds.
 _WINDOW_MEMORY_S = 12.0
-_BACKENDS = ("numpy", "filterpy")
+_BACKENDS = {"numpy": "pdr_filter.imm", "filterpy": "pdr_filter.imm_filterpy", "numba": "pdr_filter.imm_compiled"}
 _FRAMES = ("start", "world")
 MAX_STANDSTILLS = 16
-# Evidence of a known standstill against every mode that moves: a thousand to one.
-_STANDSTILL_LOG_EVIDENCE = 7.0
+# Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
+# of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
+_STANDSTILL_LOG_EVIDENCE = 12.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -94,7 +96,8 @@ class StepPrediction:
     F: FloatArray  # (M, 4, 4)
     Q: FloatArray  # (M, 4, 4)
     length_m: FloatArray  # (M,) without the person's scale
-    length_var_m2: FloatArray  # (M,)
+    length_var_m2: FloatArray  # (M,) parameters and residual
+    parameter_std_m: FloatArray  # (M,) the parameters' part: in Q is the residual's alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,8 +108,8 @@ class TrackerState:
     cov: FloatArray  # (M, 4, 4) or (1, 4, 4)
     mode_prob: FloatArray  # (M,)
     windows: tuple[WindowContext, ...]  # the last ones of this segment, oldest first
-    evidence_time_s: float  # end of the last window that was used as evidence
-    second_order_m: FloatArray  # (2,) sum of the steps' errors along themselves, see `second_order_error`
+    used: WindowContext | None  # the last window that was used as evidence
+    shared_m: FloatArray  # (2 + M, 2) sums of the errors that steps share and no state has, see `_with_shared`
     last_step_s: float  # contact of the last final step; NaN before the first
     speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
     frame_rad: float  # heading offset that counts as zero: the first that was known
@@ -136,8 +139,8 @@ class Tracker:
     wc_threshold : float
         Second-highest over highest probability from which `wc` weights (Algorithm 2: 0.8).
     evidence_exponent : float
-        Tempering of the evidence of one window: hop over window length, because overlapping windows repeat the same
-        second. It has the lowest log loss on people left out (docs/benchmarks.md).
+        Tempering of the evidence of one window. Hop over window length (0.5) would let no second of overlapping windows
+        vote twice; with 1 the mode probabilities of people left out are nearer to the truth (docs/benchmarks.md).
     prior_exponent : float
         How far the classifier's training prior is divided out. All of it makes stairs of other people's flat walking,
         none of it walking of their stairs (docs/benchmarks.md).
@@ -158,16 +161,17 @@ class Tracker:
     frame : {"start", "world"}
         Where fixes are: in the frame of the track, which starts at the origin, or in another one whose origin and north
         are not known to the track before some fixes have shown them.
-    backend : {"numpy", "filterpy"}
-        Whose arithmetic the `imm` weighting uses; filterpy's is many times slower and gives the same track.
+    backend : {"numpy", "filterpy", "numba"}
+        Whose arithmetic the `imm` weighting uses; all give the same track. filterpy's is many times slower; compiled by
+        numba (extra `fast`) it is for cohorts (`pdr_filter.imm_compiled`), one track gains nothing.
     """
 
     modes: tuple[Mode, ...]
     transition_prob: FloatArray
     weighting: str = "imm"
     wc_threshold: float = 0.8
-    evidence_exponent: float = 0.5
-    prior_exponent: float = 0.25
+    evidence_exponent: float = 1.0
+    prior_exponent: float = 0.2
     evidence_floor: float = 0.01
     step_log_odds_stationary: float = -1.9
     window_hop_s: float = 1.0
@@ -183,7 +187,7 @@ class Tracker:
         if self.frame not in _FRAMES:
             raise ValueError(f"frame must be one of {_FRAMES}, got {self.frame!r}")
         if self.backend not in _BACKENDS:
-            raise ValueError(f"backend must be one of {_BACKENDS}, got {self.backend!r}")
+            raise ValueError(f"backend must be one of {tuple(_BACKENDS)}, got {self.backend!r}")
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
@@ -197,36 +201,45 @@ class Tracker:
 
     @cached_property
     def _imm(self) -> ModuleType:
-        # filterpy takes a second to import: only where it is asked for
-        return imm if self.backend == "numpy" else import_module("pdr_filter.imm_filterpy")
-
-    @cached_property
-    def _context_of_mode(self) -> list[int]:
-        return [CONTEXTS.index(m.context) for m in self.modes]
+        # filterpy takes a second to import, numba another one: only where they are asked for
+        return import_module(_BACKENDS[self.backend])
 
     @cached_property
     def _lengths(self) -> StepLengths:
         return StepLengths(tuple(m.step_length for m in self.modes))
 
     @cached_property
-    def _offsets_rad(self) -> FloatArray:
-        return np.array([m.heading_offset_rad for m in self.modes])
+    def _residual_var_m2(self) -> FloatArray:
+        return np.array([m.step_length.residual_std_m**2 for m in self.modes])
+
+    @cached_property
+    def _directions(self) -> Directions:
+        return Directions.of(self.modes)
 
     @cached_property
     def _offset_vectors(self) -> FloatArray:
-        return np.column_stack([np.sin(self._offsets_rad), np.cos(self._offsets_rad)])
-
-    @cached_property
-    def _heading_var_rad2(self) -> FloatArray:
-        return np.array([m.heading_std_rad**2 for m in self.modes])
+        offset_rad = self._directions.heading_offset_rad
+        return np.column_stack([np.sin(offset_rad), np.cos(offset_rad)])
 
     @cached_property
     def _moves(self) -> FloatArray:
-        return np.array([float(m.context != "stationary") for m in self.modes])
+        return np.array([float(m.moves) for m in self.modes])
 
     @cached_property
-    def _step_log_evidence(self) -> FloatArray:
-        return np.array([self.step_log_odds_stationary if m.context == "stationary" else 0.0 for m in self.modes])
+    def _stands(self) -> FloatArray:
+        # Irregular modes are not among them: a phone in somebody's fingers makes steps as often as walking does.
+        return np.array([float(m.context == "stationary") for m in self.modes])
+
+    @cached_property
+    def _evidence(self) -> ModeEvidence:
+        return ModeEvidence(
+            tuple(m.context for m in self.modes),
+            tuple(m.carrying_mode for m in self.modes),
+            self.evidence_exponent,
+            self.prior_exponent,
+            self.evidence_floor,
+            self.window_hop_s,
+        )
 
     def init(self) -> TrackerState:
         """State at the origin; modes as probable as the transitions make them in the long run."""
@@ -238,8 +251,8 @@ class Tracker:
             # from an even start: a chain that cannot mix keeps what it started with
             mode_prob=np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0),
             windows=(),
-            evidence_time_s=-np.inf,
-            second_order_m=np.zeros(2),
+            used=None,
+            shared_m=np.zeros((2 + len(self.modes), 2)),
             last_step_s=np.nan,
             speed=None,
             frame_rad=0.0,
@@ -308,7 +321,7 @@ class Tracker:
         # what was walked since is known as well as a person's step length is
         R = fix.cov_m2 + (self.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
         cov = state.cov.copy()
-        cov[:, :2, :2] += np.outer(state.second_order_m, state.second_order_m)
+        cov[:, :2, :2] += _shared_cov(state)
         return self._update(state, cov, fix.position_m + since_m, np.eye(2, N_STATES), R, self.fix_gate_nis)
 
     def _on_heading(self, state: TrackerState, fix: HeadingFix) -> tuple[TrackerState, float]:
@@ -321,7 +334,7 @@ class Tracker:
         prob = state.mode_prob if self.weighting == "imm" else np.ones(1)
         innovation = fix.walking_heading_rad - then[2] - state.mean[:, HEADING_OFFSET]
         if self.weighting == "imm":
-            innovation = innovation - self._offsets_rad
+            innovation = innovation - self._directions.heading_offset_rad
         innovation = wrap_angle(innovation)
         if self.frame == "world" and state.alignment is None and not state.knows_north:
             angle_rad = float(np.arctan2(prob @ np.sin(innovation), prob @ np.cos(innovation)))
@@ -356,7 +369,7 @@ class Tracker:
     ) -> tuple[TrackerState, float]:
         mean, cov, log_likelihood, nis = self._imm.update(state.mean, cov, z, H, R)
         state, best = self._taken(state, mean, cov, log_likelihood, nis, gate_nis)
-        return (state if best > gate_nis else replace(state, second_order_m=np.zeros(2))), best
+        return (state if best > gate_nis else replace(state, shared_m=np.zeros_like(state.shared_m))), best
 
     def _taken(
         self,
@@ -415,20 +428,30 @@ class Tracker:
         """What a step does to the modes of the `imm`, before evidence."""
         known, known_cov = _learn_heading(state, step)
         mean, cov, prob = self._imm.mix(known, known_cov, state.mode_prob, self.transition_prob)
-        length, variance = self._lengths.predict(step)
-        elapsed_s = _elapsed_s(state, step)
+        length, variance, parameter_std = self._predicted_lengths(step)
         predicted, F, Q = linearise(
-            mean, step, length, variance, self._offsets_rad, self._heading_var_rad2, self.noise, elapsed_s
+            mean, step, length, self._residual_var_m2, self._directions, self.noise, _elapsed_s(state, step)
         )
-        return StepPrediction(known, known_cov, mean, cov, prob, predicted, F, Q, length, variance)
+        return StepPrediction(known, known_cov, mean, cov, prob, predicted, F, Q, length, variance, parameter_std)
+
+    def _predicted_lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Lengths, their variances, and the standard deviations that the parameters alone make of them, (M,) each.
+
+        Modes that move nobody have length zero.
+        """
+        length, variance = self._lengths.predict(step)
+        parameter_var = self._moves * np.maximum(variance - self._residual_var_m2, 0.0)
+        return self._moves * length, self._residual_var_m2 + parameter_var, np.sqrt(parameter_var)
 
     def _imm_step(self, state: TrackerState, step: Step) -> tuple[TrackerState, list[StepUpdate]]:
         ahead = self.prediction(state, step)
         mean, prob, length, variance = ahead.predicted, ahead.mode_prob, ahead.length_m, ahead.length_var_m2
         cov = bound_heading_variance(ahead.F @ ahead.mixed_cov @ ahead.F.transpose(0, 2, 1) + ahead.Q)
         window = self._window_of(state, step)
-        evidence = self._step_log_evidence + self._window_evidence(state, window)
-        if _stands(state, step):
+        evidence = self.step_log_odds_stationary * self._stands
+        if window is not None and (state.used is None or window.time_s > state.used.time_s):
+            evidence = evidence + self._evidence.of(window, state.used)
+        if _known_to_stand(state, step):
             evidence = evidence - _STANDSTILL_LOG_EVIDENCE * self._moves
         prob = self._imm.update_mode_prob(prob, evidence)
         state = replace(
@@ -436,7 +459,7 @@ class Tracker:
             mean=mean,
             cov=cov,
             mode_prob=prob,
-            evidence_time_s=window.time_s if window else state.evidence_time_s,
+            used=window or state.used,
             n_final=state.n_final + 1,
         )
         x, P = self._imm.combine(mean, cov, prob)
@@ -445,13 +468,16 @@ class Tracker:
         heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob))
         length_var_m2 = max(float(prob @ (variance + length**2)) - float(prob @ length) ** 2, 0.0)
         speed = _speed(state, step, length_m, length_var_m2, float(P[LOG_SCALE, LOG_SCALE]))
-        state = _remember(replace(state, speed=speed), step, x, P, length_m, heading_rad)
+        state = _remember(replace(state, speed=speed), step, x)
+        own_rad = step.device_heading_rad + mean[:, HEADING_OFFSET] + self._directions.heading_offset_rad
+        parameter_m = prob * ahead.parameter_std_m * np.exp(mean[:, LOG_SCALE])
+        state = _with_shared(state, P, length_m, heading_rad, parameter_m, own_rad)
         update = StepUpdate(
             index=state.n_final - 1,
             step=step,
             is_final=True,
             position_m=read_only(x[:2]),
-            position_cov_m2=_position_cov(P, state.second_order_m),
+            position_cov_m2=_position_cov(P, state),
             step_length_m=length_m,
             walking_heading_rad=heading_rad,
             speed=speed,
@@ -464,15 +490,6 @@ class Tracker:
         """The last window that has the step's contact in it or before it: later ones belong to later steps."""
         return next((w for w in reversed(state.windows) if w.time_s <= step.time_s + self.window_hop_s), None)
 
-    def _window_evidence(self, state: TrackerState, window: WindowContext | None) -> FloatArray:
-        """Log evidence of a window for each mode; zero if it was used already."""
-        if window is None or window.time_s <= state.evidence_time_s:
-            return np.zeros(len(self.modes))
-        evidence = context_log_evidence(
-            window.prob, window.training_prior, self.evidence_exponent, self.evidence_floor, self.prior_exponent
-        )
-        return evidence[self._context_of_mode]
-
     def _mean_offset(self, prob: FloatArray) -> float:
         sine, cosine = prob @ self._offset_vectors
         return float(np.arctan2(sine, cosine)) if sine * sine + cosine * cosine > 1e-18 else 0.0
@@ -481,9 +498,9 @@ class Tracker:
         if state.windows:
             return state.windows[-1].prob
         # before the first window: what the modes say, summed over those of one context
-        prob = np.zeros(len(CONTEXTS))
-        np.add.at(prob, self._context_of_mode, state.mode_prob)
-        return prob
+        return np.array(
+            [sum(p for m, p in zip(self.modes, state.mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
+        )
 
     # --- HC and WC ---------------------------------------------------------------------------------------------
 
@@ -515,36 +532,39 @@ class Tracker:
         final = self._context_at(state, step.time_s + self.window_hop_s) if is_final else provisional
         threshold = HC if self.weighting == "hc" else self.wc_threshold
         weights = 0.5 * (context_weights(provisional, threshold) + context_weights(final, threshold))
-        weights = weights[self._context_of_mode]
-        if _stands(state, step):
+        weights = weights[[CONTEXTS.index(m.context) for m in self.modes]]
+        if _known_to_stand(state, step):
             weights = 1.0 - self._moves
-        length, variance = self._lengths.predict(step)
+        length, variance, parameter_std = self._predicted_lengths(step)
         mean_length = float(weights @ length)
         mixture_var = max(float(weights @ (variance + length**2)) - mean_length**2, 0.0)
-        offset = self._offsets_rad[int(weights.argmax())]
+        own_var = max(mixture_var - float(weights @ parameter_std**2), 0.0)
+        directions = self._directions.weighted(weights)
         mean, cov = _learn_heading(state, step)
         mean, cov = advance(
             mean,
             cov,
             step,
             np.array([mean_length]),
-            np.array([mixture_var]),
-            np.array([offset]),
-            np.array([float(weights @ self._heading_var_rad2)]),
+            np.array([own_var]),
+            directions,
             self.noise,
             _elapsed_s(state, step),
         )
-        length_m = mean_length * float(np.exp(mean[0, LOG_SCALE]))
-        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + offset)
+        scale = float(np.exp(mean[0, LOG_SCALE]))
+        length_m = mean_length * scale
+        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
         speed = _speed(state, step, length_m, mixture_var, float(cov[0, LOG_SCALE, LOG_SCALE]))
         state = replace(state, mean=mean, cov=cov, pending=state.pending[1:], n_final=state.n_final + 1, speed=speed)
-        state = _remember(state, step, mean[0], cov[0], length_m, heading_rad)
+        state = _remember(state, step, mean[0])
+        own_rad = np.full(len(self.modes), heading_rad)
+        state = _with_shared(state, cov[0], length_m, heading_rad, weights * parameter_std * scale, own_rad)
         update = StepUpdate(
             index=state.n_final - 1,
             step=step,
             is_final=is_final,
             position_m=read_only(mean[0, :2]),
-            position_cov_m2=_position_cov(cov[0], state.second_order_m),
+            position_cov_m2=_position_cov(cov[0], state),
             step_length_m=length_m,
             walking_heading_rad=heading_rad,
             speed=speed,
@@ -577,12 +597,17 @@ def present_position(state: TrackerState) -> tuple[FloatArray, FloatArray]:
     """Position (2,) and covariance (2, 2) of the final estimate."""
     prob = state.mode_prob if len(state.mean) > 1 else np.ones(1)
     x, P = imm.combine(state.mean, state.cov, prob)
-    return x[[EAST, NORTH]], _position_cov(P, state.second_order_m)
+    return x[[EAST, NORTH]], _position_cov(P, state)
 
 
-def _position_cov(P: FloatArray, second_order_m: FloatArray) -> FloatArray:
-    cov = P[:2, :2] + np.outer(second_order_m, second_order_m)
+def _position_cov(P: FloatArray, state: TrackerState) -> FloatArray:
+    cov = P[:2, :2] + _shared_cov(state)
     return read_only(0.5 * (cov + cov.T))
+
+
+def _shared_cov(state: TrackerState) -> FloatArray:
+    """What the errors that all steps share add to the position's covariance, (2, 2)."""
+    return state.shared_m.T @ state.shared_m
 
 
 def _elapsed_s(state: TrackerState, step: Step) -> float:
@@ -594,7 +619,7 @@ def _rejected(state: TrackerState) -> TrackerState:
     return replace(state, rejected_fixes=state.rejected_fixes + 1)
 
 
-def _stands(state: TrackerState, step: Step) -> bool:
+def _known_to_stand(state: TrackerState, step: Step) -> bool:
     """Whether the person is known to have stood at a step's contact."""
     return any(begin_s <= step.time_s <= end_s for begin_s, end_s in state.standstills)
 
@@ -610,7 +635,7 @@ def _moved(state: TrackerState, alignment: Alignment) -> TrackerState:
         cov=cov,
         trail=trail,
         frame_rad=state.frame_rad - alignment.angle_rad,
-        second_order_m=alignment.rotation @ state.second_order_m,
+        shared_m=state.shared_m @ alignment.rotation.T,
         anchors=tuple(replace(a, track_m=read_only(alignment.positions(a.track_m))) for a in state.anchors),
     )
 
@@ -630,16 +655,31 @@ def _speed(
     return after_step(None if pause else state.speed, length_m, length_var_m2, step.duration_s, log_scale_var)
 
 
-def _remember(
-    state: TrackerState, step: Step, x: FloatArray, P: FloatArray, length_m: float, heading_rad: float
-) -> TrackerState:
-    """State after a step that led to mean x (4,) and covariance P (4, 4): its time, its place, its own error."""
-    error_m = length_m * second_order_error(float(P[HEADING_OFFSET, HEADING_OFFSET]))
-    along = np.array([np.sin(heading_rad), np.cos(heading_rad)])
+def _remember(state: TrackerState, step: Step, x: FloatArray) -> TrackerState:
+    """State after a step that led to mean x (4,): its time and its place."""
     place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
-    return replace(
-        state,
-        second_order_m=state.second_order_m + error_m * along,
-        last_step_s=step.time_s,
-        trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],
-    )
+    return replace(state, last_step_s=step.time_s, trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:])
+
+
+def _with_shared(
+    state: TrackerState,
+    P: FloatArray,
+    length_m: float,
+    heading_rad: float,
+    parameter_m: FloatArray,
+    own_heading_rad: FloatArray,
+) -> TrackerState:
+    """State with a step's part of the errors that all steps share: they add up as vectors, not as variances.
+
+    Rows: what the linear covariance P (4, 4) does not know along and across the step, of length and direction given
+    (`motion.second_order_errors`); then for each mode what the parameters of its length model make of the step
+    (`parameter_m` (M,), weighted by the mode's probability), in the mode's own direction. The parameters are off once a
+    person: taken anew at each step, as if they were noise, a run of 300 steps would be ten times too sure.
+    """
+    along_m, across_m = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
+    sine, cosine = np.sin(heading_rad), np.cos(heading_rad)
+    shared_m = state.shared_m.copy()
+    shared_m[0] += length_m * along_m * np.array([sine, cosine])
+    shared_m[1] += length_m * across_m * np.array([cosine, -sine])
+    shared_m[2:] += parameter_m[:, None] * np.column_stack([np.sin(own_heading_rad), np.cos(own_heading_rad)])
+    return replace(state, shared_m=shared_m)

@@ -6,10 +6,13 @@ HC (highest context) and WC (weighted context) are Algorithms 1 and 2 of Martine
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.types import FloatArray
+from pdr_filter.context.stage import CARRYING_STAY_PROB, WindowContext
+from pdr_filter.motion import IRREGULAR
+from pdr_filter.types import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 
 WEIGHTINGS = ("hc", "wc", "imm")
 
@@ -89,3 +92,72 @@ def context_log_evidence(
     """
     prior = np.where(training_prior > 0, training_prior, 1.0 / len(training_prior))
     return exponent * (np.log(np.maximum(context_prob, floor)) - prior_exponent * np.log(prior))
+
+
+def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows: int) -> FloatArray:
+    """Log evidence (D,) of the windows since `before` for where the phone is: the new probabilities over the old ones.
+
+    Probabilities of the carrying mode are of all windows so far, so each of them holds the earlier ones once more. What
+    the last windows added is log p_k - log(predicted p_{k-n}), the prediction by the transitions with which they were
+    followed (`context.stage.follow_mode`); exact if the mode did not change in between. `before` is None for the first.
+    A carrying mode that the classifier does not know (probability zero) has no evidence for or against it.
+    """
+    known = prob > 0
+    n_known = max(int(known.sum()), 1)
+    even = np.where(known, 1.0 / n_known, 0.0)
+    changes = (1.0 - CARRYING_STAY_PROB) * n_known / max(n_known - 1, 1)
+    predicted = even if before is None else even + (before - even) * (1.0 - changes) ** n_windows
+    told = known & (predicted > 0)
+    return np.log(np.where(told, prob, 1.0)) - np.log(np.where(told, predicted, 1.0))
+
+
+@dataclass(frozen=True, eq=False)
+class ModeEvidence:
+    """What a window says for each mode of a filter.
+
+    Parameters
+    ----------
+    contexts : tuple of str
+        Of each mode: one of `CONTEXTS`, or "irregular".
+    carrying_modes : tuple of str or None
+        Of each mode; None for any.
+    exponent, prior_exponent, floor
+        See `context_log_evidence`.
+    window_hop_s : float
+        Time from one window end to the next.
+    """
+
+    contexts: tuple[str, ...]
+    carrying_modes: tuple[str | None, ...]
+    exponent: float
+    prior_exponent: float
+    floor: float
+    window_hop_s: float
+
+    @cached_property
+    def _context_index(self) -> IntArray:
+        names = (*CONTEXTS, IRREGULAR)
+        return np.array([names.index(c) for c in self.contexts])
+
+    @cached_property
+    def _carrying_index(self) -> IntArray:
+        # the last entry is that of any carrying mode
+        return np.array([len(CARRYING_MODES) if c is None else CARRYING_MODES.index(c) for c in self.carrying_modes])
+
+    def of(self, window: WindowContext, used: WindowContext | None) -> FloatArray:
+        """Log evidence (M,) of a window, given the window that was evidence before it.
+
+        With an irregular mode the contexts share what the gate leaves: (1 - p_irregular) p_c, of a prior of one half.
+        """
+        prob, prior = window.prob, window.training_prior
+        if IRREGULAR in self.contexts:
+            irregular = float(np.clip(np.nan_to_num(window.irregular_prob), 0.0, 1.0))
+            prob = np.append((1.0 - irregular) * prob, irregular)
+            prior = np.append(0.5 * prior, 0.5)
+        evidence = context_log_evidence(prob, prior, self.exponent, self.floor, self.prior_exponent)
+        evidence = evidence[self._context_index]
+        if all(c is None for c in self.carrying_modes) or not np.isfinite(window.carrying_prob).all():
+            return evidence
+        n_windows = 1 if used is None else max(round((window.time_s - used.time_s) / self.window_hop_s), 1)
+        of_carrying = carrying_log_evidence(window.carrying_prob, used.carrying_prob if used else None, n_windows)
+        return evidence + np.append(of_carrying, 0.0)[self._carrying_index]

@@ -9,7 +9,15 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import multivariate_normal
 
-from pdr_filter.imm import check_transition_prob, combine, mix, predict, update, update_mode_prob
+from pdr_filter.imm import (
+    check_transition_prob,
+    combine,
+    lagged_mode_prob,
+    mix,
+    predict,
+    update,
+    update_mode_prob,
+)
 
 SEEDS = st.integers(0, 2**32 - 1)
 
@@ -316,3 +324,29 @@ def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_othe
     prob = np.array([[0.3, 0.7], [0.3, 0.7], [1.0, 0.0]])
     evidence = np.array([[np.nan, 0.0], [np.log(7.0), np.log(3.0)], [-np.inf, 0.0]])
     np.testing.assert_allclose(update_mode_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
+
+
+def test_lagged_mode_probabilities_are_those_of_the_exact_forward_backward_algorithm() -> None:
+    rng = np.random.default_rng(5)
+    n_steps, lag = 30, 4
+    T, log_likelihood = rng.dirichlet(np.ones(3), 3), rng.normal(scale=2.0, size=(n_steps, 3))
+    filtered, mu = [], np.full(3, 1 / 3)
+    for likelihood in np.exp(log_likelihood):
+        mu = (mu @ T) * likelihood
+        mu = mu / mu.sum()
+        filtered.append(mu)
+    lagged = lagged_mode_prob(np.array(filtered), T, lag)
+    for k in range(n_steps):
+        # all sequences of modes from k on, summed by their probability
+        beta = np.ones(3)
+        for later in range(min(k + lag, n_steps - 1), k, -1):
+            beta = T @ (np.exp(log_likelihood[later]) * beta)
+        expected = filtered[k] * beta
+        np.testing.assert_allclose(lagged[k], expected / expected.sum(), atol=1e-12)
+    np.testing.assert_array_equal(lagged_mode_prob(np.array(filtered), T, 0), filtered)
+
+
+def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
+    with pytest.raises(ValueError, match="lag must be 0 steps or more, got -1"):
+        lagged_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
+    assert lagged_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

@@ -1,6 +1,7 @@
 # ruff: noqa: N806 - the letters of the equations
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from pdr_filter.motion import (
     LOG_SCALE,
     MAX_HEADING_VARIANCE,
     NORTH,
+    Directions,
     Mode,
     MotionNoise,
     advance,
@@ -24,13 +26,19 @@ from pdr_filter.motion import (
     grow_over_gap,
     initial_estimate,
     learn_heading,
-    second_order_error,
+    second_order_errors,
 )
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.types import Step
 
 STILL = MotionNoise(heading_drift_rad_per_sqrt_s=0.0, log_scale_drift_per_sqrt_step=0.0)
 NO_COV = np.zeros((1, 4, 4))
+
+
+def walking(offset_rad: Sequence[float], heading_var_rad2: Sequence[float]) -> Directions:
+    """Modes with these offsets and scatters of directions, and nothing else."""
+    none = np.zeros(len(offset_rad))
+    return Directions(np.asarray(offset_rad), np.asarray(heading_var_rad2), none, none)
 
 
 def advance_one(
@@ -49,7 +57,9 @@ def advance_one(
         np.asarray(mean, dtype=float)[None],
         cov[None],
         step or a_step(),
-        *(np.array([v]) for v in (length_m, length_var_m2, offset_rad, heading_var_rad2)),
+        np.array([length_m]),
+        np.array([length_var_m2]),
+        walking([offset_rad], [heading_var_rad2]),
         noise,
     )
     return moved[0][0], moved[1][0]
@@ -146,6 +156,41 @@ def test_heading_and_scale_drift_with_time_and_steps() -> None:
     assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
 
 
+def test_the_spread_of_people_is_never_less_known_than_at_the_start() -> None:
+    noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
+    mean, cov = initial_estimate(noise)
+    for _ in range(300):
+        mean, cov = advance_one(mean, cov, noise=noise)
+        assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2)
+
+
+def test_what_was_learnt_of_the_scale_is_forgotten_towards_the_spread_of_people() -> None:
+    noise = MotionNoise(log_scale_std=0.08, log_scale_drift_per_sqrt_step=0.01)
+    memory = 1 - 0.01**2 / 0.08**2  # of the variance, a step
+    mean, cov = np.array([0.0, 0.0, 0.0, 0.1]), np.zeros((4, 4))
+    for _ in range(100):
+        mean, cov = advance_one(mean, cov, noise=noise)
+    assert mean[LOG_SCALE] == pytest.approx(0.1 * memory**50)
+    assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.08**2 * (1 - memory**100))
+
+
+def test_a_scale_that_is_known_stays_known() -> None:
+    noise = MotionNoise(log_scale_std=0.0)
+    mean, cov = advance_one(np.array([0.0, 0.0, 0.0, 0.1]), noise=noise)
+    assert mean[LOG_SCALE] == 0.1 and cov[LOG_SCALE, LOG_SCALE] == 0.0
+
+
+def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
+    mode = Mode(
+        "bag", "walking", known_length(0.7, 0.0), heading_std_rad=0.0, carrying_mode="bag",
+        heading_drift_rad_per_sqrt_s=0.3, extra_noise_m=0.2,
+    )  # fmt: skip
+    _, cov = advance(
+        np.zeros((1, 4)), NO_COV, a_step(duration_s=0.5), np.array([0.7]), np.zeros(1), Directions.of([mode]), STILL
+    )
+    np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.09 * 0.5, 0.0]), atol=1e-15)
+
+
 def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5, heading_unknown_s=0.5)
@@ -166,7 +211,7 @@ def test_every_mode_moves_on_its_own() -> None:
     length, var_l, offset, var_h = rng.uniform(0.1, 1, (4, 3))
     copies = mean.copy(), cov.copy()
     step = a_step(heading_rad=0.4)
-    moved_mean, moved_cov = advance(mean, cov, step, length, var_l, offset, var_h, STILL)
+    moved_mean, moved_cov = advance(mean, cov, step, length, var_l, walking(offset, var_h), STILL)
     for j in range(3):
         alone = advance_one(
             mean[j],
@@ -250,20 +295,33 @@ def test_parameters_of_the_wrong_shape_and_unknown_contexts_are_refused() -> Non
         StepLengthFit(FrequencyVarianceStepLength(), np.zeros(2), np.zeros((3, 3)), 0.1)
     with pytest.raises(ValueError, match="context of mode 'fly'"):
         Mode("fly", "flying", known_length(1.0, 0.1))
+    with pytest.raises(ValueError, match=r"carrying_mode of mode 'walk'.*hat"):
+        Mode("walk", "walking", known_length(1.0, 0.1), carrying_mode="hat")
+    with pytest.raises(ValueError, match="extra_noise_m of mode 'walk' must be 0 or more, got -1"):
+        Mode("walk", "walking", known_length(1.0, 0.1), extra_noise_m=-1.0)
+    with pytest.raises(ValueError, match="heading_std_rad of mode 'walk' must be 0 or more, got nan"):
+        Mode("walk", "walking", known_length(1.0, 0.1), heading_std_rad=np.nan)
 
 
-def test_the_second_order_error_is_that_of_a_normal_heading_error() -> None:
+@pytest.mark.parametrize(("heading_std", "scale_std"), [(0.1, 0.08), (0.5, 0.08), (1.8, 0.08), (0.5, 0.0), (0.0, 0.3)])
+def test_the_second_order_errors_are_those_of_normal_errors_of_heading_and_scale(
+    heading_std: float, scale_std: float
+) -> None:
     rng = np.random.default_rng(0)
-    for std in (0.1, 0.5, 1.8):
-        simulated = np.sqrt(((np.cos(std * rng.normal(size=400_000)) - 1) ** 2).mean())
-        assert second_order_error(std**2) == pytest.approx(simulated, rel=0.02)
-    assert second_order_error(0.0) == 0.0
+    e, s = heading_std * rng.normal(size=1_000_000), scale_std * rng.normal(size=1_000_000)
+    along = np.sqrt(((np.exp(s) * np.cos(e) - 1 - s) ** 2).mean())
+    across = np.sqrt((((np.exp(s) - 1) * np.sin(e)) ** 2).mean())
+    assert second_order_errors(heading_std**2, scale_std**2) == pytest.approx((along, across), rel=0.02, abs=1e-12)
+
+
+def test_certain_headings_and_scales_have_no_second_order_error() -> None:
+    assert second_order_errors(0.0, 0.0) == (0.0, 0.0)
 
 
 def test_the_heading_wanders_while_nobody_steps() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5)
-    arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), np.zeros(1), np.zeros(1), noise)
+    arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), walking([0.0], [0.0]), noise)
     _, rested = advance(*arguments, elapsed_s=600.0)
     assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift_rad_per_sqrt_s**2 * 600)
 

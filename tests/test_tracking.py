@@ -9,7 +9,7 @@ from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.motion import Mode, MotionNoise, advance, initial_estimate, second_order_error
+from pdr_filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.tracking import (
     StepUpdate,
@@ -24,7 +24,7 @@ from pdr_filter.weighting import HC, weighted_distances
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)
-WALKING, RUNNING = CONTEXTS.index("walking"), CONTEXTS.index("running")
+STATIONARY, WALKING, RUNNING = (CONTEXTS.index(c) for c in ("stationary", "walking", "running"))
 Event = Step | WindowContext
 
 
@@ -176,7 +176,8 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     for window in windows[:3]:  # evidence for the only mode means nothing
         state, _ = single.on_window(state, window)
     rng = np.random.default_rng(0)
-    second_order_m, last_s = np.zeros(2), np.nan
+    shared_m, last_s = np.zeros((3, 2)), np.nan
+    residual_var = mode.step_length.residual_std_m**2
     for k, step in enumerate(steps):
         state, [update] = single.on_step(state, step)
         elapsed_s = step.duration_s if np.isnan(last_s) else step.time_s - last_s
@@ -185,7 +186,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         scaled, psi = length * np.exp(x[3]), step.device_heading_rad + x[2]
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         F = np.eye(4)
-        F[:2, 2], F[:2, 3] = scaled * v, scaled * u
+        F[:2, 2], F[:2, 3], F[3, 3] = scaled * v, scaled * u, noise.log_scale_memory
         Q = np.diag(
             [
                 0,
@@ -194,22 +195,24 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
                 noise.log_scale_drift_per_sqrt_step**2,
             ]
         )
-        Q[:2, :2] = (np.exp(x[3]) ** 2) * length_var * np.outer(u, u) + (scaled * mode.heading_std_rad) ** 2 * np.outer(
-            v, v
-        )
+        of_length = np.exp(x[3]) ** 2 * residual_var * np.outer(u, u)
+        Q[:2, :2] = of_length + (scaled * mode.heading_std_rad) ** 2 * np.outer(v, v)
         x[:2] += scaled * u
+        x[3] *= noise.log_scale_memory
         P = F @ P @ F.T + Q
         psi = step.device_heading_rad + x[2]
-        along = np.array([np.sin(psi), np.cos(psi)])
-        second_order_m += length * np.exp(x[3]) * second_order_error(P[2, 2]) * along
-        seen = P[:2, :2] + np.outer(second_order_m, second_order_m)
+        u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
+        of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
+        of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
+        shared_m += np.exp(x[3]) * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
+        seen = P[:2, :2] + sum(np.outer(e, e) for e in shared_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
             z, R = x[:2] + 0.3 * rng.normal(size=2), np.array([[0.5, 0.1], [0.1, 0.4]])
             state, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
             H = np.eye(2, 4)
-            P[:2, :2], second_order_m = seen, np.zeros(2)
+            P[:2, :2], shared_m = seen, np.zeros((3, 2))
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
             x, P = x + K @ (z - H @ x), (np.eye(4) - K @ H) @ P
             np.testing.assert_allclose(state.mean[0], x, atol=1e-9)
@@ -354,7 +357,11 @@ def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
         state, _ = filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR))
     _, [second] = filter_.on_step(state, a_step(1.9))
     # between the two steps only the transitions have moved the probabilities
-    moved = first.mode_prob @ filter_.transition_prob * np.exp(filter_._step_log_evidence)
+    moved = (
+        first.mode_prob
+        @ filter_.transition_prob
+        * np.exp(np.where(np.arange(6) == STATIONARY, filter_.step_log_odds_stationary, 0.0))
+    )
     np.testing.assert_allclose(second.mode_prob, moved / moved.sum(), atol=1e-12)
 
 
@@ -424,8 +431,7 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         step,
         length,
         variance,
-        np.array([m.heading_offset_rad for m in modes()]),
-        np.full(6, 0.01),
+        Directions.of(modes()),
         filter_.noise,
     )
     _, [update] = filter_.on_step(filter_.init(), step)

@@ -19,7 +19,16 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
+from pdr_filter.motion import (
+    EAST,
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    N_STATES,
+    Directions,
+    Mode,
+    MotionNoise,
+)
 from pdr_filter.step_length import StepLengths
 from pdr_filter.types import FloatArray, IntArray, Step, Table, read_only
 
@@ -93,13 +102,14 @@ def increments(
     lengths = StepLengths(tuple(m.step_length for m in modes))
     names = steps.dtype.names or ()
     found = [lengths.predict(Step(**dict(zip(names, row, strict=True)))) for row in steps.tolist()]
-    length_m = np.array([f[0] for f in found]).reshape(n, len(modes))
+    moves = np.array([m.moves for m in modes])
+    length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
     variance = np.array([f[1] for f in found]).reshape(n, len(modes))
     residual_var = np.array([m.step_length.residual_std_m**2 for m in modes])
-    heading_var = np.array([m.heading_std_rad**2 for m in modes])
-    shared_var = mode_prob * (variance - residual_var) / np.maximum(length_m, 0.1) ** 2
+    directions = Directions.of(modes)
+    shared_var = mode_prob * moves * (variance - residual_var) / np.maximum(length_m, 0.1) ** 2
 
-    psi = np.asarray(steps.device_heading_rad)[:, None] + np.array([m.heading_offset_rad for m in modes])
+    psi = np.asarray(steps.device_heading_rad)[:, None] + directions.heading_offset_rad
     along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
     across = along @ TURN.T
     vectors = length_m[..., None] * along
@@ -107,8 +117,9 @@ def increments(
     apart = vectors - displacement[:, None]
     cov = (
         np.einsum("km,kma,kmb->kab", mode_prob * residual_var, along, along)
-        + np.einsum("km,kma,kmb->kab", mode_prob * length_m**2 * heading_var, across, across)
+        + np.einsum("km,kma,kmb->kab", mode_prob * length_m**2 * directions.heading_var_rad2, across, across)
         + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
+        + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
     )
     time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
     first_s = duration_s[:1] if previous_s is None else time_s[:1] - previous_s
@@ -121,9 +132,10 @@ def increments(
         duration_s=duration_s,
         displacement_m=displacement,
         cov_m2=cov,
-        drift_var_rad2=(noise.heading_drift_rad_per_sqrt_s**2 + bias_var) * (elapsed_s - unknown_s),
+        drift_var_rad2=(noise.heading_drift_rad_per_sqrt_s**2 + bias_var + mode_prob @ directions.drift_rad2_per_s)
+        * (elapsed_s - unknown_s),
         unknown_var_rad2=noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s,
-        scale_drift_var=np.full(n, noise.log_scale_drift_per_sqrt_step**2),
+        scale_drift_var=np.full(n, noise.log_scale_drift_var),
         jump_var_rad2=np.minimum(
             np.asarray(steps.offset_change_std_rad) ** 2 + noise.unknown_heading_rad_per_sqrt_s**2 * gap_before_s,
             MAX_HEADING_VARIANCE,

@@ -24,7 +24,7 @@ from pdr_filter.motion import (
     N_STATES,
     Mode,
     MotionNoise,
-    second_order_error,
+    second_order_errors,
 )
 from pdr_filter.offline.preintegration import (
     MIN_STATE_VAR,
@@ -965,9 +965,9 @@ def _smoothed(
 def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
     """Error along the way that uncertain headings make (K, 2), from the anchor with a fix that is nearer by it.
 
-    The linear covariance has only the error across (`motion.second_order_error`).
+    The linear covariance has only the error across (`motion.second_order_errors`).
     """
-    share = np.array([second_order_error(min(v, MAX_HEADING_VARIANCE)) for v in heading_var_rad2.tolist()])
+    share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])
     fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)
     after = np.searchsorted(fixed, np.arange(1, len(moved) + 1))

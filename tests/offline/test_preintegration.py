@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
-from pdr_filter.motion import Mode, MotionNoise, linearise
+from pdr_filter.motion import Directions, Mode, MotionNoise, linearise
 from pdr_filter.offline.preintegration import advance, frame, increments, preintegrate
 from pdr_filter.step_length import known_length
 from pdr_filter.types import Step, step_table
@@ -71,7 +71,7 @@ def test_an_increment_is_the_step_of_the_filter() -> None:
     noise = MotionNoise()
     found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
     mean, _, added_cov = linearise(
-        np.zeros((1, 4)), step, np.array([0.7]), np.array([0.06**2]), np.zeros(1), np.array([0.01]), noise
+        np.zeros((1, 4)), step, np.array([0.7]), np.array([0.06**2]), Directions.of([mode]), noise
     )
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
     np.testing.assert_allclose(found.cov_m2[0], added_cov[0, :2, :2])
