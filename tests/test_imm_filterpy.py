@@ -106,7 +106,10 @@ def test_every_function_agrees_with_the_one_of_imm(seed: int, n_modes: int, n: i
     )
 
 
-def test_a_walk_with_fixes_is_the_same_with_the_backend_of_filterpy() -> None:
+@pytest.mark.parametrize("backend", ["filterpy", "numba"])
+def test_a_walk_with_fixes_is_the_same_with_every_backend(backend: str) -> None:
+    if backend == "numba":
+        pytest.importorskip("numba")
     walk = pdr.simulate.demo_walk()
     truth = walk.truth.waypoints
     assert truth is not None
@@ -115,7 +118,7 @@ def test_a_walk_with_fixes_is_the_same_with_the_backend_of_filterpy() -> None:
         for p in truth[1:]
     ]
     config = pdr.recipes.default()
-    other = replace(config, tracker=replace(config.tracker, backend="filterpy"))
+    other = replace(config, tracker=replace(config.tracker, backend=backend))
     expected, found = (pdr.track(walk, c, fixes=fixes) for c in (config, other))
     for name in ("position_m", "position_cov_m2", "step_length_m", "mode_prob", "walking_heading_rad"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
