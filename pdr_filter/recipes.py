@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from functools import cache
+from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
@@ -17,6 +18,7 @@ from pdr_filter.context.model import ContextModel, load_model
 from pdr_filter.context.stage import ContextModels
 from pdr_filter.context.susi import MotionModes
 from pdr_filter.context.tian import TianContexts
+from pdr_filter.context.transitions import Transitions, load_transitions
 from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.heading.offset_compensation import OffsetCompensation
 from pdr_filter.heading.walking_direction import WalkingDirection
@@ -120,6 +122,30 @@ def with_context_model(config: Config, model: ContextModel) -> Config:
         if set(model.feature_names) <= set(names):
             return replace(config, sensing=replace(config.sensing, contexts=learned_contexts(model, feature_set)))
     raise ValueError(f"model {model.name!r} needs features that no set has; the sets are {tuple(FEATURE_SETS)}")
+
+
+def with_transitions(config: Config, transitions: Transitions | str | Path) -> Config:
+    """The configuration with transition probabilities and exponents of the evidence that were estimated.
+
+    `transitions`, or the path of its file, is what `pdr-filter train` writes; the exponents in it are of the default's
+    context model. The weightings "hc" and "wc" take step lengths from the windows and not from transitions. ValueError
+    if the file cannot be used, or if the modes of the configuration are not the contexts, each once.
+    """
+    learnt = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
+    contexts = [mode.context for mode in config.tracker.modes]
+    if sorted(contexts) != sorted(CONTEXTS):
+        raise ValueError(
+            f"transitions are between the contexts {CONTEXTS}, but recipe {config.name!r} has modes of {contexts}; "
+            "give its tracker a transition_prob of its own"
+        )
+    of_mode = [CONTEXTS.index(context) for context in contexts]
+    tracker = replace(
+        config.tracker,
+        transition_prob=learnt.transition_prob[np.ix_(of_mode, of_mode)],
+        evidence_exponent=learnt.evidence_exponent,
+        prior_exponent=learnt.prior_exponent,
+    )
+    return replace(config, tracker=tracker)
 
 
 def learned_contexts(with_gyroscope: ContextModel, feature_set: str) -> LearnedContexts:

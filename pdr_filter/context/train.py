@@ -1,7 +1,8 @@
 """Train the shipped context models on labelled recordings, and say how good they are on people left out.
 
 `pdr-filter train DATA_DIR` runs it. Every figure on a model card is of people (or sites) that the scored model has
-not seen; the shipped model is then fitted on all of them.
+not seen; the shipped model is then fitted on all of them. Transitions and tempering come last, from the recordings in
+which people change their context (`train_evidence`).
 """
 
 from __future__ import annotations
@@ -47,6 +48,8 @@ TextArray = NDArray[np.str_]
 SCORED_DATASET = "motionsense"
 
 
+# Of the default recipe: transitions and tempering are estimated for it.
+DEFAULT_MODEL = "context"
 # Standard deviations at which a feature is cut: beyond them there is nothing to learn from.
 FEATURE_LIMIT = 4.0
 
@@ -225,6 +228,11 @@ class Plan:
         use &= windows.label(self.head) != ""
         return use if self.carrying_modes is None else use & np.isin(windows.carrying_mode, self.carrying_modes)
 
+    def features(self, windows: LabelledWindows) -> FloatArray:
+        """The model's features of all windows, (W, F)."""
+        names = FEATURE_SETS[self.feature_set]
+        return windows.features[:, [names.index(name) for name in self.feature_names]]
+
 
 _ALL_SITES = ("motionsense", "tyrex", "humolire", "ms_indoor", "oxford")
 _NO_SIDEWAYS = "No sideways walking in the data: its probability is zero."
@@ -393,17 +401,23 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
     return None
 
 
-def train(data_dir: Path, out_dir: Path, progress: Progress | None = None) -> list[dict[str, Any]]:
-    """Cards of the models that were trained and written to `out_dir`.
+def train(
+    data_dir: Path | None, out_dir: Path, progress: Progress | None = None, sequences_dir: Path | None = None
+) -> list[dict[str, Any]]:
+    """Cards of the models that were trained and written to `out_dir`, and of the transitions and exponents.
 
     Parameters
     ----------
-    data_dir : Path
-        Folder with one folder for each data set of `PLANS`.
+    data_dir : Path, optional
+        Folder with one folder for each data set of `PLANS`. Without it no model is trained, and transitions and
+        exponents are those of the shipped models.
     out_dir : Path
-        Where `<name>.npz` and `<name>.json` go.
+        Where `<name>.npz`, `<name>.json` and `transitions.json` go.
     progress : callable, optional
         Called with what is done and the fraction of the whole, 0 to 1.
+    sequences_dir : Path, optional
+        Folder of further labelled recordings in which people change their context: for transitions and exponents
+        only, no model is trained on them.
     """
 
     def tell(what: str, fraction: float) -> None:
@@ -411,15 +425,24 @@ def train(data_dir: Path, out_dir: Path, progress: Progress | None = None) -> li
             progress(what, fraction)
 
     from pdr_filter.context.train_carrying import train_carrying  # they build on this module
+    from pdr_filter.context.train_evidence import changing_recordings, shipped_model_without, train_evidence
     from pdr_filter.context.train_guo import train_guo
 
+    if data_dir is None:
+        if sequences_dir is None:
+            raise ValueError("nothing to train on: give the folder of the data sets, or one of labelled sequences")
+        changing = changing_recordings(_recordings_in(sequences_dir))
+        return [train_evidence(changing, out_dir, shipped_model_without, tell)]
     wanted = sorted({d for plan in PLANS for d in plan.datasets})
     paths = [p for d in wanted for p in sorted((data_dir / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
     if not paths:
         raise ValueError(f"{data_dir} holds none of the data sets {wanted}; give the folder that holds theirs")
+    # before the models: a recording that cannot be read shows at once
+    changing = changing_recordings([*paths, *(_recordings_in(sequences_dir) if sequences_dir else [])])
     # One thread for the matrices: they are small, and threads that wait for each other cost ten times what they gain.
     with threadpool_limits(1):
         cards: list[dict[str, Any]] = []
+        left_out: dict[str, Callable[[Sequence[str]], ContextModel]] = {}
         for kind in sorted({plan.windows for plan in PLANS}):
             plans = [plan for plan in PLANS if plan.windows == kind]
             span = 0.85 * len(plans) / len(PLANS)
@@ -430,8 +453,19 @@ def train(data_dir: Path, out_dir: Path, progress: Progress | None = None) -> li
                 model = train_one(plan, windows, part)
                 model.save(out_dir)
                 cards.append(dict(model.card))
+                left_out[plan.name] = partial(model_without, model, plan, windows)
         cards += train_carrying(paths, out_dir, _part(tell, 0.85, 0.1))
-        return [*cards, train_guo(paths, out_dir, _part(tell, 0.95, 0.05))]
+        cards.append(train_guo(paths, out_dir, _part(tell, 0.95, 0.04)))
+        return [*cards, train_evidence(changing, out_dir, left_out[DEFAULT_MODEL], _part(tell, 0.99, 0.01))]
+
+
+def _recordings_in(folder: Path) -> list[Path]:
+    from pdr_filter.batch import recordings_in
+
+    found = recordings_in(folder)
+    if not found:
+        raise ValueError(f"{folder}: no recordings in it; give a folder of recordings with truth_labels.csv")
+    return found
 
 
 def _part(tell: Progress, start: float, span: float) -> Progress:
@@ -442,8 +476,7 @@ def _part(tell: Progress, start: float, span: float) -> Progress:
 def train_one(plan: Plan, windows: LabelledWindows, progress: Progress) -> ContextModel:
     """The model of one plan, fitted on all its people, its card scored on people left out."""
     use, labels = plan.rows(windows), HEADS[plan.head]
-    names = FEATURE_SETS[plan.feature_set]
-    X, y = windows.features[use][:, [names.index(name) for name in plan.feature_names]], windows.label(plan.head)[use]
+    X, y = plan.features(windows)[use], windows.label(plan.head)[use]
     person, dataset = windows.person[use], windows.dataset[use]
     weight = np.ones(len(y))
 
@@ -473,7 +506,7 @@ def train_one(plan: Plan, windows: LabelledWindows, progress: Progress) -> Conte
         name=plan.name,
         feature_names=plan.feature_names,
         classes=fitted.classes,
-        training_prior=np.array([np.mean(y == c) for c in labels]),
+        training_prior=_shares(y, labels),
         feature_mean=fitted.mean,
         feature_scale=fitted.scale,
         machine=fitted.machine,
@@ -484,6 +517,34 @@ def train_one(plan: Plan, windows: LabelledWindows, progress: Progress) -> Conte
         feature_limit=FEATURE_LIMIT,
         familiarity=_familiarity(X, fitted, float(np.quantile(distance[scored], 0.99))),
     )
+
+
+def model_without(model: ContextModel, plan: Plan, windows: LabelledWindows, people: Sequence[str]) -> ContextModel:
+    """The model of a plan as it is when these people are not in its training; itself if none of them was.
+
+    The limit of what is familiar stays: it is that of people left out already.
+    """
+    use = plan.rows(windows)
+    rest = use & ~np.isin(windows.person, people)
+    if rest.sum() == use.sum():
+        return model
+    X, y, labels = plan.features(windows)[rest], windows.label(plan.head)[rest], HEADS[plan.head]
+    fitted = fit(plan.machine_fit, labels, X, y, windows.person[rest], np.ones(len(y)))
+    return replace(
+        model,
+        classes=fitted.classes,
+        training_prior=_shares(y, labels),
+        feature_mean=fitted.mean,
+        feature_scale=fitted.scale,
+        machine=fitted.machine,
+        temperature=fitted.temperature,
+        slip=fitted.slip,
+        familiarity=None if model.familiarity is None else _familiarity(X, fitted, model.familiarity.limit),
+    )
+
+
+def _shares(y: TextArray, labels: tuple[str, ...]) -> FloatArray:
+    return np.array([np.mean(y == c) for c in labels])
 
 
 def _left_out(

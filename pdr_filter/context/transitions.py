@@ -2,17 +2,20 @@
 
 Two things of the filter are not the classifier's: the probabilities of changing from one context to another between two
 steps, and the two exponents of the evidence (`weighting.context_log_evidence`). The first are counts with a prior, the
-second those with the lowest log loss on people left out.
+second those with the lowest log loss on people left out. `train_evidence` estimates both from recordings.
 """
 
 from __future__ import annotations
 
+import json
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.types import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, IntArray, read_only
 
 TextArray = NDArray[np.str_]
 
@@ -22,6 +25,7 @@ UNKNOWN = -1
 EXPONENTS = read_only(np.linspace(0.0, 1.5, 16))
 # Steps that the prior of a row of transitions counts as: as many as a minute of walking.
 PRIOR_STEPS = 100.0
+FORMAT_VERSION = 1
 
 
 @dataclass(frozen=True, eq=False)
@@ -134,12 +138,25 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
         raise ValueError(f"counts and prior must both be (C, C), got {counts.shape} and {prior.shape}")
     if not (np.isfinite(counts).all() and (counts >= 0).all()):
         raise ValueError("counts must be finite and not negative")
-    if (prior < 0).any() or not np.allclose(prior.sum(axis=1), 1.0, atol=1e-9):
-        raise ValueError(f"rows of the prior must sum to 1, got {prior.sum(axis=1)}; transpose it?")
+    _check_transition_prob("prior", prior, len(prior))
     if not (np.isfinite(prior_steps) and prior_steps > 0):
         raise ValueError(f"prior_steps must be above zero, got {prior_steps}")
     posterior = counts + prior_steps * prior
     return posterior / posterior.sum(axis=1, keepdims=True)
+
+
+def _check_transition_prob(name: str, value: FloatArray, n_contexts: int) -> None:
+    """Raise ValueError unless `value[i, j]`, from context i to context j, is (C, C) with rows that sum to one."""
+    if value.shape != (n_contexts, n_contexts):
+        raise ValueError(f"{name} must be ({n_contexts}, {n_contexts}), one row for each context, got {value.shape}")
+    of_row = value.sum(axis=1)
+    wrong = (value < 0).any(axis=1) | ~np.isclose(of_row, 1.0, atol=1e-9)  # NaN and infinity too
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ValueError(
+            f"rows of {name} must be probabilities that sum to 1, row {row} is {value[row]} with sum {of_row[row]}; "
+            "transpose it?"
+        )
 
 
 # --- Tempering -------------------------------------------------------------------------------------------------------
@@ -239,8 +256,7 @@ def _filter(
 ) -> FloatArray:
     """`filter_windows` for G pairs of exponents at once, (W, G, C)."""
     n_contexts = windows.prob.shape[1]
-    if transition_prob.shape != (n_contexts, n_contexts) or not np.allclose(transition_prob.sum(axis=1), 1.0):
-        raise ValueError(f"transition_prob must be ({n_contexts}, {n_contexts}) with rows that sum to 1")
+    _check_transition_prob("transition_prob", transition_prob, n_contexts)
     if not 0 < floor < 1:
         raise ValueError(f"floor must be between 0 and 1, got {floor}")
     log_prob = np.log(np.maximum(windows.prob, floor))
@@ -262,3 +278,90 @@ def _filter(
 def _check_labels(label: IntArray, n_contexts: int) -> None:
     if len(label) and not (label.min() >= UNKNOWN and label.max() < n_contexts):
         raise ValueError(f"labels must be from {UNKNOWN} to {n_contexts - 1}, got {label.min()} to {label.max()}")
+
+
+# --- What was estimated, and its file --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transitions:
+    """What `Tracker` needs besides a classifier, and where it comes from: `recipes.with_transitions` takes it.
+
+    Parameters
+    ----------
+    transition_prob : (C, C)
+        Between `CONTEXTS` from one step to the next; rows from, sum to one.
+    evidence_exponent, prior_exponent : float
+        Of the evidence of a window, as in `Tracker`.
+    counts : (C, C)
+        Of `count_transitions`, what the matrix was estimated from; zeros if there was nothing.
+    card : dict
+        What people should know: whether matrix and exponents are estimated or the default and why, data, log losses,
+        date, versions. Anything that JSON holds.
+    """
+
+    transition_prob: FloatArray
+    evidence_exponent: float
+    prior_exponent: float
+    counts: FloatArray
+    card: dict[str, Any] = field(default_factory=dict[str, Any])
+
+    def __post_init__(self) -> None:
+        for name in ("transition_prob", "counts"):
+            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), dtype=np.float64)))
+        _check_transition_prob("transition_prob", self.transition_prob, len(CONTEXTS))
+        if self.counts.shape != self.transition_prob.shape or not _is_finite_not_negative(self.counts):
+            raise ValueError(f"counts must be {self.transition_prob.shape}, finite and not negative, got {self.counts}")
+        for name in ("evidence_exponent", "prior_exponent"):
+            if not _is_finite_not_negative(getattr(self, name)):
+                raise ValueError(f"{name} must be finite and not negative, got {getattr(self, name)}")
+
+    def save(self, folder: str | Path) -> Path:
+        """Write `transitions.json` into the folder and return its path."""
+        content = {
+            "kind": "transitions",
+            "format_version": FORMAT_VERSION,
+            "contexts": list(CONTEXTS),
+            "transition_prob": self.transition_prob.tolist(),
+            "evidence_exponent": self.evidence_exponent,
+            "prior_exponent": self.prior_exponent,
+            "counts": self.counts.tolist(),
+            "card": self.card,
+        }
+        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+        target = Path(folder)
+        target.mkdir(parents=True, exist_ok=True)
+        (target / "transitions.json").write_text(text, encoding="utf-8")
+        return target / "transitions.json"
+
+
+def load_transitions(path: str | Path) -> Transitions:
+    """What `Transitions.save` wrote. ValueError that names the file, what is wrong with it and the remedy."""
+    path = Path(path)
+    if not path.is_file():
+        raise ValueError(f"{path}: no such file; pdr-filter train writes transitions.json")
+    try:
+        content: Any = json.loads(path.read_text(encoding="utf-8"))
+        if not isinstance(content, dict) or cast(dict[str, Any], content).get("kind") != "transitions":
+            raise ValueError('its kind is not "transitions"')
+        values = cast(dict[str, Any], content)
+        if values.get("format_version") != FORMAT_VERSION:
+            raise ValueError(f"format_version is {values.get('format_version')}, this version reads {FORMAT_VERSION}")
+        if values["contexts"] != list(CONTEXTS):
+            raise ValueError(f"its contexts are {values['contexts']}, those of this version {list(CONTEXTS)}")
+        return Transitions(
+            transition_prob=np.array(values["transition_prob"], dtype=np.float64),
+            evidence_exponent=float(values["evidence_exponent"]),
+            prior_exponent=float(values["prior_exponent"]),
+            counts=np.array(values["counts"], dtype=np.float64),
+            card=dict(values["card"]),
+        )
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(
+            f"{path}: not usable transitions: {what}; write the file anew with pdr-filter train"
+        ) from error
+
+
+def _is_finite_not_negative(value: FloatArray | float) -> bool:
+    return bool(np.isfinite(value).all() and (np.asarray(value) >= 0).all())
