@@ -10,11 +10,12 @@ import csv
 import io
 import os
 import time
-from collections.abc import Callable, Generator, Iterable, Iterator, Sequence
+from collections.abc import Callable, Generator, Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, fields
+from functools import partial
 from pathlib import Path
-from typing import IO, Any, TypeVar
+from typing import IO, TYPE_CHECKING, Any, TypeVar
 
 import numpy as np
 
@@ -22,8 +23,14 @@ from pdr_filter import whole
 from pdr_filter.io import read
 from pdr_filter.io.formats import FORMATS, detect
 from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.writers import pandas_for_parquet
 from pdr_filter.recipes import for_recording
 from pdr_filter.types import CONTEXTS, Track
+
+if TYPE_CHECKING:
+    from pdr_filter.offline.calibration import Calibration
+    from pdr_filter.offline.priors import StepLengthPrior
+    from pdr_filter.offline.segments import Segment
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -192,6 +199,71 @@ def track(
     if parquet is not None:
         _write_parquet(result, parquet)
     return result
+
+
+def calibrate(
+    paths: str | Path | Iterable[str | Path],
+    priors: Mapping[str, StepLengthPrior] | None = None,
+    *,
+    jobs: int = 1,
+    scheduler: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    file_format: str | None = None,
+    anchor_std_m: float | None = None,
+    measure: str = "displacement",
+    loss: str = "gnc",
+) -> Calibration:
+    """What `pdr_filter.calibrate` finds from all recordings, each reduced to its segments where it is read.
+
+    Only the steps between known places travel, no samples; then all segments are solved for at once. They are taken in
+    the order of the paths, so the result has the same bits wherever the work was done. Recordings that cannot be used
+    are left out, with their reason in the notes.
+
+    Parameters
+    ----------
+    paths : path or iterable of paths
+        Recordings; a folder that is not a recording stands for all recordings in it.
+    priors, anchor_std_m, measure, loss
+        As in `pdr_filter.calibrate`.
+    jobs, scheduler, file_format
+        As in `track`.
+    progress : callable, optional
+        Called with the fraction of recordings done.
+
+    Raises
+    ------
+    ValueError
+        An option cannot be used, or nothing determines the parameters.
+    """
+    from pdr_filter.offline.calibration import calibrate_segments
+
+    if measure not in ("displacement", "length"):  # otherwise the reason of every recording
+        raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
+    files = list(dict.fromkeys(str(path.resolve()) for path in _expanded(paths)))
+    reduce = partial(reduced, file_format=file_format, anchor_std_m=anchor_std_m, measure=measure)
+    found: dict[int, tuple[list[Segment], list[str]]] = {}
+    for i, result in each(reduce, files, jobs=jobs, scheduler=scheduler):
+        found[i] = ([], [f"{files[i]}: left out: {result.reason}"]) if isinstance(result, Failure) else result
+        if progress is not None:
+            progress(len(found) / len(files))
+    segments = [segment for i in range(len(files)) for segment in found[i][0]]
+    notes = [note for i in range(len(files)) for note in found[i][1]]
+    if not segments:
+        raise ValueError("nothing to calibrate with: " + ("; ".join(notes) or "no recordings"))
+    return calibrate_segments(segments, priors, loss=loss, notes=notes)
+
+
+def reduced(
+    path: str, file_format: str | None, anchor_std_m: float | None, measure: str
+) -> tuple[list[Segment], list[str]]:
+    """Segments of known length of one recording, and notes: what a calibration needs of it."""
+    from pdr_filter.offline.segments import segments_of
+
+    recording = read(path, file_format)
+    segments, notes = segments_of(recording, whole.track(recording), anchor_std_m, measure)
+    if segments and not recording.subject.id:
+        notes.append(f"{recording.name}: no subject id, so a person of its own")
+    return segments, notes
 
 
 def track_one(task: Task) -> Row:
@@ -468,18 +540,12 @@ def _tables(out: str | Path) -> tuple[Path, Path | None]:
         raise ValueError(f"{out} is a folder: give the table a name, such as {out / 'tracks.csv'}")
     if out.suffix.lower() != ".parquet":
         return out, None
-    try:  # now, not after hours of work
-        import pandas  # noqa: F401  # pyright: ignore
-        import pyarrow  # noqa: F401  # pyright: ignore
-    except ImportError as error:
-        raise ValueError(f"{out}: parquet needs pandas and pyarrow; or give a name that ends in .csv") from error
+    pandas_for_parquet(out)  # missing now, not after hours of work
     return out.with_suffix(".csv"), out
 
 
 def _write_parquet(rows: Sequence[Row], path: Path) -> None:
-    import pandas as pd  # pyright: ignore
-
-    frame: Any = pd.DataFrame([asdict(row) for row in rows], columns=list(COLUMNS))
+    frame: Any = pandas_for_parquet(path).DataFrame([asdict(row) for row in rows], columns=list(COLUMNS))
     part = path.with_name(path.name + ".part")
     frame.to_parquet(part, index=False)
     part.replace(path)

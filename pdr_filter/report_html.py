@@ -27,11 +27,21 @@ _INTERVAL_95 = 1.96
 _N_ELLIPSES = 8
 # Fewer metres than this across look like a zoom into noise.
 _MIN_EXTENT_M = 4.0
+# Numbers of five digits have no room.
+_KM_ABOVE_M = 5000.0
 _WIDTH = 920.0
+# Room for numbers such as -100 left of a picture, for its name above, and for numbers and a name below: 2.8, 1.6 and
+# 2.8 times the height of letters on a phone, 22 units (`_STYLE`).
+_LEFT = 62.0
+_TOP = 36.0
+_BOTTOM = 62.0
+_RIGHT = 16.0
 # More columns than this in a picture over time are finer than a screen, and pages of long recordings would be slow.
 _MAX_COLUMNS = 900
 _MAX_POINTS = 20_000
 _BIN_M = 0.05
+# Less of a context is a hair line.
+_VISIBLE_PROB = 0.01
 # Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
 _FARTHEST_M = 4e7
 # Steps further apart than this belong to different bouts: the speed between them is not known.
@@ -52,6 +62,7 @@ table { border-collapse: collapse; margin: 0.5em 0; font-variant-numeric: tabula
 th, td { text-align: right; padding: 0.15em 0.8em; border-bottom: 1px solid #eee; }
 th:first-child, td:first-child { text-align: left; padding-left: 0; }
 td.odd { color: #b33; font-weight: bold; }
+.table { overflow-x: auto; }
 svg { width: 100%; height: auto; display: block; }
 svg text { font: 12px system-ui, sans-serif; fill: #555; }
 .legend { display: flex; flex-wrap: wrap; gap: 0.2em 1.2em; list-style: none; padding: 0; color: #555;
@@ -60,6 +71,10 @@ svg text { font: 12px system-ui, sans-serif; fill: #555; }
   margin-right: 0.4em; }
 footer { color: #888; font-size: 12px; margin-top: 2.5em; }
 @media print { body { padding: 0; } section, svg { break-inside: avoid; } }
+@media screen and (max-width: 600px) {
+  body { padding: 1em; }
+  svg text { font-size: 22px; }
+}
 """
 
 
@@ -174,9 +189,9 @@ def _context_table(track: Track) -> str:
     items = [
         f"<li>{_key(_colour(i))}{_text(name)} {seconds[name]:.0f} s ({100 * seconds[name] / total_s:.0f} %)</li>"
         for i, name in enumerate(track.contexts)
-        if seconds[name] >= 0.5
+        if seconds[name] >= 0.5 or (track.windows.context_prob[:, i] > _VISIBLE_PROB).any()
     ]
-    return f"<ul class='legend'>{''.join(items)}</ul>"
+    return f"<ul class='legend'>{''.join(items)}</ul>" + _words("The height of a colour is the context's probability.")
 
 
 def _reading(recording: Recording, report: ReadingReport, already_told: set[str]) -> str:
@@ -189,7 +204,7 @@ def _reading(recording: Recording, report: ReadingReport, already_told: set[str]
         for s in report.streams
     )
     head = ("stream", "samples", "asked Hz", "got Hz", "gaps", "longest s", "repeated", "backward")
-    table = f"<table><tr>{''.join(f'<th>{h}</th>' for h in head)}</tr>{rows}</table>"
+    table = f"<div class='table'><table><tr>{''.join(f'<th>{h}</th>' for h in head)}</tr>{rows}</table></div>"
     lines = [_sentence(line) for line in report.about()]
     if recording.source:
         lines.insert(0, f"File: {recording.source}")
@@ -223,6 +238,9 @@ class _Axis:
     def all_at(self, values: FloatArray) -> FloatArray:
         return self.start + (values - self.low) / (self.high - self.low) * (self.end - self.start)
 
+    def counted_in(self, unit: float) -> _Axis:
+        return _Axis(self.low / unit, self.high / unit, self.start, self.end)
+
     def ticks(self, n: int) -> list[float]:
         step = _round_up((self.high - self.low) / n)
         first, last = math.ceil(self.low / step - 1e-9), math.floor(self.high / step + 1e-9)
@@ -247,8 +265,10 @@ def _svg(height: float, label: str, *content: str) -> str:
     return f"<svg viewBox='0 0 {_n(_WIDTH)} {_n(height)}' role='img' aria-label='{_text(label)}'>{inside}</svg>"
 
 
-def _label(x: float, y: float, text: str, anchor: str = "middle") -> str:
-    return f"<text x='{_n(x)}' y='{_n(y)}' text-anchor='{anchor}'>{_text(text)}</text>"
+def _label(x: float, y: float, text: str, anchor: str = "middle", down_em: float = 0.0) -> str:
+    """Text at a place, moved down by heights of its letters, because these differ between screens."""
+    place = f"x='{_n(x)}' y='{_n(y)}' dy='{down_em:g}em' text-anchor='{anchor}'"
+    return f"<text {place}>{_text(text)}</text>"
 
 
 def _line(x1: float, y1: float, x2: float, y2: float, colour: str = "#e6e6e6", width: float = 1.0) -> str:
@@ -260,16 +280,18 @@ def _points(x: FloatArray, y: FloatArray) -> str:
     return " ".join(f"{_n(a)},{_n(b)}" for a, b in zip(x, y, strict=True))
 
 
-def _grid(x: _Axis, y: _Axis, x_name: str, y_name: str, y_ticks: int = 4) -> str:
-    """Lines and numbers of both axes; y grows upwards, so its start is the lower edge."""
+def _grid(x: _Axis, y: _Axis, x_name: str, y_name: str, y_ticks: int = 5) -> str:
+    """Lines, numbers and names of both axes; y grows upwards, so its start is the lower edge."""
     x_values, y_values = x.ticks(10), y.ticks(y_ticks)
-    parts = [_line(x.at(v), y.start, x.at(v), y.end) + _label(x.at(v), y.start + 16, f"{v:g}") for v in x_values]
-    parts += [
-        _line(x.start, y.at(v), x.end, y.at(v)) + _label(x.start - 6, y.at(v) + 4, f"{v:g}", "end") for v in y_values
+    parts = [
+        _line(x.at(v), y.start, x.at(v), y.end) + _label(x.at(v), y.start, f"{v:g}", down_em=1.25) for v in x_values
     ]
-    parts.append(_label(0.5 * (x.start + x.end), y.start + 34, x_name))
-    middle = 0.5 * (y.start + y.end)
-    parts.append(f"<g transform='rotate(-90 12 {_n(middle)})'>{_label(12, middle, y_name)}</g>")
+    parts += [
+        _line(x.start, y.at(v), x.end, y.at(v)) + _label(x.start - 6, y.at(v), f"{v:g}", "end", 0.35) for v in y_values
+    ]
+    parts.append(_label(0.5 * (x.start + x.end), y.start, x_name, down_em=2.6))
+    if y_name:
+        parts.append(_label(0.0, y.end, y_name, "start", -0.5))
     return "".join(parts)
 
 
@@ -279,14 +301,14 @@ def _runs(ends: BoolArray) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _empty(words: str) -> str:
+def _words(words: str) -> str:
     return f"<p class='facts'>{_text(words)}</p>"
 
 
 def _map(track: Track) -> str:
     usable: BoolArray = np.all(np.abs(track.position_m) < _FARTHEST_M, axis=1)  # NaN is not
     if not usable.any():
-        return _empty("There are no steps: nothing to draw.")
+        return _words("There are no steps: nothing to draw.")
     position_m, context = track.position_m[usable], track.context_prob[usable].argmax(axis=1)
     way = np.vstack([track.start_position_m, position_m])
     rows = _ellipse_rows(track, usable)
@@ -294,17 +316,17 @@ def _map(track: Track) -> str:
     seen = np.vstack([way, track.position_m[rows] - half_m, track.position_m[rows] + half_m])
     middle, extent = 0.5 * (seen.min(axis=0) + seen.max(axis=0)), np.ptp(seen, axis=0)
     # The same metres in a pixel both ways: as wide as the page, unless that would be too high.
-    left, right, top, bottom = 56.0, 12.0, 12.0, 44.0
-    inner = _WIDTH - left - right
+    inner = _WIDTH - _LEFT - _RIGHT
     extent = np.maximum(1.08 * extent, _MIN_EXTENT_M)
     inner_height = float(np.clip(inner * extent[1] / extent[0], 280.0, 640.0))
     m_per_pixel = float(max(extent[0] / inner, extent[1] / inner_height))
     half_width_m, half_height_m = 0.5 * inner * m_per_pixel, 0.5 * inner_height * m_per_pixel
-    x = _Axis(float(middle[0]) - half_width_m, float(middle[0]) + half_width_m, left, left + inner)
-    y = _Axis(float(middle[1]) - half_height_m, float(middle[1]) + half_height_m, top + inner_height, top)
+    x = _Axis(float(middle[0]) - half_width_m, float(middle[0]) + half_width_m, _LEFT, _LEFT + inner)
+    y = _Axis(float(middle[1]) - half_height_m, float(middle[1]) + half_height_m, _TOP + inner_height, _TOP)
     points_x, points_y = x.all_at(way[:, 0]), y.all_at(way[:, 1])
     n_rows = max(2, round(inner_height / 70))
-    parts = [_grid(x, y, "east (m)", "north (m)", n_rows)]
+    unit_m, unit = (1000.0, "km") if max(extent) > _KM_ABOVE_M else (1.0, "m")
+    parts = [_grid(x.counted_in(unit_m), y.counted_in(unit_m), f"east ({unit})", f"north ({unit})", n_rows)]
     parts += [_ellipse(track, int(row), x, y, m_per_pixel) for row in rows]
     every = max(1, len(way) // _MAX_POINTS)
     shape = "fill='none' stroke-linejoin='round' stroke-linecap='round'"
@@ -322,7 +344,7 @@ def _map(track: Track) -> str:
     parts.append(f"<circle {dot} fill='#fff' stroke='#222' stroke-width='2'><title>start</title></circle>")
     box = f"x='{_n(end_x - 4.5)}' y='{_n(end_y - 4.5)}' width='9' height='9'"
     parts.append(f"<rect {box} fill='#222'><title>end</title></rect>")
-    return _svg(top + inner_height + bottom, f"Way of {_count(track.n_steps, 'step')}, seen from above", *parts)
+    return _svg(_TOP + inner_height + _BOTTOM, f"Way of {_count(track.n_steps, 'step')}, seen from above", *parts)
 
 
 def _ellipse_rows(track: Track, usable: BoolArray) -> list[int]:
@@ -350,21 +372,21 @@ def _ellipse(track: Track, row: int, x: _Axis, y: _Axis, m_per_pixel: float) -> 
     )
 
 
-def _time_axis(track: Track, left: float) -> tuple[_Axis, float, str]:
+def _time_axis(track: Track) -> tuple[_Axis, float, str]:
     """Axis of the whole recording, seconds of its unit, and its name."""
     unit_s, name = (60.0, "time (min)") if track.duration_s > 600 else (1.0, "time (s)")
     ends_s = [track.start_time_s + track.duration_s, *track.time_s[-1:], *track.windows.time_s[-1:]]
     end_s = max([*(e for e in ends_s if math.isfinite(e)), track.start_time_s + 1.0])
-    return _Axis(track.start_time_s / unit_s, end_s / unit_s, left, _WIDTH - 12.0), unit_s, name
+    return _Axis(track.start_time_s / unit_s, end_s / unit_s, _LEFT, _WIDTH - _RIGHT), unit_s, name
 
 
 def _contexts(track: Track) -> str:
     windows = track.windows
     if not len(windows):
-        return _empty("There are no context windows.")
-    height, top, left = 150.0, 18.0, 56.0
-    x, unit_s, name = _time_axis(track, left)
-    y = _Axis(0.0, 1.0, top + height, top)
+        return _words("There are no context windows.")
+    height = 160.0
+    x, unit_s, name = _time_axis(track)
+    y = _Axis(0.0, 1.0, _TOP + height, _TOP)
     previous_s = np.concatenate([[track.start_time_s], windows.time_s[:-1]])
     starts_s = np.maximum(previous_s, windows.time_s - 2.0)  # a window tells about its own 2 s
     start_x, end_x, prob = _columns(
@@ -373,8 +395,8 @@ def _contexts(track: Track) -> str:
     upper = np.cumsum(prob, axis=1)
     parts: list[str] = []
     for i, context in enumerate(windows.contexts):
-        # One path of rectangles for each context, hair lines left out.
-        shown = prob[:, i] > 0.01
+        # One path of rectangles for each context.
+        shown = prob[:, i] > _VISIBLE_PROB
         low, high = y.all_at((upper - prob)[shown, i]), y.all_at(upper[shown, i])
         boxes = "".join(
             f"M{_n(a)} {_n(b)}H{_n(c)}V{_n(d)}H{_n(a)}Z"
@@ -384,11 +406,11 @@ def _contexts(track: Track) -> str:
             fill = f"fill='{_colour(i)}' shape-rendering='crispEdges'"
             parts.append(f"<path d='{boxes}' {fill}><title>{_text(context)}</title></path>")
     ticks = np.unique(np.round(x.all_at(track.time_s[np.isfinite(track.time_s)] / unit_s), 0))
-    marks = "".join(f"M{_n(v)} {_n(top - 10)}V{_n(top - 3)}" for v in ticks)
+    marks = "".join(f"M{_n(v)} {_n(_TOP - 10)}V{_n(_TOP - 3)}" for v in ticks)
     if marks:
         parts.append(f"<path d='{marks}' stroke='#222' stroke-width='0.7'><title>steps</title></path>")
-    grid = _grid(x, y, f"{name}; ticks on top are steps", "probability", 2)
-    return _svg(top + height + 44.0, "Context probabilities over time", grid, *parts)
+    grid = _grid(x, y, f"{name}; ticks on top are steps", "", 2)
+    return _svg(_TOP + height + _BOTTOM, "Context probabilities over time", grid, *parts)
 
 
 def _columns(start_x: FloatArray, end_x: FloatArray, prob: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
@@ -405,12 +427,12 @@ def _speed(track: Track) -> str:
     speed, std = track.smoothed_speed_mps, track.smoothed_speed_std_mps
     usable = np.isfinite(speed) & np.isfinite(std) & np.isfinite(track.time_s)
     if not usable.any():
-        return _empty("There are no steps.")
+        return _words("There are no steps.")
     time_s, speed, std = track.time_s[usable], speed[usable], _INTERVAL_95 * std[usable]
     every = max(1, len(time_s) // (4 * _MAX_COLUMNS))
-    height, top, left = 180.0, 8.0, 56.0
-    x, unit_s, name = _time_axis(track, left)
-    y = _Axis(0.0, max(1.08 * float(np.max(speed + std)), 0.5), top + height, top)
+    height = 220.0
+    x, unit_s, name = _time_axis(track)
+    y = _Axis(0.0, max(1.08 * float(np.max(speed + std)), 0.5), _TOP + height, _TOP)
     parts = [_grid(x, y, name, "speed (m/s)")]
     for a, b in _runs(np.diff(time_s) > _BOUT_PAUSE_S):
         inside = np.unique([*range(a, b, every), b - 1])
@@ -425,21 +447,21 @@ def _speed(track: Track) -> str:
         line = _points(at, mean)
         parts.append(f"<polyline points='{line}' fill='none' stroke='#0072B2' stroke-width='1.6' />")
     words = "Smoothed over the steps of a bout so far, with its 95 % interval."
-    return _svg(top + height + 44.0, "Walking speed over time", *parts) + _empty(words)
+    return _svg(_TOP + height + _BOTTOM, "Walking speed over time", *parts) + _words(words)
 
 
 def _step_lengths(track: Track) -> str:
     length_m = track.step_length_m[np.isfinite(track.step_length_m)]
     if not len(length_m):
-        return _empty("There are no steps.")
+        return _words("There are no steps.")
     # The far end of nonsense does not squeeze the rest together.
     cut_m = max(float(np.quantile(length_m, 0.999)), 1.0) + _BIN_M
     n_bins = min(math.ceil(cut_m / _BIN_M), 200)
     edges_m = np.linspace(0.0, max(n_bins * _BIN_M, cut_m), n_bins + 1)
     count = np.histogram(np.minimum(length_m, edges_m[-1]), edges_m)[0]
-    height, top, left = 160.0, 8.0, 56.0
-    x = _Axis(0.0, float(edges_m[-1]), left, _WIDTH - 12.0)
-    y = _Axis(0.0, 1.08 * int(count.max()), top + height, top)
+    height = 200.0
+    x = _Axis(0.0, float(edges_m[-1]), _LEFT, _WIDTH - _RIGHT)
+    y = _Axis(0.0, 1.08 * int(count.max()), _TOP + height, _TOP)
     parts = [_grid(x, y, "step length (m)", "steps")]
     for a, b, n in zip(edges_m[:-1], edges_m[1:], count, strict=True):
         if n:
@@ -450,4 +472,4 @@ def _step_lengths(track: Track) -> str:
     low, median, high = np.quantile(length_m, [0.05, 0.5, 0.95])
     parts.append(_line(x.at(float(median)), y.start, x.at(float(median)), y.end, "#222", 1.5))
     words = f"Median {median:.2f} m (line); nine of ten between {low:.2f} and {high:.2f} m."
-    return _svg(top + height + 44.0, "Distribution of the step lengths", *parts) + _empty(words)
+    return _svg(_TOP + height + _BOTTOM, "Distribution of the step lengths", *parts) + _words(words)

@@ -491,6 +491,12 @@ class Track:
 
         return writers.write_csv(self, path)
 
+    def to_parquet(self, path: str | Path) -> Path:
+        """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""
+        from pdr_filter.io import writers
+
+        return writers.write_parquet(self, path)
+
     def to_geojson(self, path: str | Path, origin: tuple[float, float]) -> Path:
         """Write a GeoJSON line in WGS 84 and return the path; `origin` is (lat_deg, lon_deg) of the start."""
         from pdr_filter.io import writers

@@ -93,7 +93,7 @@ def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
     near = np.abs(at_s[index] - accelerometer.time_s) < 0.3
     w, x, y, z = quaternion[index].T
     up_sensor = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
-    with np.errstate(over="ignore", invalid="ignore"):
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         force = accelerometer.values
         cosine = (force * up_sensor).sum(axis=1) / np.sqrt(np.square(force).sum(axis=1))
     cosine = cosine[near & np.isfinite(cosine)]

@@ -37,8 +37,10 @@ from pdr_filter.io.table import (
     decode,
     header_fields,
     parse_blocks,
+    parse_lines,
     refuse_far_times,
     split_header,
+    to_number,
     whole_number,
 )
 from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Recording
@@ -73,6 +75,9 @@ STALE_S = 60.0
 GRAVITY_GAP_S = 0.3
 DIGITS = re.compile(r"[0-9]{1,18}[0-9]?(,[0-9]{1,18}[0-9]?)*")
 BETWEEN_OBJECTS = re.compile(rb"\}\s{0,20},\s{0,20}\{")
+SENSOR_FIRST = '{"sensor":"'
+PLAIN_WORD = re.compile(r"\w{1,100}")
+NUMBER = "[-+.0-9eE]++"  # what the app writes as one; possessive, so that nothing is tried twice
 TAIL_BYTES = 65536  # in which an object ends, unless one is longer than any of a sensor
 # Places tried to cut a piece of JSON; more would let a damaged file take long.
 CUTS_TRIED = 4
@@ -356,24 +361,19 @@ def _read_json(
     begun: dict[str, int | None] = {}
     metadata: dict[str, str] = {}
     annotations: list[tuple[int, str]] = []
-    for objects in _json_pieces(members, name, where):
-        rows: dict[str, list[dict[str, Any]]] = {}
-        for item in objects:
-            sensor: Any = item.get("sensor")
-            if isinstance(sensor, str):
-                rows.setdefault(sensor, []).append(item)
-        for item in rows.get("Metadata", []) + rows.get("metadata", []):
+    for groups in _json_pieces(members, name, where):
+        for item in chain(*(groups[key].items() for key in ("Metadata", "metadata") if key in groups)):
             metadata = {key: str(value) for key, value in item.items()}
-        if len(annotations) < MAX_ANNOTATIONS:
+        if "Annotation" in groups and len(annotations) < MAX_ANNOTATIONS:
             keys = ["time", "text"]
-            annotations += _annotations(
-                [keys, *([str(r.get(k, "")) for k in keys] for r in rows.get("Annotation", []))]
-            )
+            rows = ([str(item.get(key, "")) for key in keys] for item in groups["Annotation"].items())
+            annotations += _annotations([keys, *rows])
         for sensor, columns in COLUMNS.items():
-            if sensor in rows:
+            if sensor in groups:
+                group = groups[sensor]
                 if sensor not in begun:
-                    begun[sensor] = _begun_ns_of(rows[sensor][:HEAD_ROWS])
-                time_ns, numbers = _json_rows(rows[sensor], columns, f"{where}, {sensor}", notes)
+                    begun[sensor] = _begun_ns_of(group.items(HEAD_ROWS))
+                time_ns, numbers = _json_rows(group, columns, f"{where}, {sensor}", notes)
                 times.setdefault(sensor, []).append(time_ns)
                 values.setdefault(sensor, []).append(numbers)
     sensors = {
@@ -390,15 +390,34 @@ def _begun_ns_of(rows: list[dict[str, Any]]) -> int | None:
     return _begun_ns("\n".join(lines).encode("utf-8", "replace"), 0, 1)
 
 
-def _json_rows(
-    rows: list[dict[str, Any]], columns: tuple[str, ...], where: str, notes: list[str]
-) -> tuple[IntArray, FloatArray]:
-    missing = [key for key in ("time", *columns) if key not in rows[0]]
+@dataclass(frozen=True, slots=True)
+class _Objects:
+    """Objects of one sensor: as parsed, or as text where all are alike, which is most of any file."""
+
+    parsed: list[dict[str, Any]]
+    keys: tuple[str, ...] = ()  # of every object in `texts`, in this order
+    texts: tuple[str, ...] = ()  # "key":"number" pairs without spaces, the sensor's name first; without braces
+
+    def items(self, most: int | None = None) -> list[dict[str, Any]]:
+        return self.parsed[:most] if self.parsed else json.loads(f"[{{{'},{'.join(self.texts[:most])}}}]")
+
+
+def _json_rows(group: _Objects, columns: tuple[str, ...], where: str, notes: list[str]) -> tuple[IntArray, FloatArray]:
+    keys = group.keys or tuple(group.parsed[0])
+    missing = [key for key in ("time", *columns) if key not in keys]
     if missing:
-        raise RecordingError(f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, rows[0]))[:120]})")
+        raise RecordingError(f"{where}: no key {missing[0]!r} (found: {', '.join(map(str, keys))[:120]})")
+    if group.texts:
+        # Between quotation marks the fields are: nothing, key, colon, value, comma, key, colon, value, ...
+        layout = Layout(tuple(3 + 4 * keys.index(c) for c in columns), 3 + 4 * keys.index("time"), separator='"')
+        with contextlib.suppress(ValueError):
+            table = parse_lines(group.texts, layout)
+            refuse_far_times(table.whole, where)
+            return table.whole, finite(table.values, where, notes)
+    rows = group.items()
     try:
         times = [str(row["time"]) for row in rows]
-        if DIGITS.fullmatch(",".join(times)):  # nearly always
+        if DIGITS.fullmatch(",".join(times)):
             time_ns = np.array(list(map(int, times)), dtype=np.int64)
         else:
             known = [whole_number(time) for time in times]
@@ -406,23 +425,34 @@ def _json_rows(
             time_ns = np.array([time for time in known if time is not None], dtype=np.int64)
         values = np.empty((len(rows), len(columns)))
         for i, key in enumerate(columns):
-            try:
-                values[:, i] = [float(row[key]) for row in rows]
-            except (ValueError, TypeError, KeyError):
-                values[:, i] = [_json_float(row.get(key)) for row in rows]
+            values[:, i] = _floats([row.get(key) for row in rows])
     except (ValueError, TypeError, KeyError, OverflowError) as error:
         raise RecordingError(f"{where}: not a number ({str(error)[:60]}); export it again") from error
     refuse_far_times(time_ns, where)
     return time_ns, finite(values, where, notes)
 
 
+def _floats(column: list[Any]) -> list[float]:
+    """Numbers, or texts of numbers; NaN where there is none. ValueError for anything else."""
+    kinds = set(map(type, column))
+    if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten
+        with contextlib.suppress(ValueError):
+            return list(map(float, column))
+    return list(map(_json_float, column))
+
+
 def _json_float(value: Any) -> float:
-    if value is None or value == "" or value == "null":
+    if value is None:
         return math.nan
-    return float(value)
+    if type(value) in (int, float):
+        return float(value)
+    number = to_number(value) if isinstance(value, str) else None
+    if number is None:
+        raise ValueError(repr(value))
+    return number
 
 
-def _json_pieces(members: Members, name: str, where: str) -> Iterator[list[dict[str, Any]]]:
+def _json_pieces(members: Members, name: str, where: str) -> Iterator[dict[str, _Objects]]:
     """The objects of the array, some thousand at once: the file is cut where one object ends and the next begins."""
     rest = b""
     begun = False
@@ -436,7 +466,7 @@ def _json_pieces(members: Members, name: str, where: str) -> Iterator[list[dict[
         tail = max(0, len(text) - TAIL_BYTES)
         cuts = list(BETWEEN_OBJECTS.finditer(text, tail))[-CUTS_TRIED:]
         for cut in reversed(cuts):  # one that lies in a text is not where an object ends; the one before it is
-            objects = _loads(b"[" + text[: cut.start() + 1] + b"]")
+            objects = _objects(text[: cut.start() + 1])
             if objects is not None:
                 yield objects
                 text = text[cut.end() - 1 :]
@@ -444,17 +474,78 @@ def _json_pieces(members: Members, name: str, where: str) -> Iterator[list[dict[
         rest = text
         if len(rest) > 2 * BLOCK_BYTES:
             raise RecordingError(f"{where}: the JSON is damaged; export it again")
-    objects = _loads(b"[" + rest.rstrip())
+    rest = rest.rstrip()
+    objects = _objects(rest[:-1]) if rest.endswith(b"]") else None
     if objects is None:
         raise RecordingError(f"{where}: the JSON is damaged or cut off; export it again")
     yield objects
 
 
-def _loads(content: bytes) -> list[dict[str, Any]] | None:
+def _objects(content: bytes) -> dict[str, _Objects] | None:
+    """Objects by sensor of the inside of an array; None if it is no JSON.
+
+    Parsing every object takes twice as long as finding that all of a sensor have the same keys around numbers, and
+    reading these as a table.
+    """
+    groups = _alike(content)
+    if groups is not None:
+        return groups
+    objects = _loads(content)
+    return None if objects is None else _grouped(objects)
+
+
+def _alike(content: bytes) -> dict[str, _Objects] | None:
+    """The same in the app's own layout, without spaces and with the sensor's name first; None if it is another."""
     try:
-        value: Any = json.loads(content)
-    except (ValueError, RecursionError):
+        text = content.decode()
+    except UnicodeDecodeError:
         return None
-    if not isinstance(value, list):
+    if not (text.startswith(SENSOR_FIRST) and text.endswith("}")):
+        return None
+    by_sensor: dict[str, list[str]] = {}
+    begin = len(SENSOR_FIRST) - 1
+    for inside in text[1:-1].split("},{"):
+        # A text in the file that holds such a cut makes parts that do not begin like an object, or are no JSON.
+        if not inside.startswith(SENSOR_FIRST[1:]):
+            return None
+        by_sensor.setdefault(inside[begin : inside.find('"', begin)], []).append(inside)
+    groups: dict[str, _Objects] = {}
+    for sensor, texts in by_sensor.items():
+        keys = _common_keys(texts)
+        parsed = None if keys else _loads(f"{{{'},{'.join(texts)}}}".encode())
+        if parsed is not None:
+            groups |= _grouped(parsed)
+        elif keys:
+            groups[sensor] = _Objects([], keys, tuple(texts))
+        else:
+            return None
+    return groups
+
+
+def _common_keys(texts: list[str]) -> tuple[str, ...]:
+    """Keys of all objects if they are the same, in the same order, around numbers; none if they are not."""
+    parts = texts[0].split('"')
+    sensor, keys = parts[3], tuple(parts[1::4])
+    if not all(PLAIN_WORD.fullmatch(word) for word in (sensor, *keys)) or len(set(keys)) < len(keys) or len(keys) < 2:
+        return ()
+    pairs = ",".join(f'"{key}":"{NUMBER}"' for key in keys[1:])
+    one = f'"sensor":"{sensor}",{pairs}\n'
+    return keys if re.fullmatch(f"(?:{one})*+", "\n".join([*texts, ""])) else ()
+
+
+def _grouped(objects: list[dict[str, Any]]) -> dict[str, _Objects]:
+    by_sensor: dict[str, _Objects] = {}
+    for item in objects:
+        sensor: Any = item.get("sensor")
+        if isinstance(sensor, str):
+            by_sensor.setdefault(sensor, _Objects([])).parsed.append(item)
+    return by_sensor
+
+
+def _loads(inside: bytes) -> list[dict[str, Any]] | None:
+    """The objects of the inside of an array, None if it is no JSON."""
+    try:
+        value: Any = json.loads(b"[" + inside + b"]")
+    except (ValueError, RecursionError):
         return None
     return [cast("dict[str, Any]", item) for item in cast("list[Any]", value) if isinstance(item, dict)]

@@ -1,4 +1,4 @@
-"""Writing tracks: CSV, GeoJSON, GPX and TUM. Each creates the folder, writes one file and returns its path."""
+"""Writing tracks: CSV, parquet, GeoJSON, GPX and TUM. Each creates the folder, writes one file and returns its path."""
 
 from __future__ import annotations
 
@@ -8,6 +8,7 @@ import json
 from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
@@ -17,10 +18,12 @@ from pdr_filter import __version__
 from pdr_filter.angles import yaw_from_heading
 from pdr_filter.types import FloatArray, Track
 
-FRAME_NOTE = (
-    "East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. North is true north "
-    "only where an absolute heading was available, otherwise it is the direction of the device's heading at the start."
+_NORTH = (
+    "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "
+    "heading at the start."
 )
+_FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
+FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
 GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
 MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
 
@@ -31,19 +34,67 @@ def write_csv(track: Track, path: str | Path) -> Path:
     Columns: time_s, east_m, north_m, cov_ee_m2, cov_en_m2, cov_nn_m2, step_length_m, walking_heading_rad,
     smoothed_speed_mps, smoothed_speed_std_mps, context_prob_<context> for each context, mode_prob_<mode> for each mode.
     """
-    names = ["time_s", "east_m", "north_m", "cov_ee_m2", "cov_en_m2", "cov_nn_m2", "step_length_m"]
-    names += ["walking_heading_rad", "smoothed_speed_mps", "smoothed_speed_std_mps"]
-    names += [f"context_prob_{name}" for name in track.contexts] + [f"mode_prob_{name}" for name in track.modes]
-    covariance = track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]
-    values = np.column_stack([track.position_m, covariance, track.step_length_m, track.walking_heading_rad])
-    values = np.column_stack([values, track.smoothed_speed_mps, track.smoothed_speed_std_mps])
-    values = np.column_stack([values, track.context_prob, track.mode_prob])
+    columns = _columns(track)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(names)
-    for time_s, row in zip(track.time_s, values, strict=True):
+    writer.writerow(columns)
+    for time_s, *row in zip(*columns.values(), strict=True):
         writer.writerow([f"{time_s:.6f}", *(f"{value:.7g}" for value in row)])
     return _write(path, text.getvalue())
+
+
+def write_parquet(track: Track, path: str | Path) -> Path:
+    """Write the columns of `write_csv` with all their digits, and return the path.
+
+    What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame: name, weighting,
+    start_time_s, duration_s, notes, frame, and the version of this package. Needs pandas and pyarrow (extra `parquet`).
+    """
+    pandas = pandas_for_parquet(path)
+    frame: Any = pandas.DataFrame(_columns(track))
+    frame.attrs = {
+        "name": track.name,
+        "weighting": track.weighting,
+        "start_time_s": float(track.start_time_s),
+        "duration_s": float(track.duration_s),
+        "notes": list(track.notes),
+        "frame": _FRAME,
+        "pdr_filter": __version__,
+    }
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    frame.to_parquet(path, engine="pyarrow", index=False)
+    return path
+
+
+def pandas_for_parquet(path: str | Path) -> Any:
+    """The module pandas; ValueError with the extra to install if it or pyarrow is missing."""
+    try:
+        import pandas  # pyright: ignore
+        import pyarrow  # noqa: F401  # pyright: ignore
+    except ImportError as error:
+        raise ValueError(
+            f"{path}: parquet needs pandas and pyarrow, pip install 'pdr_filter[parquet]'; or write CSV"
+        ) from error
+    return pandas
+
+
+def _columns(track: Track) -> dict[str, FloatArray]:
+    """Name and values of each column, one row a step."""
+    covariance = track.position_cov_m2.reshape(-1, 4)
+    return {
+        "time_s": track.time_s,
+        "east_m": track.position_m[:, 0],
+        "north_m": track.position_m[:, 1],
+        "cov_ee_m2": covariance[:, 0],
+        "cov_en_m2": covariance[:, 1],
+        "cov_nn_m2": covariance[:, 3],
+        "step_length_m": track.step_length_m,
+        "walking_heading_rad": track.walking_heading_rad,
+        "smoothed_speed_mps": track.smoothed_speed_mps,
+        "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
+        **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
+        **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
+    }
 
 
 def write_geojson(track: Track, path: str | Path, origin: tuple[float, float]) -> Path:

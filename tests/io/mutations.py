@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import random
 import re
 from collections.abc import Callable
@@ -22,7 +23,10 @@ from app_files import (
     write_zip,
 )
 
+from pdr_filter.io.checks import LARGEST_VALUE, SPECIFIC_FORCE_RANGE_MPS2
+from pdr_filter.io.describe import median_norm
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.report import reading_report
 from pdr_filter.types import Recording, Samples
 
 N = 24
@@ -40,7 +44,11 @@ def small_recording() -> Recording:
 
 def good_file(name: str, folder: Path) -> Path:
     """One good file of a format in a folder; `name` may say which of its forms, after a colon."""
-    recording = small_recording()
+    return file_of(name, small_recording(), folder)
+
+
+def file_of(name: str, recording: Recording, folder: Path) -> Path:
+    """A recording as the app of that format would have written it."""
     path = folder / "good"
     format, _, form = name.partition(":")
     if format == "own":
@@ -87,6 +95,10 @@ def good_file(name: str, folder: Path) -> Path:
             assert recording.gyroscope is not None
             file["synced/gyro"] = recording.gyroscope.values
             file["pose/tango_pos"] = 0 * recording.accelerometer.values
+            if recording.magnetometer is not None:
+                file["synced/magnet"] = recording.magnetometer.values
+            if recording.attitude is not None:
+                file["synced/game_rv"] = recording.attitude.values
         return path.rename(folder / "good.hdf5")
     raise ValueError(name)
 
@@ -205,3 +217,53 @@ def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
     path = folder / good.name
     path.write_bytes(data)
     return path
+
+
+# ---------------------------------------------------------------- what a reader may do with them
+
+
+def faults_of_refusal(message: str, path: Path) -> list[str]:
+    """What is wrong with a refusal: it must name the file, or the TOML file beside it, and say more than that."""
+    faults = [] if path.name in message or path.with_suffix(".toml").name in message else ["does not name the file"]
+    if len(message.replace(str(path), "").strip(": ")) < 10:
+        faults.append("says nothing")
+    return faults
+
+
+def faults_of_recording(recording: Recording, format: str | None) -> list[str]:
+    """What is inconsistent in a recording and its reading report; nothing if all is well."""
+    faults: list[str] = []
+    report = reading_report(recording)
+    if {s.name: s.n_samples for s in report.streams} != {name: len(s) for name, s in recording.streams.items()}:
+        faults.append("the report counts other samples")
+    for stream in report.streams:
+        counts = (stream.n_gaps, stream.n_duplicates, stream.n_backward)
+        if min(counts) < 0 or sum(counts[1:]) >= max(stream.n_samples, 1) or not stream.longest_gap_s >= 0:
+            faults.append(f"{stream.name}: the report counts more or less than there can be")
+    if report.notes != recording.notes:
+        faults.append("the report has other notes")
+    if format is not None and SOURCES[format] not in report.source:
+        faults.append(f"read as {report.source}")
+    json.dumps(report.as_dict(), allow_nan=False)
+    for name, samples in recording.streams.items():
+        if not np.isfinite(samples.time_s).all() or len(samples.time_s) != len(samples.values):
+            faults.append(f"{name}: times that are not finite, or not one for each row")
+        if not (np.isnan(samples.values) | (np.abs(samples.values) <= LARGEST_VALUE)).all():
+            faults.append(f"{name}: absurd values")
+    median = median_norm(recording.accelerometer.values)
+    if not SPECIFIC_FORCE_RANGE_MPS2[0] <= median <= SPECIFIC_FORCE_RANGE_MPS2[1]:
+        faults.append(f"median specific force {median}")
+    return faults
+
+
+# How the report names each format.
+SOURCES = {
+    "own": "own format",
+    "sensor_logger": "Sensor Logger",
+    "phyphox": "phyphox",
+    "get_sensor_data": "GetSensorData",
+    "indoor_location": "indoor-location",
+    "core_motion": "CoreMotion",
+    "generic_csv": "CSV",
+    "ronin": "RoNIN",
+}

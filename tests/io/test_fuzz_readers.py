@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 import random
-import time
 import zipfile
 from pathlib import Path
+from time import process_time as time_of_processor
 
 import numpy as np
 import pytest
 from app_files import a_walk, phyphox_files, sensor_logger_files, sensor_logger_json, write_folder, write_zip
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
-from mutations import FORMS, good_file, mutated_file
+from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
 
 from pdr_filter.io import FORMATS, read
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import detect
 
 TEXTS = ("sensor_logger:json", "get_sensor_data", "indoor_location", "core_motion", "phyphox:csv")
+# Of processor time; each takes some 0.1 s, and a machine may be busy. The benchmark of the same mutations says seconds.
+SOON_S = 5.0
 FUZZ = settings(max_examples=12, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 
 
@@ -29,15 +31,20 @@ def good(form: str, folder: Path) -> Path:
     return good_file(form, folder)
 
 
+def files_in(folder: Path) -> dict[Path, bytes]:
+    return {path: path.read_bytes() for path in folder.rglob("*") if path.is_file()}
+
+
 def recording_or_refusal(path: Path, format: str | None) -> None:
-    begin = time.process_time()
+    """A refusal that names the file, or a recording that its report fits; no file is written, changed or removed."""
+    before = files_in(path.parent)
     try:
         recording = read(path, format)
     except RecordingError as error:
-        assert str(error)
+        assert faults_of_refusal(str(error), path) == []
     else:
-        assert np.isfinite(recording.accelerometer.time_s).all()
-    assert time.process_time() - begin < 1.0
+        assert faults_of_recording(recording, format) == []
+    assert files_in(path.parent) == before
 
 
 def refusal(path: Path, format: str | None = None) -> str:
@@ -88,9 +95,9 @@ def test_a_mutated_file_gives_a_recording_or_a_refusal(tmp_path: Path, form: str
 @FUZZ
 @given(content=st.binary(max_size=200))
 def test_any_bytes_give_a_recording_or_a_refusal(tmp_path: Path, format: str, content: bytes) -> None:
-    (tmp_path / "bytes").write_bytes(content)
-    recording_or_refusal(tmp_path / "bytes", format)
-    recording_or_refusal(tmp_path / "bytes", None)
+    (tmp_path / "any_bytes").write_bytes(content)
+    recording_or_refusal(tmp_path / "any_bytes", format)
+    recording_or_refusal(tmp_path / "any_bytes", None)
 
 
 # ---------------------------------------------------------------- hostile files
@@ -124,9 +131,10 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, name: str, 
             for _ in range(65):
                 member.write(b"0" * 2**20)
         file.writestr("Metadata.csv", "platform,standardisation\nandroid,false")
-    begin = time.process_time()
+    begin = time_of_processor()
     assert "times its size" in refusal(path)
-    assert time.process_time() - begin < 1.0
+    assert time_of_processor() - begin < SOON_S
+    assert [entry.name for entry in tmp_path.iterdir()] == ["w.zip"]
 
 
 @pytest.mark.parametrize("byte", [b"0", b"\n", b",", b";", b'"', b"\t", b" ", b"\r"])
@@ -134,7 +142,9 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path, name: str, 
 def test_megabytes_of_one_byte_after_good_lines_end_soon(tmp_path: Path, form: str, byte: bytes) -> None:
     path = good(form, tmp_path / "x")
     path.write_bytes(path.read_bytes() + byte * 500_000)
+    begin = time_of_processor()
     recording_or_refusal(path, form.partition(":")[0])
+    assert time_of_processor() - begin < SOON_S
 
 
 @pytest.mark.parametrize("encoding", ["utf-16", "utf-16-le", "utf-16-be"])
@@ -188,7 +198,19 @@ def test_times_that_an_int64_cannot_subtract_are_refused(tmp_path: Path) -> None
 def test_a_time_that_is_no_whole_number_is_refused_or_unknown_soon(tmp_path: Path, time: str) -> None:
     files = sensor_logger_files(a_walk())
     files["TotalAcceleration.csv"] += f"{time},25.0,9.8,0.0,0.0\n"
+    begin = time_of_processor()
     for format in (None, "sensor_logger"):
-        recording_or_refusal(write_folder(tmp_path / "w", files), format)
-    (tmp_path / "w.json").write_text(sensor_logger_json(files))
-    recording_or_refusal(tmp_path / "w.json", None)
+        recording_or_refusal(write_folder(tmp_path / "walk", files), format)
+    (tmp_path / "walk.json").write_text(sensor_logger_json(files))
+    recording_or_refusal(tmp_path / "walk.json", None)
+    assert time_of_processor() - begin < SOON_S
+
+
+@pytest.mark.parametrize("form", ["sensor_logger:json", "get_sensor_data", "indoor_location"])
+def test_a_value_whose_square_vanishes_is_read_without_a_warning(tmp_path: Path, form: str) -> None:
+    path = good(form, tmp_path / "x")
+    text, row = path.read_text(encoding="latin-1"), read(path).accelerometer.values[3]
+    for number in row.tolist():
+        text = text.replace(repr(number), "1e-200", 1)
+    path.write_text(text, encoding="latin-1")
+    np.testing.assert_array_equal(read(path).accelerometer.values[3], [1e-200] * 3)

@@ -23,7 +23,7 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import read
+from pdr_filter.io import archive, read
 from pdr_filter.io.describe import describe
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.report import reading_report
@@ -265,3 +265,75 @@ def test_json_with_a_brace_in_a_text_is_read(tmp_path: Path) -> None:
     (tmp_path / "w.json").write_text(json.dumps(objects, separators=(",", ":")))
     recording: Recording = read(tmp_path / "w.json")
     assert recording.meta["annotations"][0]["text"] == 'odd "},{" text'
+
+
+def json_objects() -> list[dict[str, str]]:
+    return json.loads(sensor_logger_json(sensor_logger_files(WALK)))
+
+
+def of_json(path: Path, text: str) -> Recording:
+    path.write_text(text)
+    return read(path)
+
+
+@pytest.mark.parametrize("layout", ["with spaces", "by time", "other order of keys", "numbers", "one object differs"])
+def test_json_in_another_layout_gives_the_same_bits(tmp_path: Path, layout: str) -> None:
+    """The app's own layout is read as a table; whatever is not exactly so is parsed object by object."""
+    compact = {"separators": (",", ":")}
+    objects = json_objects()
+    expected = of_json(tmp_path / "w.json", json.dumps(objects, **compact))
+    if layout == "with spaces":
+        text = json.dumps(objects, indent=1)
+    elif layout == "by time":  # sensors mixed, each in its order
+        text = json.dumps(sorted(objects, key=lambda item: int(item.get("time", 0))), **compact)
+    elif layout == "other order of keys":
+        text = json.dumps([dict(reversed(item.items())) for item in objects], **compact)
+    elif layout == "numbers":
+        number = {"time": int, "x": float, "y": float, "z": float}
+        text = json.dumps([{k: number.get(k, str)(v) for k, v in item.items()} for item in objects], **compact)
+    else:
+        (objects[500]["x"], objects[500]["z"]), objects[500]["more"] = (
+            (objects[500].pop("x"), objects[500].pop("z")),
+            "",
+        )
+        text = json.dumps(objects, **compact)
+    found = of_json(tmp_path / "w.json", text)
+    assert found.meta == expected.meta
+    assert found.streams.keys() == expected.streams.keys()
+    for name, samples in expected.streams.items():
+        np.testing.assert_array_equal(found.streams[name].time_s, samples.time_s)
+        np.testing.assert_array_equal(found.streams[name].values, samples.values)
+
+
+@pytest.mark.parametrize("value", ["", "null", "1e999", "0x10", "1_0", "--1", "1e", "."])
+def test_a_value_that_is_no_number_means_the_same_in_json_of_every_layout(tmp_path: Path, value: str) -> None:
+    objects = json_objects()
+    accelerometer = [item for item in objects if item["sensor"] == "TotalAcceleration"]
+    accelerometer[7]["x"] = value
+    outcomes: list[str | np.ndarray] = []
+    for separators in ((",", ":"), (", ", ": ")):
+        try:
+            outcomes.append(
+                of_json(tmp_path / "w.json", json.dumps(objects, separators=separators)).accelerometer.values
+            )
+        except RecordingError as error:
+            outcomes.append(str(error))
+    if value in ("", "null", "1e999"):
+        np.testing.assert_array_equal(*outcomes)
+        assert np.isnan(outcomes[0][7, 0])
+        assert np.isnan(outcomes[0]).sum() == 1
+    else:
+        assert outcomes[0] == outcomes[1]
+        assert "not a number" in outcomes[0]
+
+
+def test_json_larger_than_a_block_loses_no_object_where_it_is_cut(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    text = sensor_logger_json(sensor_logger_files(WALK))
+    expected = of_json(tmp_path / "w.json", text)
+    monkeypatch.setattr(archive, "BLOCK_BYTES", 10_007)
+    found = read(tmp_path / "w.json")
+    for name, samples in expected.streams.items():
+        np.testing.assert_array_equal(found.streams[name].time_s, samples.time_s)
+        np.testing.assert_array_equal(found.streams[name].values, samples.values)

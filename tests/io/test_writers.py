@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import csv
+import importlib.util
 import json
+import sys
 from collections.abc import Callable
 from dataclasses import fields, replace
 from pathlib import Path
@@ -13,8 +15,12 @@ import numpy as np
 import pymap3d
 import pytest
 from helpers import windows_of
+from typer.testing import CliRunner
 
+import pdr_filter as pdr
+from pdr_filter.cli import app
 from pdr_filter.io import writers
+from pdr_filter.simulate import Leg
 from pdr_filter.types import Step, Track, step_table
 
 ORIGIN = (48.137, 11.575)
@@ -56,6 +62,8 @@ WRITERS: dict[str, Callable[[Track, Path], Path]] = {
     "gpx": lambda track, path: writers.write_gpx(track, path, ORIGIN, 1.7e9),
     "tum": writers.write_tum,
 }
+PARQUET = importlib.util.find_spec("pyarrow") is not None and importlib.util.find_spec("pandas") is not None
+needs_parquet = pytest.mark.skipif(not PARQUET, reason="needs the extra `parquet`")
 
 
 @pytest.mark.parametrize("kind", WRITERS)
@@ -103,6 +111,63 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
 
 def test_csv_of_a_track_without_steps_is_the_header(tmp_path: Path) -> None:
     assert len(writers.write_csv(small_track(0), tmp_path / "t.csv").read_text().splitlines()) == 1
+
+
+@needs_parquet
+@pytest.mark.parametrize("n", [0, 1, 3])
+def test_parquet_read_back_in_pandas_and_written_as_csv_is_the_csv_file(tmp_path: Path, n: int) -> None:
+    import pandas as pd
+
+    track = replace(small_track(n), step_length_m=np.array([1 / 3, np.nan, 1e-9])[:n])
+    frame = pd.read_parquet(track.to_parquet(tmp_path / "new" / "t.parquet"))
+    times = frame.pop("time_s").map("{:.6f}".format)
+    texts = frame.map(lambda value: f"{value:.7g}")
+    texts.insert(0, "time_s", times)
+    texts.to_csv(tmp_path / "frame.csv", index=False, lineterminator="\n")
+    assert (tmp_path / "frame.csv").read_text() == track.to_csv(tmp_path / "t.csv").read_text()
+    np.testing.assert_array_equal(frame.step_length_m, track.step_length_m)  # with all digits
+    assert all(dtype == np.float64 for dtype in frame.dtypes)
+
+
+@needs_parquet
+def test_parquet_has_in_its_metadata_what_is_in_no_column(tmp_path: Path) -> None:
+    import pandas as pd
+
+    said = pd.read_parquet(small_track().to_parquet(tmp_path / "t.parquet")).attrs
+    assert (said["name"], said["weighting"]) == ("small <walk>", "imm")
+    assert (said["start_time_s"], said["duration_s"]) == (1.0, 2.0)
+    assert said["notes"] == ["only a test"]
+    assert "true north only where" in said["frame"]
+
+
+@needs_parquet
+def test_the_command_line_writes_parquet_and_a_page_for_each_of_two_tracks_of_one_name(tmp_path: Path) -> None:
+    import pandas as pd
+
+    walk = pdr.simulate.simulate([Leg("walking", distance_m=12.0)], rate_hz=50.0, name="walk")
+    paths = [str(walk.save(tmp_path / place / "walk.zip")) for place in ("a", "b")]
+    command = ["track", *paths, "--parquet", "--report", "--out", str(tmp_path / "out")]
+    assert CliRunner().invoke(app, command).exit_code == 0
+    assert {path.stem for path in (tmp_path / "out").glob("*.html")} == {"walk", "walk_2"}
+    for name in ("walk", "walk_2"):
+        frame = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
+        csv_frame = pd.read_csv(tmp_path / "out" / f"{name}.csv", dtype=float)
+        pd.testing.assert_frame_equal(frame, csv_frame, rtol=1e-6, atol=1e-6)
+    refused = CliRunner().invoke(app, ["track", paths[0], "--parquet"])
+    assert refused.exit_code == 2
+    many = CliRunner().invoke(app, ["track", *paths, "--jobs", "1", "--parquet", "--out", str(tmp_path / "many")])
+    assert many.exit_code == 0
+    assert len(pd.read_parquet(tmp_path / "many" / "tracks.parquet")) == 2
+
+
+@pytest.mark.parametrize("missing", ["pandas", "pyarrow"])
+def test_parquet_without_its_packages_is_refused_with_the_extra_to_install(
+    tmp_path: Path, missing: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setitem(sys.modules, missing, None)
+    with pytest.raises(ValueError, match=r"t\.parquet.*pip install 'pdr_filter\[parquet\]'"):
+        small_track().to_parquet(tmp_path / "t.parquet")
+    assert not list(tmp_path.iterdir())
 
 
 def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -> None:

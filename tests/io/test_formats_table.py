@@ -1,0 +1,339 @@
+"""The table of formats in docs/formats.md is true: what each reader reads, its signs, its report, its round trip."""
+
+from __future__ import annotations
+
+import ast
+import re
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app_files import a_walk, on_one_clock, with_level_attitude
+from mutations import SOURCES, file_of
+
+from pdr_filter.io import FORMATS, read
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.report import reading_report
+from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording, Samples
+
+ROOT = Path(__file__).parents[2]
+DOCS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+
+# What the table says of the round trip, and what it means: error of a time in s, of a value relative to the largest.
+ROUND_TRIP = {
+    "own": ("7 digits, times to 1 us", 0.51e-6, 1e-6),
+    "sensor_logger": ("same values, times to 1 ns", 1e-9, 0.0),
+    "phyphox": ("10 digits, as the app writes", 1e-8, 1e-9),
+    "get_sensor_data": ("same values, times to 1 us", 1.01e-6, 0.0),
+    "indoor_location": ("same values, times to 1 ms", 1.01e-3, 0.0),
+    "core_motion": ("same values, 50 Hz", 1e-9, 1e-12),
+    "ronin": ("same values", 1e-12, 0.0),
+    "generic_csv": ("same values", 1e-9, 1e-12),
+}
+FORMS = [
+    "own",
+    "sensor_logger:android",
+    "sensor_logger:ios",
+    "sensor_logger:json",
+    "phyphox:zip",
+    "phyphox:csv",
+    "get_sensor_data",
+    "indoor_location",
+    "core_motion",
+    "ronin",
+    "generic_csv",
+]
+# An attitude in the file is the only witness of the sign.
+WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "generic_csv")]
+
+
+def a_recording() -> Recording:
+    """Ten metres at 50 Hz, all sensors in one row, as some formats have it."""
+    walk = on_one_clock(a_walk(50.0))
+    n = len(walk.accelerometer)
+    assert walk.gyroscope is not None
+    time_s = np.arange(n) / 50
+    regular = replace(
+        walk,
+        accelerometer=Samples(time_s, walk.accelerometer.values),
+        gyroscope=Samples(time_s, walk.gyroscope.values),
+        magnetometer=None,
+    )
+    return with_level_attitude(regular)
+
+
+def lying(z_mps2: float) -> Recording:
+    """A phone lying still with its screen up, by its attitude, and its accelerometer reading this on z."""
+    time_s = np.arange(100) / 50
+    still = Samples(time_s, np.tile([0.0, 0.0, z_mps2], (100, 1)))
+    level = Samples(time_s, np.tile([1.0, 0.0, 0.0, 0.0], (100, 1)))
+    return Recording("lying", still, gyroscope=Samples(time_s, np.zeros((100, 3))), attitude=level)
+
+
+def written(form: str, recording: Recording, folder: Path) -> Path:
+    if form == "ronin":
+        pytest.importorskip("h5py")
+    return file_of(form, recording, folder)
+
+
+def rows_of(title: str) -> list[list[str]]:
+    """Rows of the table in the docs whose header begins with this."""
+    table = DOCS[DOCS.index(title) :].split("\n\n")[0].splitlines()
+    return [[cell.strip() for cell in row.strip("|").split(" | ")] for row in table[2:]]
+
+
+def test_the_table_has_every_format_and_the_round_trip_that_is_tested_here() -> None:
+    rows = {cells[0].strip(" `"): cells for cells in rows_of("| `format=` |")}
+    assert list(rows) == list(ROUND_TRIP)
+    assert set(rows) == set(FORMATS) == {form.partition(":")[0] for form in FORMS} == set(SOURCES)
+    for name, cells in rows.items():
+        _, reads, signs, report, round_trip = cells
+        assert reads
+        assert signs
+        assert report.startswith("yes")
+        assert round_trip == ROUND_TRIP[name][0]
+    assert {name for name, cells in rows.items() if "checked with" in cells[2]} == {
+        form.partition(":")[0] for form in WITH_ATTITUDE
+    }
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_recording_comes_back_as_closely_as_the_table_says(tmp_path: Path, form: str) -> None:
+    format = form.partition(":")[0]
+    recording = a_recording()
+    found = read(written(form, recording, tmp_path))
+    _, time_s, relative = ROUND_TRIP[format]
+    if form == "sensor_logger:ios":
+        relative = 1e-15  # the sum of Accelerometer and Gravity rounds
+    for name in ("accelerometer", "gyroscope"):
+        ours, theirs = found.streams[name], recording.streams[name]
+        np.testing.assert_allclose(ours.time_s, theirs.time_s, rtol=0, atol=time_s)
+        np.testing.assert_allclose(ours.values, theirs.values, rtol=0, atol=relative * np.abs(theirs.values).max())
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_a_phone_lying_face_up_reads_plus_9_81_on_z(tmp_path: Path, form: str) -> None:
+    values = read(written(form, lying(STANDARD_GRAVITY_MPS2), tmp_path)).accelerometer.values
+    np.testing.assert_allclose(values, np.tile([0, 0, STANDARD_GRAVITY_MPS2], (100, 1)), atol=1e-6)
+
+
+@pytest.mark.parametrize("form", WITH_ATTITUDE)
+def test_a_sign_that_the_attitude_of_the_phone_contradicts_is_refused(tmp_path: Path, form: str) -> None:
+    if form == "core_motion":  # its gravity column is the accelerometer's: only the angles can contradict it
+        path = written(form, lying(STANDARD_GRAVITY_MPS2), tmp_path)
+        lines = [line.split(",") for line in path.read_text().splitlines()]
+        roll = lines[0].index("attitude.roll")
+        text = "".join(",".join([*row[:roll], repr(np.pi), *row[roll + 1 :]]) + "\n" for row in lines[1:])
+        path.write_text(",".join(lines[0]) + "\n" + text)
+    else:
+        path = written(form, lying(-STANDARD_GRAVITY_MPS2), tmp_path)
+    with pytest.raises(RecordingError, match="points down in the phone's own attitude"):
+        read(path)
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_the_report_says_what_it_was_and_how_fast(tmp_path: Path, form: str) -> None:
+    recording = a_recording()
+    # Half a second is missing, and one sample is there twice.
+    kept = np.r_[0:100, 99, 125 : len(recording.accelerometer)]
+    cut = {name: Samples(s.time_s[kept], s.values[kept]) for name, s in recording.streams.items()}
+    report = reading_report(read(written(form, replace(recording, **cut), tmp_path)))
+    assert SOURCES[form.partition(":")[0]] in report.source
+    assert report.found
+    assert report.clock
+    stream = report.streams[0]
+    assert (stream.name, stream.n_samples) == ("accelerometer", len(kept))
+    if form == "core_motion":  # without a time column nothing can be missing
+        assert (stream.n_gaps, stream.n_duplicates, stream.delivered_hz) == (0, 0, pytest.approx(50.0))
+    else:
+        assert (stream.n_gaps, stream.n_duplicates, stream.n_backward) == (1, 1, 0)
+        assert stream.longest_gap_s == pytest.approx(0.52, abs=2e-3)
+        assert stream.delivered_hz == pytest.approx((len(kept) - 1) / recording.accelerometer.time_s[-1], rel=1e-3)
+
+
+# ---------------------------------------------------------------- a test for each trap
+
+
+OWN, FUZZ = "test_own_format.py", "test_fuzz_readers.py"
+LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sensor_data.py"
+INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
+GENERIC = "test_generic_csv.py"
+
+# Format and trap as in the table of the docs, and the tests that fail if it is stepped into.
+TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
+    ("all", "units: median of specific force about 1"): [
+        (OWN, "test_specific_force_in_wrong_units_is_refused"),
+        (LOGGER, "test_g_units_where_mps2_are_documented_are_refused"),
+        (PHYPHOX, "test_values_in_g_under_a_header_of_mps2_are_refused"),
+        (GENERIC, "test_units_that_are_told_wrong_are_refused"),
+    ],
+    ("all", "the specific force points down in the phone's own attitude"): [
+        (HERE, "test_a_sign_that_the_attitude_of_the_phone_contradicts_is_refused"),
+        (LOGGER, "test_a_platform_that_contradicts_the_attitude_is_refused"),
+    ],
+    ("all", "times far outside a phone's rates, angular rates like deg/s"): [
+        (OWN, "test_times_in_another_unit_are_refused_with_that_unit"),
+        (OWN, "test_a_rate_of_more_than_2000_hz_is_refused"),
+        (OWN, "test_a_gyroscope_in_degrees_is_refused"),
+    ],
+    ("all", "infinite or absurd values"): [
+        (OWN, "test_infinite_and_absurd_values_are_unknown"),
+        (FUZZ, "test_an_absurd_value_is_unknown_and_changes_no_other"),
+    ],
+    ("all", "a last line that is cut off"): [
+        (OWN, "test_a_last_line_that_is_cut_off_is_left_out"),
+        (GET, "test_a_last_line_that_is_cut_off_is_left_out"),
+        (HERE, "test_a_last_line_that_is_cut_off_loses_no_other"),
+    ],
+    ("all", "UTF-16, damaged zip, encrypted or bomb-like members, members outside the zip"): [
+        (FUZZ, "test_two_byte_text_is_refused_with_the_encoding_to_use"),
+        (FUZZ, "test_a_mutated_file_gives_a_recording_or_a_refusal"),
+        (OWN, "test_an_encrypted_member_is_refused"),
+        (FUZZ, "test_a_zip_bomb_is_refused_before_it_is_unpacked"),
+        (FUZZ, "test_a_member_that_points_outside_the_zip_is_refused"),
+    ],
+    ("Sensor Logger", "order of columns differs between versions"): [
+        (LOGGER, "test_columns_are_found_by_name_whatever_their_order"),
+        (LOGGER, "test_json_in_another_layout_gives_the_same_bits"),
+    ],
+    ("Sensor Logger", "`time` in nanoseconds since 1970"): [(LOGGER, "test_nanoseconds_keep_their_last_digit")],
+    ("Sensor Logger", "`Accelerometer` has gravity removed"): [
+        (LOGGER, "test_gravity_at_other_times_is_interpolated"),
+        (LOGGER, "test_acceleration_without_gravity_is_refused"),
+    ],
+    ("Sensor Logger", "iOS has the opposite sign, unless `standardisation` is true"): [
+        (LOGGER, "test_a_phone_lying_face_up_reads_plus_one_g_on_z"),
+        (LOGGER, "test_a_platform_that_is_not_known_is_refused_unless_only_android_writes_such_a_file"),
+    ],
+    ("Sensor Logger", "`AccelerometerUncalibrated` on iOS is in g"): [
+        (LOGGER, "test_uncalibrated_acceleration_on_ios_is_in_g_unless_standardised")
+    ],
+    ("Sensor Logger", "the gyroscope and the quaternion have the same sign on both systems"): [
+        (LOGGER, "test_a_walk_comes_back_as_it_was"),
+        (HERE, "test_a_sign_that_the_attitude_of_the_phone_contradicts_is_refused"),
+    ],
+    ("Sensor Logger", "`Annotation.csv` of 0 bytes, `Metadata.csv` without final line feed"): [
+        (LOGGER, "test_an_annotation_file_of_no_bytes_and_metadata_without_final_line_feed_are_read")
+    ],
+    ("Sensor Logger", "negative `seconds_elapsed`; first row remembered from days before"): [
+        (LOGGER, "test_negative_seconds_elapsed_change_nothing_but_a_remembered_value_is_left_out")
+    ],
+    ("Sensor Logger", "half the requested rate"): [(LOGGER, "test_half_the_requested_rate_is_reported")],
+    ("Sensor Logger", "horizontal accuracy -1"): [(LOGGER, "test_an_unknown_accuracy_of_a_location_is_nan")],
+    ("phyphox", "five separators and decimal signs"): [
+        (PHYPHOX, "test_a_walk_comes_back_whatever_separator_and_decimal_sign")
+    ],
+    ("phyphox", "the same sign on iOS as on Android"): [(PHYPHOX, "test_the_sign_is_androids")],
+    ("phyphox", "`Linear Acceleration`"): [
+        (PHYPHOX, "test_acceleration_without_gravity_alone_is_refused"),
+        (PHYPHOX, "test_acceleration_without_gravity_beside_the_right_one_is_ignored"),
+    ],
+    ("phyphox", "one CSV with several tables below each other"): [
+        (PHYPHOX, "test_one_csv_with_all_tables_below_each_other_comes_back")
+    ],
+    ("phyphox", "wall clock and pauses in `meta/time.csv`"): [
+        (PHYPHOX, "test_the_wall_clock_comes_from_the_meta_file"),
+        (PHYPHOX, "test_pauses_are_noted"),
+    ],
+    ("GetSensorData", "two times in each line"): [
+        (GET, "test_a_walk_comes_back_with_the_intervals_of_the_sensors_clock"),
+        (GET, "test_clocks_that_run_at_different_rates_are_refused"),
+    ],
+    ("GetSensorData", "a sensor clock that stands still"): [
+        (GET, "test_a_sensor_clock_that_stands_still_gives_way_to_the_apps_with_a_note")
+    ],
+    ("GetSensorData", "POSI on the app's clock"): [
+        (GET, "test_reference_positions_are_on_the_apps_clock"),
+        (GET, "test_reference_positions_are_metres_from_the_first"),
+    ],
+    ("GetSensorData", "logs that declare m/s^2 and hold g"): [
+        (GET, "test_a_log_that_declares_mps2_and_holds_g_is_refused_with_the_remedy")
+    ],
+    ("GetSensorData", "`%` comments, PRES, LIGH, PROX and GNSS lines, types that are not known"): [
+        (GET, "test_other_types_and_comments_are_ignored"),
+        (HERE, "test_the_small_sensors_of_get_sensor_data_are_read"),
+    ],
+    ("indoor-location", "unknown types, `..._UNCALIBRATED` beside the calibrated type"): [
+        (INDOOR, "test_uncalibrated_values_and_unknown_types_are_ignored")
+    ],
+    ("indoor-location", "times in whole milliseconds"): [(INDOOR, "test_a_walk_comes_back_to_the_millisecond")],
+    ("CoreMotion", "g, and Apple's sign"): [
+        (MOTION, "test_a_phone_lying_face_up_reads_plus_one_g_on_z"),
+        (MOTION, "test_gravity_in_mps2_is_refused"),
+    ],
+    ("CoreMotion", "no time column"): [
+        (MOTION, "test_a_walk_comes_back"),
+        (MOTION, "test_a_time_column_is_used_if_there_is_one"),
+    ],
+    ("RoNIN", "calibration in `info.json`"): [
+        (RONIN, "test_a_walk_comes_back_calibrated"),
+        (RONIN, "test_without_info_the_values_are_as_recorded_with_a_note"),
+    ],
+    ("RoNIN", "quaternions wxyz in `synced`, xyzw in `raw`"): [
+        (RONIN, "test_a_quaternion_of_the_other_order_is_refused")
+    ],
+    ("any CSV", "units and sign as told, and only so"): [
+        (GENERIC, "test_a_walk_comes_back_in_si_units"),
+        (GENERIC, "test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown"),
+    ],
+}
+
+
+def test_every_trap_of_the_docs_has_its_tests_and_they_exist() -> None:
+    assert [tuple(row[:2]) for row in rows_of("| format | trap |")] == list(TRAPS)
+    for trap, tests in TRAPS.items():
+        assert tests, trap
+        for file, name in tests:
+            tree = ast.parse((Path(__file__).parent / file).read_text(encoding="utf-8"))
+            assert name in {node.name for node in tree.body if isinstance(node, ast.FunctionDef)}, (file, name)
+
+
+@pytest.mark.parametrize(
+    "form", ["own", "sensor_logger", "phyphox:csv", "indoor_location", "core_motion", "generic_csv"]
+)
+def test_a_last_line_that_is_cut_off_loses_no_other(tmp_path: Path, form: str) -> None:
+    recording = replace(a_recording(), attitude=None) if form != "core_motion" else a_recording()
+    whole = written(form, recording, tmp_path)
+    before = read(whole)
+    if whole.suffix == ".zip":  # cut the accelerometer's file in a folder of the same files
+        import zipfile
+
+        with zipfile.ZipFile(whole) as archive:
+            archive.extractall(tmp_path / "cut")
+        path = tmp_path / "cut"
+        victim = next(path / name for name in ("accelerometer.csv", "TotalAcceleration.csv") if (path / name).exists())
+    else:
+        path = victim = whole
+    text = victim.read_text(encoding="utf-8").partition("\n#\tendTime")[0].rstrip()
+    end = text.rindex("\n") + 1
+    victim.write_text(text[: end + 2 * (len(text) - end) // 3], encoding="utf-8")
+    after = read(path)
+    assert any("cut off" in note for note in after.notes)
+    last = "gyroscope" if form in ("phyphox:csv", "indoor_location") else "accelerometer"  # at the end of the file
+    np.testing.assert_array_equal(after.streams[last].values, before.streams[last].values[:-1])
+
+
+def test_the_small_sensors_of_get_sensor_data_are_read(tmp_path: Path) -> None:
+    path = written("get_sensor_data", a_recording(), tmp_path)
+    lines = ["PRES;1.000;81235.5;1013.25;3;30.0", "LIGH;1.000;81235.5;120.5;3", "PROX;1.000;81235.5;5.0;3"]
+    lines += ["GNSS;1.000;1700000000.0;40.31;-3.48;600.5;90.0;4.5;1.0;8;9"]
+    with path.open("a", encoding="latin-1") as file:
+        file.write(
+            "".join(f"{line}\n{line.replace('1.000', '2.000').replace('81235.5', '81236.5')}\n" for line in lines)
+        )
+    found = read(path)
+    assert found.barometer is not None
+    np.testing.assert_allclose(found.barometer.values[:, 0], 1013.25)  # mbar are hPa
+    assert found.light is not None
+    np.testing.assert_allclose(found.light.values[:, 0], 120.5)
+    assert found.proximity is not None
+    np.testing.assert_allclose(found.proximity.values[:, 0], 5.0)
+    assert found.location is not None
+    np.testing.assert_allclose(found.location.values[0, :2], [40.31, -3.48])
+
+
+def test_every_refusal_of_the_docs_names_a_format_that_is_read() -> None:
+    known = {"all", "Sensor Logger", "phyphox", "GetSensorData", "indoor-location", "CoreMotion", "RoNIN", "any CSV"}
+    assert {trap[0] for trap in TRAPS} == known
+    assert re.search(r"`pdr\.read\(path, format=\"phyphox\"\)`", DOCS)
