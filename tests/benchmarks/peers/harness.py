@@ -1,0 +1,62 @@
+"""Runs methods over walks and makes tables in which nothing is hidden."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+from .walks import Found, Method, Walk
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a method made of the walks of a site."""
+
+    method: Method
+    found: tuple[tuple[Walk, Found], ...]
+    failures: tuple[str, ...]  # errors, one for each walk that it did not get through
+    missing: str  # why the package cannot be used; empty if it can
+    times_real_time: float  # recorded time over that of the processor
+
+    @property
+    def title(self) -> str:
+        """Its name, and on how many walks it failed."""
+        if not self.failures:
+            return self.method.name
+        return f"{self.method.name} (failed on {len(self.failures)}: {self.failures[0]})"
+
+
+def outcome(method: Method, walks: Sequence[Walk]) -> Outcome:
+    """The method on each walk. Only its own work is timed, and not what it compiles or loads on its first walk."""
+    try:
+        run = method.load()
+    except ImportError as error:
+        return Outcome(method, (), (), f"not run: {method.package} is not installed ({error})", float("nan"))
+    found: list[tuple[Walk, Found]] = []
+    failures: list[str] = []
+    recorded_s = spent_s = 0.0
+    for walk in walks:
+        _ = walk.body, walk.track  # made once, for whom it may concern
+        try:
+            if not found:
+                run(walk)
+            begin_s = time.process_time()
+            found.append((walk, run(walk)))
+            spent_s += time.process_time() - begin_s
+        except Exception as error:  # whatever a package raises on real data is a result, and no reason to stop
+            failures.append(f"{walk.recording.name}, {type(error).__name__}: {error}")
+            continue
+        recorded_s += walk.end_s - walk.start_s if method.told else walk.recording.duration_s
+    return Outcome(method, tuple(found), tuple(failures), "", recorded_s / spent_s if spent_s else float("nan"))
+
+
+def table(
+    columns: Sequence[str], outcomes: Sequence[Outcome], cells: Callable[[Outcome], Sequence[str]]
+) -> tuple[str, ...]:
+    """Lines of a table with a row for each method, those that could not run included."""
+    rows = []
+    for o in outcomes:
+        found = cells(o) if o.found else [o.missing or "failed on every walk", *[""] * (len(columns) - 1)]
+        rows.append("| " + " | ".join([o.title, *found]) + " |")
+    return ("| method | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|", *rows)
