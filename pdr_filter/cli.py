@@ -87,6 +87,7 @@ def track(
     ] = None,
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None,
     calibration: Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")] = None,
+    transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None,
     file_format: Format = None,
     height_m: Annotated[
         float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
@@ -96,6 +97,7 @@ def track(
     report: Annotated[
         bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")
     ] = False,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Also NAME.parquet, or the table of many so.")] = False,
     jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None,
     scheduler: Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")] = None,
     as_json: AsJson = False,
@@ -107,19 +109,28 @@ def track(
     """
     import pdr_filter as pdr
     from pdr_filter.batch import recordings_in
+    from pdr_filter.context.transitions import load_transitions
+    from pdr_filter.io.writers import pandas_for_parquet
 
     with _one_line_errors():
         if jobs is not None or scheduler is not None or any(f.is_dir() and recordings_in(f) != [f] for f in files):
-            if model is not None or origin is not None or report or as_json:
-                raise ValueError("many recordings make one table: leave out --model, --origin, --report and --json")
-            table = (out or Path()) / "tracks.csv"
+            if model is not None or transitions is not None or origin is not None or report or as_json:
+                raise ValueError(
+                    "many recordings make one table: leave out --model, --transitions, --origin, --report and --json"
+                )
+            table = (out or Path()) / ("tracks.parquet" if parquet else "tracks.csv")
             options = {"file_format": file_format, "height_m": height_m, "calibration": calibration}
             _track_many(files, recipe, weighting.value if weighting else None, table, jobs or 1, scheduler, options)
             return
         start = _origin(origin)
         if start is not None and out is None:
             raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
+        if parquet:
+            if out is None:
+                raise ValueError("--parquet writes a file for each track, so it needs --out DIR")
+            pandas_for_parquet(out)
         context_model = _checked_options(recipe, model)
+        learnt = None if transitions is None else load_transitions(transitions)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
@@ -129,15 +140,18 @@ def track(
         config = pdr.recipes.for_recording(recipe, recording)
         if context_model is not None:
             config = pdr.recipes.with_context_model(config, context_model)
+        if learnt is not None:
+            config = pdr.recipes.with_transitions(config, learnt)
         result = pdr.track(
             recording, config, weighting.value if weighting else None, progress=progress, calibration=calibration
         )
+        name = _unused(result.name, written)
         if out is not None:
-            _write_files(result, out, start, written)
+            _write_files(result, out, name, start, parquet)
         if report:
             from pdr_filter.report_html import write_report
 
-            write_report(result, (out or Path()) / f"{result.name}.html", recording)
+            write_report(result, (out or Path()) / f"{name}.html", recording)
         if as_json:
             _print_json(result.summary())
             _print_notes(result, _stderr())
@@ -210,16 +224,27 @@ def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> N
 
 @app.command()
 def train(
-    data_dir: Annotated[Path, typer.Argument(help="Folder with one folder of recordings for each data set.")],
-    out: Annotated[Path, typer.Option(help="Folder for NAME.npz and NAME.json.")] = Path("models"),
+    data_dir: Annotated[
+        Path | None, typer.Argument(help="Folder with one folder of recordings for each data set.")
+    ] = None,
+    sequences: Annotated[
+        Path | None, typer.Option(help="Folder of labelled recordings in which people change what they do.")
+    ] = None,
+    out: Annotated[Path, typer.Option(help="Folder for NAME.npz, NAME.json and transitions.json.")] = Path("models"),
 ) -> None:
-    """Train the context models on labelled recordings."""
+    """Train the context models on labelled recordings, and estimate transitions and tempering from those that change.
+
+    Without DATA_DIR only transitions and tempering, for the shipped models.
+    """
     from pdr_filter.context.train import train as train_models
 
     with _one_line_errors(), _progress("training") as show:
-        cards = train_models(data_dir, out, lambda what, fraction: show(fraction, what))
+        cards = train_models(data_dir, out, lambda what, fraction: show(fraction, what), sequences)
     for card in cards:
-        typer.echo(out / f"{card['name']}.npz")
+        typer.echo(out / card.get("file", f"{card['name']}.npz"))
+        for what in ("transition_prob", "exponents"):
+            if what in card:
+                _stderr().print(f"{what}: {escape(card[what])}", highlight=False, soft_wrap=True)
 
 
 @app.command()
@@ -243,16 +268,41 @@ def compare(files: Files) -> None:
 
 
 @app.command()
+def study(
+    name: Annotated[str, typer.Argument(help="martinelli2018, tian2016, zhou2019, guo2018 or susi2013.")],
+    data: Annotated[Path, typer.Option(help="Folder of the data sets, one folder each.")] = Path("../shared/data"),
+    out: Annotated[Path | None, typer.Option(help="Write the page, CSV tables and SVG figures here.")] = None,
+) -> None:
+    """Do a paper's experiments anew: its own figures beside ours, and what differs."""
+    from pdr_filter.evaluate import studies
+
+    with _one_line_errors():
+        done = studies.study(name, data)
+        typer.echo(done.to_markdown())
+        if out is not None:
+            for path in done.save(out):
+                _stderr().print(f"wrote {path}", highlight=False)
+
+
+@app.command()
 def calibrate(
     files: Files,
     out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
     figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings, of folders too, on N processes.")] = None,
+    scheduler: Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")] = None,
 ) -> None:
-    """Calibrate step lengths on recordings with segments of known length, or waypoints."""
+    """Calibrate step lengths on recordings with segments of known length, or waypoints.
+
+    With --jobs or --scheduler recordings that cannot be used are left out and named in the report.
+    """
     import pdr_filter as pdr
 
     with _one_line_errors(), _progress("calibrating") as show:
-        result = pdr.calibrate([pdr.read(file) for file in files], progress=show)
+        if jobs is None and scheduler is None:
+            result = pdr.calibrate([pdr.read(file) for file in files], progress=show)
+        else:
+            result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, progress=show)
         written = [result.save(out)]
         if figure is not None:
             result.plot(figure)
@@ -280,7 +330,7 @@ def smooth(
         known = None if calibration is None else load_calibration(calibration)
         result = pdr.smooth(recording, waypoint_fixes(recording, fix_std_m), calibration=known)
         if out is not None:
-            _write_files(result.track, out, None, set())
+            _write_files(result.track, out, result.track.name)
     _print_tracks([result.track])
     rejected = len(result.rejected)
     typer.echo(
@@ -429,16 +479,25 @@ def _origin(text: str | None) -> tuple[float, float] | None:
     return lat_deg, lon_deg
 
 
-def _write_files(result: Track, out: Path, start: tuple[float, float] | None, written: set[str]) -> None:
-    """Write the files of one track; a second recording of the same name gets a number."""
-    name = result.name
-    while name in written:
-        name = f"{result.name}_{len(written) + 1}"
-    written.add(name)
+def _unused(name: str, written: set[str]) -> str:
+    """The name for the files of a track: a second recording of the same name gets a number."""
+    unused = name
+    while unused in written:
+        unused = f"{name}_{len(written) + 1}"
+    written.add(unused)
+    return unused
+
+
+def _write_files(
+    result: Track, out: Path, name: str, start: tuple[float, float] | None = None, parquet: bool = False
+) -> None:
+    """Write the files of one track."""
     result.to_csv(out / f"{name}.csv")
     result.plot(out / f"{name}.png")
     if start is not None:
         result.to_geojson(out / f"{name}.geojson", start)
+    if parquet:
+        result.to_parquet(out / f"{name}.parquet")
 
 
 def _block_walk(carrying_mode: str, seed: int) -> Recording:

@@ -216,15 +216,15 @@ def test_a_simulated_walk_is_carried_as_asked(tmp_path: Path, mode: str) -> None
 def test_train_prints_the_models_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     asked: list[Any] = []
 
-    def fake_train(data_dir: Path, out_dir: Path, progress: Any) -> list[dict[str, Any]]:
-        asked.extend([data_dir, out_dir])
+    def fake_train(data_dir: Path, out_dir: Path, progress: Any, sequences_dir: Any) -> list[dict[str, Any]]:
+        asked.extend([data_dir, out_dir, sequences_dir])
         progress("reading", 0.5)
         return [{"name": "one"}, {"name": "two"}]
 
     monkeypatch.setattr(training, "train", fake_train)
     result = run("train", tmp_path, "--out", tmp_path / "out")
     assert result.stdout.split() == [str(tmp_path / "out" / "one.npz"), str(tmp_path / "out" / "two.npz")]
-    assert asked == [tmp_path, tmp_path / "out"]
+    assert asked == [tmp_path, tmp_path / "out", None]
 
 
 def test_train_on_a_folder_without_recordings_is_one_line_and_code_2(tmp_path: Path) -> None:
