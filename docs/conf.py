@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 from typing import Any
 
@@ -59,7 +60,8 @@ def shares(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
-cards = sorted(Path(__file__).resolve().parents[1].joinpath("models").glob("*.json"))
+models = Path(__file__).resolve().parents[1] / "models"
+cards = sorted(path for path in models.glob("*.json") if path.with_suffix(".npz").is_file())
 myst_substitutions = {"model_cards": "\n\n".join(model_card(json.loads(path.read_text("utf-8"))) for path in cards)}
 
 
@@ -68,6 +70,12 @@ def escape_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: l
     lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", r"\|") for line in lines]
 
 
+def name_aliases(app: Any, what: str, name: str, obj: Any, options: Any, *texts: str | None) -> tuple[str | None, ...]:
+    """Show FloatArray as FloatArray: Sphinx wraps the names of type aliases that it may not evaluate."""
+    return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in texts)
+
+
 def setup(app: Any) -> None:
     """Connect the hooks."""
+    app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", escape_bars, priority=900)  # after numpydoc

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
@@ -28,6 +29,8 @@ _N_ELLIPSES = 8
 _MIN_EXTENT_M = 4.0
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
+# Journals refuse the Type 3 fonts that matplotlib makes of its own accord: this embeds the font itself.
+_TRUETYPE = 42
 # A context that never has this probability is a hair line in the stack and has no place in the legend.
 _VISIBLE_PROB = 0.1
 
@@ -60,7 +63,8 @@ def plot_track(track: Track, path: str | Path | None = None, reference_m: FloatA
     if path is not None:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        figure.savefig(path, dpi=120)
+        with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
+            figure.savefig(path, dpi=120)
     return figure
 
 

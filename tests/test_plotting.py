@@ -70,6 +70,13 @@ def test_the_suffix_gives_the_format(tmp_path: Path) -> None:
     assert "<svg" in (tmp_path / "track.svg").read_text()
 
 
+def test_a_pdf_has_the_fonts_that_journals_take(tmp_path: Path) -> None:
+    plot_track(make_track(3, 2), tmp_path / "track.pdf")
+    content = (tmp_path / "track.pdf").read_bytes()
+    assert b"/FontFile2" in content
+    assert b"/Type3" not in content
+
+
 def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
     code = (
         "import sys, pdr_filter as pdr\n"

@@ -1,0 +1,151 @@
+"""The pictures of the documentation that are not figures of a benchmark: the data flow and two tracks.
+
+usage: .venv/bin/python docs/images/make.py [NAME...]     data_flow, demo_track, real_track; all without NAME
+
+SVG, and the same bytes for the same tracks. The README's picture, real_track, is PNG, which every page that shows a
+README can display; it needs the recordings in ../shared/data and is left as it is without them.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.patches import FancyBboxPatch
+
+import pdr_filter as pdr
+from pdr_filter.plotting import plot_track
+
+HERE = Path(__file__).resolve().parent
+REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"
+
+INK, FAINT = "#222222", "#666666"
+# What runs while somebody walks, and what runs afterwards; told apart by the border, too.
+ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": "#0072B2", "linestyle": "-"}
+OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": "#CC6600", "linestyle": (0, (4, 2))}
+OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": "#777777", "linestyle": "-"}
+
+# name: centre, half width and half height (in the units of the figure below), title, what is in it, style
+BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {
+    "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "io", OUTSIDE),
+    "app": (7.0, 10.0, 1.35, 0.42, "app", "samples as they come", OUTSIDE),
+    "uniform": (5.2, 8.4, 1.35, 0.42, "uniform samples", "conditioning", ONLINE),
+    "attitude": (1.75, 6.8, 1.3, 0.42, "attitude", "attitude, bias", ONLINE),
+    "contexts": (5.2, 6.8, 1.3, 0.42, "contexts", "features, context", ONLINE),
+    "steps": (8.65, 6.8, 1.3, 0.42, "steps, gate", "steps", ONLINE),
+    "heading": (5.2, 5.2, 1.35, 0.42, "walking direction", "heading", ONLINE),
+    "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "features.barometric", ONLINE),
+    "filter": (5.2, 3.35, 1.4, 0.6, "filter", "step_length, motion,\nweighting, imm, speed", ONLINE),
+    "fixes": (8.85, 3.35, 1.3, 0.42, "fixes", "position, heading, ...", OUTSIDE),
+    "calibrate": (1.55, 1.6, 1.3, 0.42, "calibrate", "offline.calibration", OFFLINE),
+    "track": (5.2, 1.6, 1.4, 0.42, "Track", "positions, covariances", OUTSIDE),
+    "smooth": (8.85, 1.6, 1.3, 0.42, "smooth", "offline.smoother", OFFLINE),
+    "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, plotting, io", OFFLINE),
+}
+# from, its side, to, its side, what flows, where the words stand relative to the middle of the arrow
+ARROWS: list[tuple[str, str, str, str, str, tuple[float, float]]] = [
+    ("file", "s", "uniform", "nw", "Recording", (-0.95, 0.2)),
+    ("app", "s", "uniform", "ne", "blocks of any length", (1.5, 0.2)),
+    ("uniform", "sw", "attitude", "n", "", (0.0, 0.0)),
+    ("uniform", "s", "contexts", "n", "100 Hz", (0.45, 0.05)),
+    ("uniform", "se", "steps", "n", "", (0.0, 0.0)),
+    ("attitude", "e", "contexts", "w", "up", (0.0, 0.16)),
+    ("contexts", "e", "steps", "w", "carrying\nmode", (0.0, 0.28)),
+    ("attitude", "s", "heading", "nw", "device heading", (-0.95, -0.1)),
+    ("contexts", "s", "heading", "n", "carrying mode", (0.85, 0.1)),
+    ("steps", "s", "heading", "ne", "contact times", (0.95, -0.1)),
+    ("heading", "s", "filter", "n", "Step, WindowContext", (1.2, -0.22)),
+    ("climb", "e", "filter", "w", "stairs\nor not", (0.0, 0.28)),
+    ("fixes", "w", "filter", "e", "with\ncovariance", (0.0, 0.28)),
+    ("filter", "s", "track", "n", "StepUpdate", (0.7, 0.0)),
+    ("calibrate", "ne", "filter", "sw", "k, with\ncovariance", (-0.65, 0.15)),
+    ("track", "w", "calibrate", "e", "known\ndistances", (0.0, -0.28)),
+    ("track", "e", "smooth", "w", "whole\nwalk", (0.0, -0.28)),
+    ("fixes", "s", "smooth", "n", "", (0.0, 0.0)),
+    ("track", "s", "results", "n", "", (0.0, 0.0)),
+]
+
+
+def data_flow() -> Figure:
+    """From samples to a track: stages as boxes, what flows between them on the arrows."""
+    figure = Figure(figsize=(7.2, 7.45))
+    FigureCanvasAgg(figure)
+    axes = figure.add_axes((0, 0, 1, 1))
+    axes.set(xlim=(0, 10.4), ylim=(-0.25, 10.51), aspect="equal")
+    axes.axis("off")
+    axes.add_patch(
+        FancyBboxPatch(
+            (0.15, 4.5), 10.1, 4.6, "round,pad=0,rounding_size=0.15", facecolor="#F6F8FA", edgecolor="#BBBBBB"
+        )
+    )
+    axes.text(0.35, 8.75, "sensing", color=FAINT, fontsize=10, style="italic")
+    for x, y, half_width, half_height, title, module, style in BOXES.values():
+        corner = (x - half_width, y - half_height)
+        shape = "round,pad=0,rounding_size=0.1"
+        axes.add_patch(FancyBboxPatch(corner, 2 * half_width, 2 * half_height, shape, linewidth=1.3, **style))
+        lift = 0.1 + 0.09 * module.count("\n")
+        axes.text(x, y + lift, title, ha="center", va="center", fontsize=9.5, fontweight="bold", color=INK)
+        axes.text(x, y - 0.6 * lift - 0.08, module, ha="center", va="center", fontsize=7.5, color=INK, linespacing=1.1)
+    for start, leaves, end, enters, words, (dx, dy) in ARROWS:
+        a, b = _edge(start, leaves), _edge(end, enters)
+        line = {"arrowstyle": "-|>", "color": INK, "linewidth": 1.0, "shrinkA": 0, "shrinkB": 0}
+        axes.annotate("", b, a, arrowprops=line)
+        x, y = (a + b) / 2 + (dx, dy)
+        axes.text(x, y, words, ha="center", va="center", fontsize=7.5, color=FAINT, linespacing=1.1)
+    for k, (name, style) in enumerate((("online", ONLINE), ("offline", OFFLINE))):
+        y = 10.2 - 0.4 * k
+        axes.add_patch(FancyBboxPatch((8.75, y), 0.35, 0.2, "round,pad=0,rounding_size=0.05", linewidth=1.1, **style))
+        axes.text(9.2, y + 0.1, name, va="center", fontsize=8, color=INK)
+    return figure
+
+
+def _edge(name: str, side: str) -> np.ndarray:
+    """A point on the border of a box: the middle of a side, or near a corner."""
+    x, y, half_width, half_height, *_ = BOXES[name]
+    east = ("e" in side) - ("w" in side)
+    north = ("n" in side) - ("s" in side)
+    if len(side) == 2:  # on the vertical side, half way to the corner
+        return np.array([x + east * half_width, y + 0.55 * north * half_height])
+    return np.array([x + east * half_width, y + north * half_height])
+
+
+def demo_track() -> Figure:
+    """The walk of `pdr-filter demo` with its truth."""
+    walk = pdr.simulate.demo_walk()
+    truth = walk.truth.position
+    return plot_track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
+
+
+def real_track() -> Figure | None:
+    """A real walk, where it is at hand."""
+    return plot_track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
+
+
+PICTURES: dict[str, Callable[[], Figure | None]] = {
+    "data_flow.svg": data_flow,
+    "demo_track.svg": demo_track,
+    "real_track.png": real_track,
+}
+
+
+def main() -> None:
+    mpl.rcParams["svg.hashsalt"] = "pdr_filter"
+    wanted = sys.argv[1:]
+    for name, draw in PICTURES.items():
+        if wanted and name.split(".")[0] not in wanted:
+            continue
+        figure = draw()
+        if figure is None:
+            print(f"{name} is left as it is: there is no {REAL_WALK}")
+        else:
+            figure.savefig(HERE / name, dpi=120, metadata={"Date": None} if name.endswith("svg") else None)
+            print(f"{HERE / name} written")
+
+
+if __name__ == "__main__":
+    main()
