@@ -575,7 +575,15 @@ def _print_description(description: dict[str, Any]) -> None:
         )
     _print_table(table)
     truth = ", ".join(f"{name} ({rows} rows)" for name, rows in description["truth_rows"].items())
-    for line in (*description["units"], f"truth: {truth or 'none'}", *(f"note: {n}" for n in description["notes"])):
+    height_m = description["height_m"]
+    height = "not known, track it with --height" if height_m is None else f"{height_m:.2f} m"
+    person = f"person's height: {height}; phone: {description['placement'] or 'not stated'}"
+    for line in (
+        *description["units"],
+        person,
+        f"truth: {truth or 'none'}",
+        *(f"note: {n}" for n in description["notes"]),
+    ):
         typer.echo(line)
     typer.echo()
 

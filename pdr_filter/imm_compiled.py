@@ -15,15 +15,23 @@ Needs the extra `fast` (numba). The first call of a function compiles it, which 
 from __future__ import annotations
 
 import math
+import operator
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any, NamedTuple, TypeVar, cast
 
 import numba
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, imputils, types
+from numba.core.typeconv import Conversion
+from numba.core.typing import templates
+from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
+from numba.np import arrayobj
 
 from pdr_filter.types import FloatArray
 
+_LANES = 4
 _LOG_2_PI = math.log(2 * math.pi)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -189,6 +197,133 @@ def _rows(name: str, array: FloatArray, core: tuple[int, ...], batch: tuple[int,
     return rows
 
 
+# --- vectors ----------------------------------------------------------------------------------------------------------
+
+
+class _Vector(types.Type):
+    """One number of each of `_LANES` pedestrians, in one register of the core, which calculates with all at once.
+
+    Compiled code adds, subtracts, multiplies and divides vectors, and numbers with them, as it does numbers.
+    """
+
+    def __init__(self) -> None:
+        super().__init__(name=f"Vector{_LANES}")
+
+    def can_convert_from(self, typingctx: Any, other: Any) -> Any:
+        return Conversion.promote if other == types.float64 else None
+
+
+_VECTOR = _Vector()
+
+
+@register_model(_Vector)
+class _VectorModel(models.PrimitiveModel):
+    def __init__(self, dmm: Any, fe_type: Any) -> None:
+        super().__init__(dmm, fe_type, ir.VectorType(ir.DoubleType(), _LANES))
+
+
+@lower_cast(types.float64, _Vector)
+def _same_for_all(context: Any, builder: Any, fromty: Any, toty: Any, number: Any) -> Any:
+    return _of_lanes(builder, [number] * _LANES)
+
+
+def _of_lanes(builder: Any, numbers: list[Any]) -> Any:
+    vector = ir.Constant(ir.VectorType(ir.DoubleType(), _LANES), ir.Undefined)
+    for lane, number in enumerate(numbers):
+        vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
+    return vector
+
+
+class _OfVectors(templates.AbstractTemplate):
+    """Type of an operation: a vector, if there is one among the arguments."""
+
+    def generic(self, args: Any, kws: Any) -> Any:
+        return templates.signature(_VECTOR, *[_VECTOR] * len(args)) if _VECTOR in args else None
+
+
+def _operation(function: Any, n_arguments: int, lowered: Callable[..., Any]) -> None:
+    templates.infer_global(function)(type("_OfVectors", (_OfVectors,), {}))
+    lower_builtin(function, *[_Vector] * n_arguments)(lowered)
+
+
+_operation(operator.add, 2, lambda context, builder, sig, args: builder.fadd(*args))
+_operation(operator.sub, 2, lambda context, builder, sig, args: builder.fsub(*args))
+_operation(operator.mul, 2, lambda context, builder, sig, args: builder.fmul(*args))
+_operation(operator.truediv, 2, lambda context, builder, sig, args: builder.fdiv(*args))
+
+
+def _log(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+    log = context.get_function(math.log, types.float64(types.float64))
+    lanes = [builder.extract_element(args[0], ir.Constant(ir.IntType(32), lane)) for lane in range(_LANES)]
+    return _of_lanes(builder, [log(builder, [number]) for number in lanes])
+
+
+_operation(math.log, 1, _log)
+
+
+@intrinsic
+def _if_positive(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
+    """`yes if condition > 0 else no`, of numbers or for each number of vectors."""
+
+    def lowered(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        zero = context.get_constant(types.float64, 0.0)
+        zero = context.cast(builder, zero, types.float64, condition)
+        return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
+
+    return condition(condition, condition, condition), lowered
+
+
+@intrinsic
+def _vectors(typingctx: Any, numbers: Any, shape: Any) -> Any:
+    """Array of vectors of a shape on the memory of an array of numbers (elements, lanes)."""
+    made = types.Array(_VECTOR, len(shape), "C", aligned=False)
+
+    def lowered(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        source = arrayobj.make_array(numbers)(context, builder, args[0])
+        array = arrayobj.make_array(made)(context, builder)
+        itemsize = context.get_constant(types.intp, 8 * _LANES)
+        strides = [itemsize]
+        for length in cgutils.unpack_tuple(builder, args[1])[:0:-1]:
+            strides.insert(0, builder.mul(strides[0], length))
+        data = builder.bitcast(source.data, array.data.type)
+        arrayobj.populate_array(array, data, args[1], strides, itemsize, source.meminfo, source.parent)
+        return imputils.impl_ret_borrowed(context, builder, made, array._getvalue())
+
+    return made(numbers, types.UniTuple(types.intp, len(shape))), lowered
+
+
+@_copied
+def _room(size: int, shape: Any) -> Any:
+    """Room for vectors of a shape, and the same memory as numbers (elements, lanes)."""
+    numbers = np.empty((size, _LANES))
+    return numbers, _vectors(numbers, shape)
+
+
+@_copied
+def _gather(rows: FloatArray, k: int, end: int, numbers: FloatArray) -> None:
+    """Side by side the pedestrians from k; beyond the last, the last again."""
+    size = len(numbers)
+    flat = rows.reshape(len(rows), size)
+    last = min(end, len(rows)) - 1
+    a, b, c, d = flat[min(k, last)], flat[min(k + 1, last)], flat[min(k + 2, last)], flat[min(k + 3, last)]
+    for e in range(size):
+        numbers[e, 0] = a[e]
+        numbers[e, 1] = b[e]
+        numbers[e, 2] = c[e]
+        numbers[e, 3] = d[e]
+
+
+@_copied
+def _scatter(numbers: FloatArray, k: int, end: int, rows: FloatArray) -> None:
+    """The reverse of `_gather`."""
+    size = len(numbers)
+    flat = rows.reshape(len(rows), size)
+    for lane in range(_LANES):
+        row = flat[min(k + lane, end - 1)]
+        for e in range(size):
+            row[e] = numbers[e, lane]
+
+
 # --- all pedestrians of a range ---------------------------------------------------------------------------------------
 
 
@@ -287,41 +422,57 @@ def _cycle_any(begin: int, end: int, *arrays: FloatArray) -> None:
 def _cycles(begin: int, end: int, arrays: tuple[FloatArray, ...], n: int, d: int, M: int) -> None:
     mean, cov, mode_prob, transition_prob, F, Q, z, H, R = arrays[:9]
     updated_mean, updated_cov, updated_mode_prob, combined_mean, combined_cov, nis = arrays[9:]
-    weight, log_likelihood, predicted, row = np.empty(M), np.empty(M), np.empty(M), np.empty(n)
-    mixed_mean, mixed_cov = np.empty((M, n)), np.empty((M, n, n))
-    predicted_mean, predicted_cov = np.empty((M, n)), np.empty((M, n, n))
-    scratch = _update_scratch(n, d)
-    for k in range(begin, end):
-        x, P, mu = updated_mean[k], updated_cov[k], updated_mode_prob[k]
-        _mix_one(
-            _of(mean, k),
-            _of(cov, k),
-            _of(mode_prob, k),
-            _of(transition_prob, k),
-            mixed_mean,
-            mixed_cov,
-            predicted,
-            weight,
-            n,
-            M,
-        )
-        _predict_one(mixed_mean, mixed_cov, _of(F, k), _of(Q, k), predicted_mean, predicted_cov, row, n)
-        _update_one(
-            predicted_mean,
-            predicted_cov,
-            _of(z, k),
-            _of(H, k),
-            _of(R, k),
-            x,
-            P,
-            log_likelihood,
-            nis[k],
-            scratch,
-            n,
-            d,
-        )
-        _update_mode_prob_one(predicted, log_likelihood, mu)
-        _moments(x, P, mu, combined_mean[k], combined_cov[k], n, M)
+    mean_, x = _room(M * n, (M, n))
+    cov_, P = _room(M * n * n, (M, n, n))
+    other_mean_, other_x = _room(M * n, (M, n))
+    other_cov_, other_P = _room(M * n * n, (M, n, n))
+    mode_prob_, mu = _room(M, (M,))
+    transition_prob_, p = _room(M * M, (M, M))
+    F_, F__ = _room(M * n * n, (M, n, n))
+    Q_, Q__ = _room(M * n * n, (M, n, n))
+    z_, z__ = _room(d, (d,))
+    H_, H__ = _room(d * n, (d, n))
+    R_, R__ = _room(d * d, (d, d))
+    combined_mean_, xc = _room(n, (n,))
+    combined_cov_, Pc = _room(n * n, (n, n))
+    nis_, nis__ = _room(M, (M,))
+    predicted_, predicted = _room(M, (M,))
+    log_likelihood_, log_likelihood = _room(M, (M,))
+    weight = _room(M, (M,))[1]
+    row = _room(n, (n,))[1]
+    scratch = (
+        _room(d, (d,))[1],
+        _room(d * n, (d, n))[1],
+        _room(d * d, (d, d))[1],
+        _room(d * n, (n, d))[1],
+        _room(n * n, (n, n))[1],
+        _room(max(n, d), (max(n, d),))[1],
+    )
+    for k in range(begin, end, _LANES):
+        _gather(mean, k, end, mean_)
+        _gather(cov, k, end, cov_)
+        _gather(mode_prob, k, end, mode_prob_)
+        if k == begin or len(transition_prob) > 1:
+            _gather(transition_prob, k, end, transition_prob_)
+        if k == begin or len(F) > 1:
+            _gather(F, k, end, F_)
+        if k == begin or len(Q) > 1:
+            _gather(Q, k, end, Q_)
+        _gather(z, k, end, z_)
+        _gather(H, k, end, H_)
+        _gather(R, k, end, R_)
+        _mix_one(x, P, mu, p, other_x, other_P, predicted, weight, n, M)
+        _predict_one(other_x, other_P, F__, Q__, x, P, row, n)
+        _update_one(x, P, z__, H__, R__, other_x, other_P, log_likelihood, nis__, scratch, n, d)
+        for lane in range(_LANES):
+            _update_mode_prob_one(predicted_[:, lane], log_likelihood_[:, lane], mode_prob_[:, lane])
+        _moments(other_x, other_P, mu, xc, Pc, n, M)
+        _scatter(other_mean_, k, end, updated_mean)
+        _scatter(other_cov_, k, end, updated_cov)
+        _scatter(mode_prob_, k, end, updated_mode_prob)
+        _scatter(combined_mean_, k, end, combined_mean)
+        _scatter(combined_cov_, k, end, combined_cov)
+        _scatter(nis_, k, end, nis)
 
 
 # --- one pedestrian ---------------------------------------------------------------------------------------------------
@@ -347,7 +498,7 @@ def _mix_one(
             total += weight[i]
         predicted[j] = total
         for i in range(M):
-            weight[i] = weight[i] / total if total > 0 else (1.0 if i == j else 0.0)
+            weight[i] = _if_positive(total, weight[i] / total, 1.0 if i == j else 0.0)
         _moments(mean, cov, weight, mixed_mean[j], mixed_cov[j], n, M)
 
 

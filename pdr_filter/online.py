@@ -16,6 +16,11 @@ from pdr_filter.sensing import Event, Gap, Sensing, SensingState
 from pdr_filter.tracking import StepUpdate, Tracker, TrackerState, present_position
 from pdr_filter.types import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Standstill, received_s
 
+# How old a fix of an app may be: the remembered steps (`tracking.TRAIL_STEPS`) are half a minute of walking, and a
+# pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
+MAX_FIX_AGE_S = 60.0
+# A fix of the moment at which the sensors were switched on is one of their first sample.
+FIX_TOLERANCE_S = 1.0
 _STATIONARY = CONTEXTS.index("stationary")
 
 
@@ -325,10 +330,32 @@ class OnlineFilter:
     def add_fix(self, fix: Fix) -> None:
         """Take a fix of position, heading or speed, or a standstill.
 
-        It is used when it was received and the step that it falls into is known.
+        It is used when it was received and the step that it falls into is known. Raises ValueError, and stays as it
+        is, for a fix from before the first sample, more than a minute older than the last one, or more than a minute
+        ahead of it. Before the first sample any fix is taken.
         """
+        self._check_time(fix)
         waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: due_s(self.config, f))
         self.state = replace(self.state, waiting_fixes=tuple(waiting))
+
+    def _check_time(self, fix: Fix) -> None:
+        seen = self.state.sensing.conditioner.report
+        first_s, last_s = seen.first_time_s, seen.last_time_s
+        late_s, remedy = max(received_s(fix), last_s) - fix.time_s, "fixes and samples need one clock, in seconds"
+        if fix.time_s < first_s - FIX_TOLERANCE_S:
+            raise ValueError(
+                f"the fix at {fix.time_s:.1f} s is from before the first sample ({first_s:.1f} s); {remedy}"
+            )
+        if late_s > MAX_FIX_AGE_S:
+            raise ValueError(
+                f"the fix at {fix.time_s:.1f} s comes {late_s:.0f} s late (last sample {last_s:.1f} s), more than "
+                f"{MAX_FIX_AGE_S:.0f} s; {remedy}; pdr_filter.smooth takes fixes of any time"
+            )
+        ahead_s = fix.time_s - last_s
+        if ahead_s > MAX_FIX_AGE_S:
+            raise ValueError(
+                f"the fix at {fix.time_s:.1f} s is {ahead_s:.0f} s ahead of the last sample ({last_s:.1f} s); {remedy}"
+            )
 
     @property
     def position_m(self) -> FloatArray:

@@ -221,3 +221,43 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
 def test_an_unknown_frame_is_refused() -> None:
     with pytest.raises(ValueError, match="frame must be one of"):
         replace(recipes.default().tracker, frame="moon")
+
+
+@pytest.mark.parametrize(
+    ("time_s", "received_s", "message"),
+    [
+        (-50.0, None, r"the fix at -50\.0 s is from before the first sample \(0\.0 s\)"),
+        (1.0, None, r"the fix at 1\.0 s comes 79 s late"),
+        (75.0, 680.0, r"the fix at 75\.0 s comes 605 s late"),
+        (1e6, None, r"is 999920 s ahead of the last sample \(80\.0 s\)"),
+    ],
+)
+def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing_had_been(
+    walk: Recording, time_s: float, received_s: float | None, message: str
+) -> None:
+    samples = pdr.merge_streams(walk)
+    now = int(np.searchsorted(samples.time_s, 80.0))
+    online, other = pdr.OnlineFilter(), pdr.OnlineFilter()
+    for one in (online, other):
+        one.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
+    before = online.save()
+    for make in (
+        lambda: PositionFix(time_s, np.zeros(2), np.eye(2), received_time_s=received_s),
+        lambda: HeadingFix(time_s, 0.0, 0.1, received_time_s=received_s),
+    ):
+        with pytest.raises(ValueError, match=message):
+            online.add_fix(make())
+    assert online.save() == before
+    rest = samples.time_s[now:], samples.specific_force_mps2[now:], samples.angular_rate_radps[now:]
+    online.push(*rest), other.push(*rest)
+    np.testing.assert_array_equal(online.position_m, other.position_m)
+
+
+def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    now = int(np.searchsorted(samples.time_s, 80.0))
+    online = pdr.OnlineFilter()
+    online.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
+    for time_s in (21.0, 80.0, 139.0):
+        online.add_fix(PositionFix(time_s, np.zeros(2), np.eye(2)))
+    assert len(online.state.waiting_fixes) == 3

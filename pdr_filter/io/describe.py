@@ -64,6 +64,8 @@ class Description:
     source: str
     duration_s: float
     streams: tuple[StreamDescription, ...]
+    height_m: float | None  # of the person; step lengths depend on it
+    placement: str | None  # of the phone, as the recording states it
     units: tuple[str, ...]  # one sentence for each stream whose unit can be checked
     truth_rows: dict[str, int]  # rows of each truth table that exists
     notes: tuple[str, ...]  # what the reader found: source, signs, units, clock; what it repaired or found odd
@@ -88,6 +90,8 @@ def describe(recording: Recording) -> Description:
         source=recording.source,
         duration_s=recording.duration_s,
         streams=tuple(describe_stream(name, samples) for name, samples in recording.streams.items()),
+        height_m=recording.subject.height_m,
+        placement=str(recording.meta["placement"]) if recording.meta.get("placement") else None,
         units=_unit_sentences(recording),
         truth_rows={name: len(getattr(truth, name)) for name in truth.present()},
         notes=(*said, *recording.notes),

@@ -13,7 +13,7 @@ from pdr_filter.offline.imm_smoother import Estimate, Transition, smooth
 from pdr_filter.online import Config
 from pdr_filter.sensing import Event, Gap
 from pdr_filter.tracking import TrackerState
-from pdr_filter.types import Fix, Recording, Step, Track, read_only
+from pdr_filter.types import Fix, FloatArray, Recording, Step, Track, read_only
 from pdr_filter.whole import watched_track
 
 
@@ -21,7 +21,8 @@ def smoothed_track(recording: Recording, config: Config | None = None, fixes: Se
     """The track of `pdr_filter.track`, every row with what the whole recording says of its step.
 
     Positions, covariances and mode probabilities are smoothed; step lengths and headings are those between smoothed
-    positions. The covariance is the linear one: it lacks what an uncertain heading does along the steps.
+    positions. To the smoothed covariance comes what all steps since the last fix share (`TrackerState.shared_m`), as
+    the filter knew it: a fix that comes later would make that smaller, so that before a fix it is on the safe side.
 
     Parameters
     ----------
@@ -57,10 +58,14 @@ def smoothed_track(recording: Recording, config: Config | None = None, fixes: Se
             filtered.append(Estimate(state.mean, state.cov, state.mode_prob))
             transitions.append(Transition(np.eye(len(state.mode_prob)), state.mean, state.mean, stay, grown))
     filtered.append(Estimate(last.mean, last.cov, last.mode_prob))
-    return _with_hindsight(track, smooth(filtered, transitions), [isinstance(e, Step) for _, e in passages])
+    is_step = [isinstance(event, Step) for _, event in passages]
+    shared_cov = [state.shared_m.T @ state.shared_m for state in (*(s for s, _ in passages[1:]), last)]
+    return _with_hindsight(track, smooth(filtered, transitions), is_step, np.stack(shared_cov)[is_step])
 
 
-def _with_hindsight(track: Track, smoothed: Sequence[Estimate], is_step: Sequence[bool]) -> Track:
+def _with_hindsight(
+    track: Track, smoothed: Sequence[Estimate], is_step: Sequence[bool], shared_cov_m2: FloatArray
+) -> Track:
     combined = [imm.combine(e.mean, e.cov, e.mode_prob) for e in smoothed]
     position = np.stack([x[:2] for x, _ in combined])
     after = 1 + np.flatnonzero(is_step)  # the estimate after each step; the one before it is where the step began
@@ -71,7 +76,7 @@ def _with_hindsight(track: Track, smoothed: Sequence[Estimate], is_step: Sequenc
     return replace(
         track,
         position_m=read_only(position[after] - position[0]),
-        position_cov_m2=read_only(np.stack([cov[:2, :2] for _, cov in combined])[after]),
+        position_cov_m2=read_only(np.stack([cov[:2, :2] for _, cov in combined])[after] + shared_cov_m2),
         step_length_m=read_only(length),
         walking_heading_rad=read_only(wrap_angle(heading)),
         mode_prob=read_only(np.stack([e.mode_prob for e in smoothed])[after]),

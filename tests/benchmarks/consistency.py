@@ -11,9 +11,10 @@ fix of 3 m every 60 steps. The bounds are those of a chi-square mean over the wa
 fixes. Rows below "the filter's own model" leave it, by what their names say.
 
 real: the share of waypoints of humolire and ms_indoor in the 50 % and 95 % ellipses of the default recipe. The truth is
-turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count;
-waypoints are uncertain by 0.7 m along each axis, which is added to the ellipses. That turning tells the direction
-better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned, as fixes.
+turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count; what
+waypoints are uncertain by, 0.7 m (humolire) and 1 m (ms_indoor) along each axis, is added to the ellipses. That turning
+tells the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
+as fixes.
 
 day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
 """
@@ -46,7 +47,8 @@ EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
 # tells 87 % of the windows right; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
-WAYPOINT_STD_M = 0.7
+# Along each axis: humolire's are ticks on a floor passed within a step, ms_indoor's are "good to a metre or so".
+WAYPOINT_STD_M = {"humolire": 0.7, "ms_indoor": 1.0}
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
 
@@ -345,11 +347,11 @@ def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     return found[0], found[1].reshape(-1, 2, 2)
 
 
-def waypoint_errors(track: pdr.Track, truth: Waypoints) -> FloatArray:
+def waypoint_errors(track: pdr.Track, truth: Waypoints, std_m: float) -> FloatArray:
     """Squared errors over the ellipses, (W,), of the waypoints after the first 20 %."""
     estimate, cov = at(track, truth.time_s)
     error = truth.position_m - estimate
-    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov + WAYPOINT_STD_M**2 * np.eye(2)), error)
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov + std_m**2 * np.eye(2)), error)
     return nees[~truth.first]
 
 
@@ -361,7 +363,7 @@ def real(data: Path) -> None:
     )
     print("|---|---|---|---|---|---|---|")
     levels = chi2.ppf([0.5, 0.95], 2)
-    for site in ("humolire", "ms_indoor"):
+    for site, std_m in WAYPOINT_STD_M.items():
         alone, told = [], []
         for path in sorted((data / site).glob("*.zip")):
             recording = pdr.read(path)
@@ -370,12 +372,12 @@ def real(data: Path) -> None:
             if track.n_steps == 0:
                 continue
             truth = in_frame_of(track, recording)
-            alone.append(waypoint_errors(track, truth))
+            alone.append(waypoint_errors(track, truth, std_m))
             fixes = [
-                PositionFix(float(t), p, WAYPOINT_STD_M**2 * np.eye(2))
+                PositionFix(float(t), p, std_m**2 * np.eye(2))
                 for t, p in zip(truth.time_s[truth.first], truth.position_m[truth.first], strict=True)
             ]
-            told.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth))
+            told.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
         for name, found in (("no", alone), ("yes", told)):
             nees = np.concatenate(found)
             half, most = (100 * np.mean(nees <= level) for level in levels)

@@ -41,6 +41,7 @@ from pdr_filter.context.transitions import (
     fit_tempering,
 )
 from pdr_filter.features.windows import FEATURE_SETS
+from pdr_filter.imm import lagged_mode_prob
 from pdr_filter.offline.smoothed_track import smoothed_track
 from pdr_filter.online import Config, finish, init, step
 from pdr_filter.recipes import context_transitions, default, with_context_model
@@ -57,6 +58,7 @@ BLOCK_S = 0.1
 # Two seconds of walking: what a final step of HC and WC waits too.
 LAG_STEPS = 4
 STATIONARY = CONTEXTS.index("stationary")
+TRACKER = default().tracker
 # Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
 N_WALKS = 2
 PARTS: tuple[tuple[tuple[str, str], float], ...] = (
@@ -205,7 +207,7 @@ class Said:
     @property
     def lagged(self) -> FloatArray:
         """Of each step with the evidence of some more, (K, C)."""
-        return lagged(self)
+        return lagged_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
 
     @property
     def lagged_known_s(self) -> FloatArray:
@@ -250,22 +252,6 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
 def mean_of_five(prob: FloatArray) -> FloatArray:
     """Mean probabilities (W, C) of each window with two before and two after it: what averaging alone is worth."""
     return np.array([prob[max(k - 2, 0) : k + 3].mean(axis=0) for k in range(len(prob))])
-
-
-def lagged(said: Said) -> FloatArray:
-    """Mode probabilities (K, C) of each step with the evidence of `LAG_STEPS` more: backwards from the filtered ones.
-
-    p(j at k | k + L) = sum_i p(i at k + 1 | k + L) mu_j t_ji / sum_j mu_j t_ji, of the modes alone.
-    """
-    t, filtered = context_transitions(), said.filtered
-    result = filtered.copy()
-    for k in range(len(filtered)):
-        end = min(k + LAG_STEPS, len(filtered) - 1)
-        prob = filtered[end]
-        for before in filtered[k:end][::-1]:
-            prob = before * (t @ (prob / (before @ t)))
-        result[k] = prob
-    return result
 
 
 def blocks(samples: ImuBlock) -> Iterator[ImuBlock]:
@@ -317,7 +303,7 @@ def window_scores(all_said: list[Said]) -> None:
         for name, prob in (
             ("filtered", said.filtered),
             ("learnt", said.learnt),
-            ("lagged", lagged(said)),
+            ("lagged", said.lagged),
             ("smoothed", said.smoothed),
         ):
             answers[name] += list(np.where(last >= 0, prob[last].argmax(axis=1), STATIONARY))
@@ -349,7 +335,7 @@ def step_scores(all_said: list[Said]) -> None:
         ("arg-max", np.concatenate([s.of_window for s in all_said])),
         ("filtered", np.concatenate([s.filtered for s in all_said])),
         ("learnt", np.concatenate([s.learnt for s in all_said])),
-        ("lagged", np.concatenate([lagged(s) for s in all_said])),
+        ("lagged", np.concatenate([s.lagged for s in all_said])),
         ("smoothed", np.concatenate([s.smoothed for s in all_said])),
     ):
         loss = -np.log(np.maximum(prob[use, y[use]], 1e-6)).mean()
@@ -470,7 +456,7 @@ def real(data: Path, cache: Path | None) -> list[Said]:
     sequences = labelled(all_said)
     between = np.linalg.matrix_power(context_transitions(), 2)
     chosen = fit_tempering(sequences, between)
-    plain = filter_windows(sequences, between, 0.5, 0.25, 0.01)
+    plain = filter_windows(sequences, between, TRACKER.evidence_exponent, TRACKER.prior_exponent, 0.01)
     use = sequences.label != UNKNOWN
     loss = -np.log(plain[use, sequences.label[use]]).mean()
     right = {
@@ -480,8 +466,8 @@ def real(data: Path, cache: Path | None) -> list[Said]:
     print(
         f"tempering on these windows: evidence {chosen.evidence_exponent:.1f}, prior {chosen.prior_exponent:.1f}, log "
         f"loss {chosen.log_loss:.3f}, on people left out of the choice {chosen.held_out_log_loss:.3f}; with the "
-        f"default 0.5 and 0.25 {loss:.3f}; without steps, accuracy of windows "
-        + ", ".join(f"{name} {value:.4f}" for name, value in right.items())
+        f"default {TRACKER.evidence_exponent} and {TRACKER.prior_exponent} {loss:.3f}; without steps, accuracy of "
+        "windows " + ", ".join(f"{name} {value:.4f}" for name, value in right.items())
     )
     return all_said
 

@@ -1,85 +1,323 @@
-"""All recipes on the same recordings: steps, tracks and distances, the tables of docs/benchmarks.md.
+"""All recipes with HC, WC and IMM on the same recordings: the tables of docs/methods/recipes.md and docs/benchmarks.md.
 
-usage: .venv/bin/python tests/benchmarks/recipes.py [--data ../shared/data] [--recipes default ...] [--jobs 2]
+usage: python tests/benchmarks/recipes.py [--data ../shared/data] [--recipes default ...] [--every N] [--jobs 2]
 
-Definitions are those of accuracy.py. Each error is of one walk; n is the number of walks, the bias their mean, the
-spread their standard deviation. Distances in the motion-capture room (tyrex) are against the path of the phone,
-smoothed below the frequency of steps. A recipe that lacks a sensor of a data set has a dash.
+Steps do not depend on the weighting: every recipe senses a recording once, and the weightings share what was sensed.
+Every score is of one recording. A cell has the mean over the recordings, or the root of their mean square (%RMSE), and
+its standard error, by person where there are several of them. In bold is the best cell of a column and each whose
+distance from it, recording by recording, has a mean of no more than one standard error of that mean.
+
+ubicomp13: steps counted on video against those found from 0.3 s before to 0.3 s after the walk; one found more than a
+second outside of it is false. oxford: F1 against foot switches, a constant offset removed. humolire, ms_indoor: RMSE of
+the position at the waypoints after rotation and translation onto all of them; end error in per cent of the path, after
+those onto the first 20 % of it; distance on straight legs by displacement (humolire), or the sum of the step lengths
+against the line through the waypoints (ms_indoor). tyrex: against the path of the phone in a room, smoothed below the
+frequency of steps. pyshoe: against the way of the foot, for a recipe that fits one. motionsense: share of the steps
+whose most probable mode is the label, and how far somebody went who sat or stood. Speed: on ubicomp13, in the time of
+the processor, without reading the file.
+
+The same command prints the same figures, but for the speed.
 """
 
 from __future__ import annotations
 
 import argparse
-from collections import defaultdict
-from collections.abc import Callable, Sequence
+import os
+import time
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
-from typing import Any
+
+# Sums of several threads may differ in the last bit from run to run.
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
-from accuracy import f1_score, track_errors
+from fit_zhou import way_of_the_foot_m
 from joblib import Parallel, delayed
+from mixed_contexts import tracked
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
+from peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
+from peers.walks import GRID_S, Walk
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
+from pdr_filter.types import Step
+from pdr_filter.weighting import WEIGHTINGS
+from pdr_filter.whole import sensed_events
 
 FloatArray = NDArray[np.float64]
-RECIPES = ("martinelli2018", "tian2016", "zhou2019", "guo2018", "susi2013", "default")
+Values = dict[str, float]
+RECIPES = ("default", "martinelli2018", "tian2016", "zhou2019", "guo2018", "susi2013")
+OWN = "own"  # the recipe's own weighting
 
 
-def count_error(recipe: str, path: Path) -> tuple[str, float, int, float]:
-    """Placement, count error in per cent, false steps, and the seconds in which a step is false."""
-    recording = pdr.read(path)
-    walk = recording.truth.segments[0]
-    start_s, end_s, n_true = float(walk["start_s"]), float(walk["end_s"]), float(walk["n_steps"])
-    time_s = pdr.detect_steps(recording, pdr.recipes.for_recording(recipe, recording)).time_s
-    n_found = int(((time_s >= start_s - 0.3) & (time_s <= end_s + 0.3)).sum())
-    n_false = int(((time_s < start_s - 1) | (time_s > end_s + 1)).sum())
-    outside_s = max(0.0, start_s - 1) + max(0.0, recording.duration_s - end_s - 1)
-    return path.stem.split("_", 3)[3], 100 * (n_found - n_true) / n_true, n_false, outside_s
+# --- Scores of one recording -----------------------------------------------------------------------------------------
 
 
-def switch_scores(recipe: str, path: Path) -> tuple[float, float]:
-    """F1 within 0.25 s and 0.1 s of foot switches, a constant offset removed."""
-    recording = pdr.read(path)
-    truth_s = recording.truth.steps.time_s
-    found_s = pdr.detect_steps(recording, pdr.recipes.for_recording(recipe, recording)).time_s
-    found_s = found_s[(found_s > truth_s[0] - 0.6) & (found_s < truth_s[-1] + 0.6)]
-    offsets = np.arange(-0.4, 0.41, 0.02)
-    near, close = (max(f1_score(truth_s, found_s + o, tolerance) for o in offsets) for tolerance in (0.25, 0.1))
-    return near, close
+@dataclass(frozen=True, eq=False)
+class Found:
+    """What a recipe with one weighting made of a recording."""
+
+    config: pdr.Config
+    time_s: FloatArray  # (K,)
+    position_m: FloatArray  # (K, 2)
+    step_length_m: FloatArray  # (K,)
+    mode_prob: FloatArray  # (K, M)
+
+    def walked_m(self, start_s: float, end_s: float) -> float:
+        """Sum of the step lengths from one time to another."""
+        return float(evaluate.walked_m(self.time_s, self.step_length_m, start_s, end_s))
 
 
-def waypoint_errors(recipe: str, path: Path) -> tuple[float, ...]:
-    """As `accuracy.track_errors`."""
-    recording = pdr.read(path)
-    return track_errors(recording, pdr.track(recording, pdr.recipes.for_recording(recipe, recording)))
+@dataclass(frozen=True, eq=False)
+class Scored:
+    """A recording with the scores of one recipe and weighting."""
+
+    recipe: str
+    weighting: str
+    site: str
+    name: str
+    person: str | None
+    values: Values
 
 
-def room_distance(recipe: str, path: Path) -> tuple[str, float]:
-    """Scenario, and the error of the distance in per cent in a motion-capture room."""
-    recording = pdr.read(path)
-    truth = recording.truth.position
-    time_s, position = np.asarray(truth.time_s), np.column_stack([truth.east_m, truth.north_m])
-    uniform_s = np.arange(time_s[0], time_s[-1], 0.02)
-    # 0.5 Hz is below any stride; what is left of the sway of a hand adds nothing to the length
-    smooth = sosfiltfilt(
-        butter(2, 0.5, fs=50.0, output="sos"),
-        np.column_stack([np.interp(uniform_s, time_s, p) for p in position.T]),
-        axis=0,
+def count_scores(walk: Walk, step_s: FloatArray) -> Values:
+    """Steps of ubicomp13."""
+    inside = (step_s >= walk.start_s - EDGE_S) & (step_s <= walk.end_s + EDGE_S)
+    before_s, after_s = walk.start_s - OUTSIDE_S, walk.end_s + OUTSIDE_S
+    error = float(evaluate.count_error_percent(inside.sum(), walk.recording.truth.segments.n_steps[0]))
+    return {
+        "count_percent": error,
+        "absolute_count_percent": abs(error),
+        "n_false": float(((step_s < before_s) | (step_s > after_s)).sum()),
+        "outside_s": max(0.0, before_s) + max(0.0, walk.recording.duration_s - after_s),
+    }
+
+
+def switch_scores(walk: Walk, step_s: FloatArray) -> Values:
+    """Steps of oxford; its walks have the edges of the switches."""
+    true_s = np.asarray(walk.recording.truth.steps.time_s)
+    found_s = step_s[(step_s > true_s[0] - SWITCH_EDGE_S) & (step_s < true_s[-1] + SWITCH_EDGE_S)]
+
+    def f1(tolerance_s: float) -> float:
+        return evaluate.f1_score(true_s, found_s + evaluate.best_offset_s(true_s, found_s, tolerance_s), tolerance_s)
+
+    return {"f1": f1(0.25), "f1_close": f1(0.1)}
+
+
+def waypoint_scores(walk: Walk, found: Found) -> Values:
+    """Positions and distances of humolire and ms_indoor."""
+    points, segments = walk.recording.truth.waypoints, walk.recording.truth.segments
+    reference_m = np.column_stack([points.east_m, points.north_m])
+    estimate_m = evaluate.positions_at(found.time_s, found.position_m, points.time_s)
+    values = {
+        "rmse_m": evaluate.position_rmse_m(estimate_m, reference_m, "all"),
+        "first_rmse_m": evaluate.position_rmse_m(estimate_m, reference_m, "first"),
+        "end_percent": evaluate.end_error_percent(estimate_m, reference_m, "first"),
+    }
+    if segments is None:
+        walked_m = found.walked_m(points.time_s[0], points.time_s[-1])
+        return values | {"distance_percent": float(evaluate.percent_error(walked_m, evaluate.path_m(reference_m)[-1]))}
+    moved_m = evaluate.moved_m(found.time_s, found.position_m, segments.start_s, segments.end_s)
+    each = evaluate.percent_error(moved_m, segments.distance_m)
+    return values | {
+        "distance_percent": float(evaluate.percent_error(moved_m.sum(), segments.distance_m.sum())),
+        "leg_percent": evaluate.distance_scores(each).rmse_percent,
+    }
+
+
+def room_scores(walk: Walk, found: Found) -> Values:
+    """Distances of tyrex; %RMSE is of the recordings in which the person walks."""
+    true_m = GRID_S * true_speed(walk)[1].sum()
+    error = float(evaluate.percent_error(found.walked_m(walk.start_s, walk.end_s), true_m))
+    return {"room_percent": error} | ({"walking_percent": error} if walk.recording.name.endswith(WALKING) else {})
+
+
+def foot_scores(walk: Walk, found: Found) -> Values:
+    """Distances of pyshoe."""
+    if not found.config.on_foot:
+        return {}
+    true_m = way_of_the_foot_m(walk.recording)
+    return {"foot_percent": float(evaluate.percent_error(found.step_length_m.sum(), true_m))}
+
+
+def context_scores(walk: Walk, found: Found) -> Values:
+    """Contexts of motionsense: of a recording in which nothing was found none is right."""
+    label = str(walk.recording.truth.labels.context[0])
+    if label == "stationary":
+        return {"still_m_per_min": 60 * float(found.step_length_m.sum()) / walk.recording.duration_s}
+    modes = np.array([m.context for m in found.config.tracker.modes])
+    right = modes[found.mode_prob.argmax(axis=1)] == label
+    return {"right_percent": 100 * float(right.mean()) if len(right) else 0.0}
+
+
+OF_STEPS: dict[str, Callable[[Walk, FloatArray], Values]] = {"ubicomp13": count_scores, "oxford": switch_scores}
+OF_TRACKS: dict[str, Callable[[Walk, Found], Values]] = {
+    "humolire": waypoint_scores,
+    "ms_indoor": waypoint_scores,
+    "tyrex": room_scores,
+    "pyshoe": foot_scores,
+    "motionsense": context_scores,
+}
+SITES = (*OF_STEPS, *OF_TRACKS)
+# Time is taken where phones were carried in every way, all of them with a gyroscope.
+TIMED = "ubicomp13"
+
+
+def found_by(config: pdr.Config, weighting: str, events: list[object]) -> Found:
+    """The track of what was sensed."""
+    updates = tracked(events, config, weighting)
+    return Found(
+        config,
+        np.array([u.step.time_s for u in updates]),
+        np.array([u.position_m for u in updates]).reshape(-1, 2),
+        np.array([u.step_length_m for u in updates]),
+        np.array([u.mode_prob for u in updates]).reshape(-1, len(config.tracker.modes)),
     )
-    label = recording.truth.labels[0]
-    inside = (uniform_s >= label["start_s"]) & (uniform_s <= label["end_s"])
-    length_m = np.linalg.norm(np.diff(smooth[inside], axis=0), axis=1).sum()
-    track = pdr.track(recording, pdr.recipes.for_recording(recipe, recording))
-    walked = (track.time_s >= label["start_s"]) & (track.time_s <= label["end_s"])
-    scenario = path.stem.removeprefix("tyrex_").split("_")[-1]
-    return scenario, 100 * (track.step_length_m[walked].sum() / length_m - 1)
 
 
-def cell(errors: Sequence[float]) -> str:
+@cache
+def warm(recipe: str) -> None:
+    """Loads, once in a process, what a recipe needs, so that it is not timed."""
+    config = pdr.recipes.RECIPES[recipe](None)
+    events = list(sensed_events(config.sensing, pdr.simulate.demo_walk()))
+    for weighting in WEIGHTINGS:
+        found_by(config, weighting, events)
+
+
+def scored(path: Path, recipes: Sequence[str]) -> list[Scored]:
+    """All recipes with all weightings on one recording; the recipe's own weighting twice, under `OWN` too."""
+    walk = walk_of(path)
+    recording, site = walk.recording, path.parent.name
+    result = []
+    for recipe in recipes:
+        warm(recipe)
+        config = pdr.recipes.for_recording(recipe, recording)
+        begin_s = time.process_time()
+        events = list(sensed_events(config.sensing, recording))
+        sensed_s = time.process_time() - begin_s
+        values: Values = {}
+        if site in OF_STEPS:
+            values = OF_STEPS[site](walk, np.array([e.time_s for e in events if isinstance(e, Step)]))
+        for weighting in WEIGHTINGS:
+            its = dict(values)
+            if site in OF_TRACKS or site == TIMED:
+                begin_s = time.process_time()
+                found = found_by(config, weighting, events)
+                its |= OF_TRACKS[site](walk, found) if site in OF_TRACKS else {}
+            if site == TIMED:
+                its |= {"spent_s": sensed_s + time.process_time() - begin_s, "recorded_s": recording.duration_s}
+            names = [weighting, OWN] if weighting == config.tracker.weighting else [weighting]
+            result += [Scored(recipe, n, site, recording.name, recording.subject.id, its) for n in names]
+    return result
+
+
+# --- Columns ---------------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Column:
+    """A score of a site over its recordings."""
+
+    title: str
+    site: str
+    value: str
+    digits: int = 1
+    root: bool = False  # of the mean square
+    ideal: float = 0.0  # scores are no better than that
+
+
+MAIN = (
+    Column("steps %", "ubicomp13", "absolute_count_percent", 2),
+    Column("humolire distance %RMSE", "humolire", "distance_percent", root=True),
+    Column("position m", "humolire", "rmse_m", 2),
+    Column("end %", "humolire", "end_percent", 2),
+    Column("ms_indoor distance %RMSE", "ms_indoor", "distance_percent", root=True),
+    Column("position m", "ms_indoor", "rmse_m", 2),
+    Column("end %", "ms_indoor", "end_percent"),
+)
+REST = (
+    Column("oxford F1 0.25 s", "oxford", "f1", 3, ideal=1.0),
+    Column("0.1 s", "oxford", "f1_close", 3, ideal=1.0),
+    Column("humolire, a leg %RMSE", "humolire", "leg_percent", root=True),
+    Column("tyrex distance %RMSE", "tyrex", "walking_percent", root=True),
+    Column("motionsense right mode %", "motionsense", "right_percent", ideal=100.0),
+    Column("sitting, standing m/min", "motionsense", "still_m_per_min"),
+    Column("pyshoe distance %RMSE", "pyshoe", "foot_percent", root=True),
+)
+
+
+def standard_error(values: FloatArray, groups: Sequence[str]) -> float:
+    """Of the mean of values (N,) that are alike within groups (N,): sums of the groups' deviations, G / (G - 1)."""
+    deviation = values - values.mean()
+    of_group = np.unique(groups, return_inverse=True)[1]
+    sums = np.bincount(of_group, deviation)
+    n_groups = len(sums)
+    return float(np.sqrt((sums**2).sum() * n_groups / (n_groups - 1)) / len(values)) if n_groups > 1 else np.nan
+
+
+def groups_of(records: Sequence[Scored]) -> list[str]:
+    """People, or recordings where the people are not known or only one."""
+    people = {r.person for r in records}
+    by_person = len(people) > 1 and None not in people
+    return [str(r.person) if by_person else r.name for r in records]
+
+
+def cells(column: Column, of_row: Sequence[Sequence[Scored]]) -> list[str]:
+    """The column of a table: mean or root mean square, standard error, bold if not told from the best."""
+    records = [[r for r in row if r.site == column.site and column.value in r.values] for row in of_row]
+    scores = [np.array([r.values[column.value] for r in row]) for row in records]
+    loss = [s**2 if column.root else np.abs(column.ideal - s) for s in scores]
+    known = [k for k in range(len(loss)) if len(loss[k])]
+    if not known:
+        return ["-"] * len(of_row)
+    best = min(known, key=lambda k: loss[k].mean())
+    result = []
+    for k, row in enumerate(records):
+        if k not in known:
+            result.append("-")
+            continue
+        groups = groups_of(row)
+        worse = loss[k] - loss[best]
+        near = worse.mean() <= standard_error(worse, groups) if k != best else True
+        error = standard_error(loss[k], groups)
+        value = float(np.sqrt(loss[k].mean())) if column.root else float(scores[k].mean())
+        error /= 2 * value if column.root else 1.0
+        text = f"{value:.{column.digits}f}"
+        result.append((f"**{text}**" if near else text) + f" ± {error:.{column.digits}f}")
+    return result
+
+
+def total(records: Iterable[Scored], value: str) -> float:
+    """Sum over the recordings that have it."""
+    return sum(r.values[value] for r in records if value in r.values)
+
+
+def over(numerator: float, denominator: float, digits: int) -> str:
+    """A quotient; a dash of nothing."""
+    return f"{numerator / denominator:.{digits}f}" if denominator else "-"
+
+
+def weighting_tables(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Recipe x weighting: the wide table, and what has no place in it."""
+    rows = [(recipe, weighting) for recipe in recipes for weighting in WEIGHTINGS]
+    of_row = [[r for r in records if (r.recipe, r.weighting) == row] for row in rows]
+    names = [f"`{recipe}` {weighting.upper()}" for recipe, weighting in rows]
+    speed = [over(total(r, "recorded_s"), total(r, "spent_s"), 0) for r in of_row]
+    false = [over(60 * total(r, "n_false"), total(r, "outside_s"), 1) for r in of_row]
+    for columns, title, last in ((MAIN, "x real time", speed), (REST, "false steps a minute", false)):
+        table = [names, *(cells(c, of_row) for c in columns), last]
+        print_table(["recipe", *(c.title for c in columns), title], list(zip(*table, strict=True)))
+
+
+# --- Tables of the recipes, each with its own weighting --------------------------------------------------------------
+
+
+def cell(errors: Sequence[float] | FloatArray) -> str:
     """Mean absolute error, bias, spread."""
-    e = np.array(errors)
+    e = np.asarray(errors, dtype=float)
     return f"{np.abs(e).mean():.2f} ({e.mean():+.2f}, {e.std():.2f})"
 
 
@@ -91,59 +329,79 @@ def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
     print(flush=True)
 
 
+def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> FloatArray:
+    """Scores (N,) of the recipe's own weighting."""
+    return np.array([r.values[value] for r in records if (r.recipe, r.weighting, r.site) == (recipe, OWN, site)])
+
+
+def step_tables(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Counts over all walks, then by the placement of the phone, which the names of the recordings end with."""
+    names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "ubicomp13")]
+    place = np.array([name.split("_", 3)[3] for name in names])
+    places = sorted(set(place))
+    rows, by_place = [], []
+    for recipe in recipes:
+        error, n_false, outside_s = (
+            values_of(records, recipe, "ubicomp13", v) for v in ("count_percent", "n_false", "outside_s")
+        )
+        f1 = ", ".join(f"{values_of(records, recipe, 'oxford', v).mean():.3f}" for v in ("f1", "f1_close"))
+        false = f"{60 * n_false.sum() / outside_s.sum():.1f}"
+        rows.append([recipe, cell(error), f"{np.abs(error).max():.1f}", false, f1])
+        by_place.append([recipe, *(cell(error[place == p]) for p in places)])
+    print("Steps: mean absolute count error in per cent (bias, spread)\n")
+    columns = [f"ubicomp13 (n={len(place)})", "largest", "false steps a minute", "oxford F1 0.25 s, 0.1 s"]
+    print_table(["recipe", *columns], rows)
+    print_table(["recipe", *(f"{p} (n={(place == p).sum()})" for p in places)], by_place)
+
+
+def track_table(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Medians over the walks."""
+
+    def row(recipe: str) -> Iterator[str]:
+        yield recipe
+        for site in ("humolire", "ms_indoor"):
+            rmse, first, end, distance = (
+                values_of(records, recipe, site, v)
+                for v in ("rmse_m", "first_rmse_m", "end_percent", "distance_percent")
+            )
+            yield f"{np.median(rmse):.2f}, {np.percentile(rmse, 90):.2f}"
+            yield f"{np.median(first):.2f}"
+            yield f"{np.median(end):.1f}"
+            yield f"{distance.mean():+.1f}, {distance.std():.1f}"
+
+    print("Tracks: humolire, then ms_indoor\n")
+    each = ["RMSE m: median, 90 %", "first 20 %: median", "end % median", "distance %: bias, spread"]
+    print_table(["recipe", *each, *each], [list(row(recipe)) for recipe in recipes])
+
+
+def room_table(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Errors of the distances of tyrex by scenario, those with magnets near the phone first."""
+    names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "tyrex")]
+    scenario = np.array([name.rsplit("_", 1)[1] for name in names])
+    scenarios = sorted(set(scenario))
+    rows = []
+    for recipe in recipes:
+        error = values_of(records, recipe, "tyrex", "room_percent")
+        rows.append([recipe, *(" ".join(f"{e:+.0f}" for e in error[scenario == s]) for s in scenarios)])
+    print("Distance error in per cent in a room of 5 m (tyrex, one person), each recording\n")
+    print_table(["recipe", *scenarios], rows)
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    parser.add_argument("--recipes", nargs="+", default=RECIPES)
+    parser.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
+    parser.add_argument("--every", type=int, default=1, help="take only every n-th recording of each site")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-
-    def over(function: Callable[..., Any], recipe: str, dataset: str) -> list[Any] | None:
-        """The function of each recording, None if the recipe cannot use them."""
-        paths = sorted((args.data / dataset).glob("*.zip"))
-        try:
-            return list(Parallel(args.jobs)(delayed(function)(recipe, path) for path in paths))
-        except pdr.MissingSensorError:
-            return None
-
-    steps, rows, header = [], [], ["recipe"]
-    for recipe in args.recipes:
-        counts = over(count_error, recipe, "ubicomp13") or []
-        groups: dict[str, list[float]] = defaultdict(list)
-        for placement, error, _, _ in counts:
-            groups[placement].append(error)
-        header = ["recipe", *(f"{name} (n={len(e)})" for name, e in sorted(groups.items()))]
-        rows.append([recipe, *(cell(e) for _, e in sorted(groups.items()))])
-        errors, n_false, outside_s = (np.array([c[i] for c in counts]) for i in (1, 2, 3))
-        scores = over(switch_scores, recipe, "oxford")
-        f1 = "-, -" if scores is None else ", ".join(f"{x:.3f}" for x in np.mean(scores, axis=0))
-        false_per_min = f"{60 * n_false.sum() / outside_s.sum():.1f}"
-        steps.append([recipe, cell(errors.tolist()), f"{np.abs(errors).max():.1f}", false_per_min, f1])
-    print("Steps: mean absolute count error in per cent (bias, spread)\n")
-    print_table(["recipe", "ubicomp13 (n=66)", "largest", "false steps a minute", "oxford F1 0.25 s, 0.1 s"], steps)
-    print_table(header, rows)
-
-    rows = []
-    for recipe in args.recipes:
-        row = [recipe]
-        for site in ("humolire", "ms_indoor"):
-            shape, first, end, distance, _ = np.array(over(waypoint_errors, recipe, site)).T
-            row += [f"{np.median(shape):.2f}, {np.percentile(shape, 90):.2f}", f"{np.median(first):.2f}"]
-            row += [f"{np.median(end):.1f}", f"{distance.mean():+.1f}, {distance.std():.1f}"]
-        rows.append(row)
-    print("Tracks: humolire (n=9), then ms_indoor (n=40)\n")
-    each = ["RMSE m: median, 90 %", "first 20 %: median", "end % median", "distance %: bias, spread"]
-    print_table(["recipe", *each, *each], rows)
-
-    rows, header = [], ["recipe"]
-    for recipe in args.recipes:
-        by_scenario: dict[str, list[float]] = defaultdict(list)
-        for scenario, error in over(room_distance, recipe, "tyrex") or []:
-            by_scenario[scenario].append(error)
-        header = ["recipe", *sorted(by_scenario)]
-        rows.append([recipe, *(" ".join(f"{e:+.0f}" for e in by_scenario[s]) for s in sorted(by_scenario))])
-    print("Distance error in per cent in a room of 5 m (tyrex, one person), each recording\n")
-    print_table(header, rows)
+    paths = [p for site in SITES for p in sorted((args.data / site).glob("*.zip"))[:: args.every]]
+    jobs = (delayed(scored)(path, args.recipes) for path in paths)
+    records = [r for found in Parallel(args.jobs)(jobs) for r in found]
+    print("Recipes and weightings, with standard errors; in bold what cannot be told from the best\n")
+    weighting_tables(records, args.recipes)
+    step_tables(records, args.recipes)
+    track_table(records, args.recipes)
+    room_table(records, args.recipes)
 
 
 if __name__ == "__main__":
