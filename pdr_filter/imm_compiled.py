@@ -23,7 +23,7 @@ from typing import Any, NamedTuple, TypeVar, cast
 import numba
 import numpy as np
 from llvmlite import ir
-from numba.core import cgutils, imputils, types
+from numba.core import cgutils, types
 from numba.core.typeconv import Conversion
 from numba.core.typing import templates
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, register_model
@@ -31,7 +31,7 @@ from numba.np import arrayobj
 
 from pdr_filter.types import FloatArray
 
-_LANES = 4
+_LANES = 4  # pedestrians in a vector: 32 bytes, a register of AVX; eight were no faster with AVX-512 (Zen 4)
 _LOG_2_PI = math.log(2 * math.pi)
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 
@@ -197,15 +197,14 @@ def _rows(name: str, array: FloatArray, core: tuple[int, ...], batch: tuple[int,
     return rows
 
 
-# --- vectors ----------------------------------------------------------------------------------------------------------
+# --- vectors: a number of each of `_LANES` pedestrians, in one register -----------------------------------------------
+#
+# The core calculates with all of them at once. Compiled code adds, subtracts, multiplies and divides vectors, and
+# numbers with vectors, as it does numbers: the functions of one pedestrian serve for either. LLVM alone finds no vectors
+# in these short sums.
 
 
 class _Vector(types.Type):
-    """One number of each of `_LANES` pedestrians, in one register of the core, which calculates with all at once.
-
-    Compiled code adds, subtracts, multiplies and divides vectors, and numbers with them, as it does numbers.
-    """
-
     def __init__(self) -> None:
         super().__init__(name=f"Vector{_LANES}")
 
@@ -214,114 +213,107 @@ class _Vector(types.Type):
 
 
 _VECTOR = _Vector()
+_REGISTER = ir.VectorType(ir.DoubleType(), _LANES)
 
 
 @register_model(_Vector)
 class _VectorModel(models.PrimitiveModel):
     def __init__(self, dmm: Any, fe_type: Any) -> None:
-        super().__init__(dmm, fe_type, ir.VectorType(ir.DoubleType(), _LANES))
-
-
-@lower_cast(types.float64, _Vector)
-def _same_for_all(context: Any, builder: Any, fromty: Any, toty: Any, number: Any) -> Any:
-    return _of_lanes(builder, [number] * _LANES)
+        super().__init__(dmm, fe_type, _REGISTER)
 
 
 def _of_lanes(builder: Any, numbers: list[Any]) -> Any:
-    vector = ir.Constant(ir.VectorType(ir.DoubleType(), _LANES), ir.Undefined)
+    vector = ir.Constant(_REGISTER, ir.Undefined)
     for lane, number in enumerate(numbers):
         vector = builder.insert_element(vector, number, ir.Constant(ir.IntType(32), lane))
     return vector
 
 
-class _OfVectors(templates.AbstractTemplate):
-    """Type of an operation: a vector, if there is one among the arguments."""
-
-    def generic(self, args: Any, kws: Any) -> Any:
-        return templates.signature(_VECTOR, *[_VECTOR] * len(args)) if _VECTOR in args else None
+@lower_cast(types.float64, _Vector)
+def _same_in_each(context: Any, builder: Any, fromty: Any, toty: Any, number: Any) -> Any:
+    return _of_lanes(builder, [number] * _LANES)
 
 
-def _operation(function: Any, n_arguments: int, lowered: Callable[..., Any]) -> None:
-    templates.infer_global(function)(type("_OfVectors", (_OfVectors,), {}))
-    lower_builtin(function, *[_Vector] * n_arguments)(lowered)
-
-
-_operation(operator.add, 2, lambda context, builder, sig, args: builder.fadd(*args))
-_operation(operator.sub, 2, lambda context, builder, sig, args: builder.fsub(*args))
-_operation(operator.mul, 2, lambda context, builder, sig, args: builder.fmul(*args))
-_operation(operator.truediv, 2, lambda context, builder, sig, args: builder.fdiv(*args))
-
-
-def _log(context: Any, builder: Any, sig: Any, args: Any) -> Any:
+def _log(context: Any, builder: Any, signature: Any, args: Any) -> Any:
     log = context.get_function(math.log, types.float64(types.float64))
     lanes = [builder.extract_element(args[0], ir.Constant(ir.IntType(32), lane)) for lane in range(_LANES)]
     return _of_lanes(builder, [log(builder, [number]) for number in lanes])
 
 
-_operation(math.log, 1, _log)
+class _OfVectors(templates.AbstractTemplate):
+    def generic(self, args: Any, kws: Any) -> Any:
+        return _VECTOR(*[_VECTOR] * len(args)) if _VECTOR in args else None
+
+
+def _define(function: Any, n_arguments: int, lowered: Callable[..., Any]) -> None:
+    templates.infer_global(function)(type("_OfVectors", (_OfVectors,), {}))
+    lower_builtin(function, *[_Vector] * n_arguments)(lowered)
+
+
+_define(math.log, 1, _log)
+for _name, _instruction in (("add", "fadd"), ("sub", "fsub"), ("mul", "fmul"), ("truediv", "fdiv")):
+    for _operator in (getattr(operator, _name), getattr(operator, f"i{_name}")):
+        _define(_operator, 2, lambda _, builder, __, args, name=_instruction: getattr(builder, name)(*args))
 
 
 @intrinsic
 def _if_positive(typingctx: Any, condition: Any, yes: Any, no: Any) -> Any:
-    """`yes if condition > 0 else no`, of numbers or for each number of vectors."""
+    """`yes if condition > 0 else no`, of numbers, or of each number of vectors."""
 
     def lowered(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        zero = context.get_constant(types.float64, 0.0)
-        zero = context.cast(builder, zero, types.float64, condition)
+        zero = ir.Constant(args[0].type, None)
         return builder.select(builder.fcmp_ordered(">", args[0], zero), args[1], args[2])
 
     return condition(condition, condition, condition), lowered
 
 
 @intrinsic
-def _vectors(typingctx: Any, numbers: Any, shape: Any) -> Any:
-    """Array of vectors of a shape on the memory of an array of numbers (elements, lanes)."""
-    made = types.Array(_VECTOR, len(shape), "C", aligned=False)
+def _vectors(typingctx: Any, shapes: Any) -> Any:
+    """Arrays of vectors of some shapes, not filled, in one piece of memory: LLVM sees that they do not overlap."""
+    arrays = types.Tuple([types.Array(_VECTOR, len(shape), "C") for shape in shapes])
+    itemsize = 8 * _LANES
 
     def lowered(context: Any, builder: Any, signature: Any, args: Any) -> Any:
-        source = arrayobj.make_array(numbers)(context, builder, args[0])
-        array = arrayobj.make_array(made)(context, builder)
-        itemsize = context.get_constant(types.intp, 8 * _LANES)
-        strides = [itemsize]
-        for length in cgutils.unpack_tuple(builder, args[1])[:0:-1]:
-            strides.insert(0, builder.mul(strides[0], length))
-        data = builder.bitcast(source.data, array.data.type)
-        arrayobj.populate_array(array, data, args[1], strides, itemsize, source.meminfo, source.parent)
-        return imputils.impl_ret_borrowed(context, builder, made, array._getvalue())
+        memory, end, made = None, ir.Constant(ir.IntType(64), 0), []
+        for array_type, shape in zip(arrays, cgutils.unpack_tuple(builder, args[0]), strict=True):
+            strides = [ir.Constant(ir.IntType(64), 8 * _LANES)]
+            for length in reversed(cgutils.unpack_tuple(builder, shape)):
+                strides.insert(0, builder.mul(strides[0], length))
+            made.append((array_type, shape, end, strides[1:]))
+            end = builder.add(end, strides[0])
+        memory = context.nrt.meminfo_alloc_aligned(builder, end, 8 * _LANES)
+        for k, (array_type, shape, begin, strides) in enumerate(made):
+            array = arrayobj.make_array(array_type)(context, builder)
+            data = builder.gep(context.nrt.meminfo_data(builder, memory), [begin])
+            data = builder.bitcast(data, array.data.type)
+            arrayobj.populate_array(array, data, shape, strides, 8 * _LANES, memory)
+            made[k] = array._getvalue()
+            if k:  # the first has the reference of the allocation
+                context.nrt.incref(builder, array_type, made[k])
+        return context.make_tuple(builder, arrays, made)
 
-    return made(numbers, types.UniTuple(types.intp, len(shape))), lowered
-
-
-@_copied
-def _room(size: int, shape: Any) -> Any:
-    """Room for vectors of a shape, and the same memory as numbers (elements, lanes)."""
-    numbers = np.empty((size, _LANES))
-    return numbers, _vectors(numbers, shape)
-
-
-@_copied
-def _gather(rows: FloatArray, k: int, end: int, numbers: FloatArray) -> None:
-    """Side by side the pedestrians from k; beyond the last, the last again."""
-    size = len(numbers)
-    flat = rows.reshape(len(rows), size)
-    last = min(end, len(rows)) - 1
-    a, b, c, d = flat[min(k, last)], flat[min(k + 1, last)], flat[min(k + 2, last)], flat[min(k + 3, last)]
-    for e in range(size):
-        numbers[e, 0] = a[e]
-        numbers[e, 1] = b[e]
-        numbers[e, 2] = c[e]
-        numbers[e, 3] = d[e]
+    return arrays(types.Tuple([types.UniTuple(types.int64, len(shape)) for shape in shapes])), lowered
 
 
 @_copied
-def _scatter(numbers: FloatArray, k: int, end: int, rows: FloatArray) -> None:
+def _gather(rows: FloatArray, k: int, begin: int, end: int, vectors: Any) -> None:
+    """Vectors of the pedestrians from k, beyond the last the last again; what all share is gathered once."""
+    if k == begin or len(rows) > 1:
+        numbers = vectors.view(np.float64).flat
+        for lane in range(_LANES):
+            row = rows[min(k + lane, end - 1, len(rows) - 1)].flat
+            for element in range(vectors.size):
+                numbers[element * _LANES + lane] = row[element]
+
+
+@_copied
+def _scatter(vectors: Any, k: int, end: int, rows: FloatArray) -> None:
     """The reverse of `_gather`."""
-    size = len(numbers)
-    flat = rows.reshape(len(rows), size)
+    numbers = vectors.view(np.float64).flat
     for lane in range(_LANES):
-        row = flat[min(k + lane, end - 1)]
-        for e in range(size):
-            row[e] = numbers[e, lane]
+        row = rows[min(k + lane, end - 1)].flat
+        for element in range(vectors.size):
+            row[element] = numbers[element * _LANES + lane]
 
 
 # --- all pedestrians of a range ---------------------------------------------------------------------------------------
@@ -385,7 +377,7 @@ def _update_all(
     nis: FloatArray,
 ) -> None:
     n, d = mean.shape[-1], z.shape[-1]
-    scratch = _update_scratch(n, d)
+    scratch = np.empty(d), np.empty((d, n)), np.empty((d, d)), np.empty((n, d)), np.empty((n, n)), np.empty(max(n, d))
     for k in range(begin, end):
         x, P, y, R_ = _of(mean, k), _of(cov, k), _of(z, k), _of(R, k)
         _update_one(x, P, y, _of(H, k), R_, updated_mean[k], updated_cov[k], log_likelihood[k], nis[k], scratch, n, d)
@@ -422,57 +414,37 @@ def _cycle_any(begin: int, end: int, *arrays: FloatArray) -> None:
 def _cycles(begin: int, end: int, arrays: tuple[FloatArray, ...], n: int, d: int, M: int) -> None:
     mean, cov, mode_prob, transition_prob, F, Q, z, H, R = arrays[:9]
     updated_mean, updated_cov, updated_mode_prob, combined_mean, combined_cov, nis = arrays[9:]
-    mean_, x = _room(M * n, (M, n))
-    cov_, P = _room(M * n * n, (M, n, n))
-    other_mean_, other_x = _room(M * n, (M, n))
-    other_cov_, other_P = _room(M * n * n, (M, n, n))
-    mode_prob_, mu = _room(M, (M,))
-    transition_prob_, p = _room(M * M, (M, M))
-    F_, F__ = _room(M * n * n, (M, n, n))
-    Q_, Q__ = _room(M * n * n, (M, n, n))
-    z_, z__ = _room(d, (d,))
-    H_, H__ = _room(d * n, (d, n))
-    R_, R__ = _room(d * d, (d, d))
-    combined_mean_, xc = _room(n, (n,))
-    combined_cov_, Pc = _room(n * n, (n, n))
-    nis_, nis__ = _room(M, (M,))
-    predicted_, predicted = _room(M, (M,))
-    log_likelihood_, log_likelihood = _room(M, (M,))
-    weight = _room(M, (M,))[1]
-    row = _room(n, (n,))[1]
-    scratch = (
-        _room(d, (d,))[1],
-        _room(d * n, (d, n))[1],
-        _room(d * d, (d, d))[1],
-        _room(d * n, (n, d))[1],
-        _room(n * n, (n, n))[1],
-        _room(max(n, d), (max(n, d),))[1],
-    )
+    inputs = (M, n), (M, n, n), (M,), (M, M), (M, n, n), (M, n, n), (d,), (d, n), (d, d)
+    results = (M, n), (M, n, n), (M,), (n,), (n, n), (M,)
+    between = (M, n), (M, n, n), (M,), (M,), (M,), (n,)
+    room = _vectors(inputs + results + between + ((d,), (d, n), (d, d), (n, d), (n, n), (max(n, d),)))
+    x, P, mu, p, F_, Q_, y, H_, R_ = room[:9]
+    new_x, new_P, new_mu, combined_x, combined_P, distance = room[9:15]
+    predicted_x, predicted_P, predicted_mu, log_likelihood, weight, row = room[15:21]
     for k in range(begin, end, _LANES):
-        _gather(mean, k, end, mean_)
-        _gather(cov, k, end, cov_)
-        _gather(mode_prob, k, end, mode_prob_)
-        if k == begin or len(transition_prob) > 1:
-            _gather(transition_prob, k, end, transition_prob_)
-        if k == begin or len(F) > 1:
-            _gather(F, k, end, F_)
-        if k == begin or len(Q) > 1:
-            _gather(Q, k, end, Q_)
-        _gather(z, k, end, z_)
-        _gather(H, k, end, H_)
-        _gather(R, k, end, R_)
-        _mix_one(x, P, mu, p, other_x, other_P, predicted, weight, n, M)
-        _predict_one(other_x, other_P, F__, Q__, x, P, row, n)
-        _update_one(x, P, z__, H__, R__, other_x, other_P, log_likelihood, nis__, scratch, n, d)
+        _gather(mean, k, begin, end, x)
+        _gather(cov, k, begin, end, P)
+        _gather(mode_prob, k, begin, end, mu)
+        _gather(transition_prob, k, begin, end, p)
+        _gather(F, k, begin, end, F_)
+        _gather(Q, k, begin, end, Q_)
+        _gather(z, k, begin, end, y)
+        _gather(H, k, begin, end, H_)
+        _gather(R, k, begin, end, R_)
+        # new_x, new_P: first the mixed estimates, which nobody needs when the updated ones are found
+        _mix_one(x, P, mu, p, new_x, new_P, predicted_mu, weight, n, M)
+        _predict_one(new_x, new_P, F_, Q_, predicted_x, predicted_P, row, n)
+        _update_one(predicted_x, predicted_P, y, H_, R_, new_x, new_P, log_likelihood, distance, room[21:], n, d)
         for lane in range(_LANES):
-            _update_mode_prob_one(predicted_[:, lane], log_likelihood_[:, lane], mode_prob_[:, lane])
-        _moments(other_x, other_P, mu, xc, Pc, n, M)
-        _scatter(other_mean_, k, end, updated_mean)
-        _scatter(other_cov_, k, end, updated_cov)
-        _scatter(mode_prob_, k, end, updated_mode_prob)
-        _scatter(combined_mean_, k, end, combined_mean)
-        _scatter(combined_cov_, k, end, combined_cov)
-        _scatter(nis_, k, end, nis)
+            prior, evidence = predicted_mu.view(np.float64)[lane::_LANES], log_likelihood.view(np.float64)[lane::_LANES]
+            _update_mode_prob_one(prior, evidence, new_mu.view(np.float64)[lane::_LANES])
+        _moments(new_x, new_P, new_mu, combined_x, combined_P, n, M)
+        _scatter(new_x, k, end, updated_mean)
+        _scatter(new_P, k, end, updated_cov)
+        _scatter(new_mu, k, end, updated_mode_prob)
+        _scatter(combined_x, k, end, combined_mean)
+        _scatter(combined_P, k, end, combined_cov)
+        _scatter(distance, k, end, nis)
 
 
 # --- one pedestrian ---------------------------------------------------------------------------------------------------
@@ -560,12 +532,6 @@ def _add_sandwich(A: FloatArray, B: FloatArray, total: FloatArray, row: FloatArr
 
 
 @_inlined
-def _update_scratch(n: int, d: int) -> tuple[FloatArray, ...]:
-    """Room for y, H P, S, K, I - K H and a row."""
-    return np.empty(d), np.empty((d, n)), np.empty((d, d)), np.empty((n, d)), np.empty((n, n)), np.empty(max(n, d))
-
-
-@_inlined
 def _update_one(
     mean: FloatArray,
     cov: FloatArray,
@@ -580,7 +546,7 @@ def _update_one(
     n: int,
     d: int,
 ) -> None:
-    y, HP, S, K, I_KH, row = scratch
+    y, HP, S, K, I_KH, row = scratch  # (d,), (d, n), (d, d), (n, d), (n, n), (max(n, d),)
     for j in range(len(mean)):
         for r in range(d):
             element = z[r]

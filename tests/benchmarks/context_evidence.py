@@ -1,90 +1,131 @@
 """How far to divide the training prior out of the context probabilities, and how much to temper them.
 
-usage: .venv/bin/python tests/benchmarks/context_evidence.py [--data ../shared/data]
+usage: .venv/bin/python tests/benchmarks/context_evidence.py [--data ../shared/data] [--cache FOLDER] [--every 3]
 
-Probabilities of windows are of people whom the default's model has not seen: MotionSense by leaving one person out,
-ubicomp13 (walking only, other people and phones) and tyrex by leaving the whole set out. They are then filtered over
-time with the default transitions (two steps a window), once for each choice. Prints, for MotionSense less its
-standing, recall and log loss, and for the others the mean probability of walking, which is all that they do.
+The filter's own steps, windows and transitions, once for each choice of the two exponents, on people and sites that
+the classifier has not seen: the walks through several contexts of `mixed_contexts.py` (MotionSense, people left out in
+three folds), tyrex left out as a whole, and every third walk of ubicomp13, of which no model has seen any. Prints the
+accuracy over the windows of the mixed walks (inside one context, with a step) beside that of the classifier's arg-max,
+the log loss at their steps, the recall of each context; and for the others, who walk and run only, the mean
+probability of walking at its steps, and how many of them it is the most probable.
 """
 
 from __future__ import annotations
 
 import argparse
+import os
+
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from mixed_contexts import N_FOLDS, N_WALKS, cached, context_at, mixed_walk, model_without, tracked, windows_of
 
-from pdr_filter.context.train import PLANS, LabelledWindows, fit, labelled_windows
-from pdr_filter.features.windows import FEATURE_SETS
-from pdr_filter.imm import update_mode_prob
-from pdr_filter.recipes import context_transitions
-from pdr_filter.types import CONTEXTS, BoolArray, FloatArray
-from pdr_filter.weighting import context_log_evidence
+import pdr_filter as pdr
+from pdr_filter.context.stage import WindowContext
+from pdr_filter.context.train import label_of
+from pdr_filter.online import Config
+from pdr_filter.recipes import default, for_recording, with_context_model
+from pdr_filter.sensing import Event
+from pdr_filter.types import CONTEXTS, FloatArray, IntArray, Recording
+from pdr_filter.whole import sensed_events
 
-PLAN = PLANS[0]
-FLOOR = 0.01
-
-
-def unseen_prob(windows: LabelledWindows) -> tuple[FloatArray, FloatArray]:
-    """Probabilities (W, 6) of people not in training, and the training prior (W, 6) that goes with each."""
-    names = FEATURE_SETS[PLAN.feature_set]
-    features = windows.features[:, [names.index(n) for n in PLAN.feature_names]]
-    train = np.isin(windows.dataset, PLAN.datasets) & windows.has_gyroscope
-    prob, prior = np.zeros((len(features), len(CONTEXTS))), np.zeros((len(features), len(CONTEXTS)))
-    people = [windows.person == p for p in np.unique(windows.person[windows.dataset == "motionsense"])]
-    for test in [*people, windows.dataset == "ubicomp13", windows.dataset == "tyrex"]:
-        rest = train & ~test
-        y = windows.context[rest]
-        fitted = fit(PLAN.machine_fit, CONTEXTS, features[rest], y, windows.person[rest], np.ones(len(y)))
-        prob[test] = fitted.prob(features[test])
-        prior[test] = [np.mean(windows.context[rest] == c) for c in CONTEXTS]
-    return prob, prior
+CHOICES = tuple((e, p) for e in (0.5, 0.7, 1.0) for p in (0.0, 0.2, 0.5, 1.0))
+STATIONARY, WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
+Sensed = tuple[Recording, Config, list[Event]]
 
 
-def filtered(
-    prob: FloatArray, prior: FloatArray, new_walk: BoolArray, exponent: float, prior_exponent: float
-) -> FloatArray:
-    """Mode probabilities (W, 6) after each window, starting even in every recording."""
-    transition = np.linalg.matrix_power(context_transitions(), 2)
-    result, mode_prob = np.zeros_like(prob), np.full(len(CONTEXTS), 1 / len(CONTEXTS))
-    for i in range(len(prob)):
-        if new_walk[i]:
-            mode_prob = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
-        evidence = context_log_evidence(prob[i], prior[i], exponent, FLOOR, prior_exponent)
-        mode_prob = update_mode_prob(mode_prob @ transition, evidence)
-        result[i] = mode_prob
-    return result
+def sensed(recording: Recording, config: Config) -> Sensed:
+    """Steps and windows of a recording."""
+    return recording, config, list(sensed_events(config.sensing, recording))
+
+
+def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sensed]]:
+    """Walks by set, each sensed with a model that has not seen its person."""
+    windows = cached(cache, "windows", lambda: windows_of(data))
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    found: dict[str, list[Sensed]] = {"mixed": [], "tyrex": [], "ubicomp13 pocket": [], "ubicomp13 hand, bag": []}
+    for k in range(N_FOLDS):
+        fold = tuple(people[k::N_FOLDS])
+        model = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
+        for person in fold:
+            for number in range(N_WALKS):
+                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
+                found["mixed"].append(sensed(walk, with_context_model(default(walk.subject), model)))
+    of_tyrex = tuple(np.unique(windows.person[windows.dataset == "tyrex"]))
+    model = cached(cache, "model_tyrex", lambda: model_without(windows, of_tyrex))
+    for path in sorted((data / "tyrex").glob("*.zip")):
+        walk = pdr.read(path)
+        found["tyrex"].append(sensed(walk, with_context_model(for_recording("default", walk), model)))
+    for path in sorted((data / "ubicomp13").glob("*.zip"))[::every]:
+        walk = pdr.read(path)
+        name = "ubicomp13 pocket" if "pocket" in path.stem else "ubicomp13 hand, bag"
+        found[name].append(sensed(walk, for_recording("default", walk)))
+    return found
+
+
+def at_steps(walk: Sensed, evidence_exponent: float, prior_exponent: float) -> tuple[FloatArray, FloatArray]:
+    """Times (K,) and mode probabilities (K, C) of the steps."""
+    _, config, events = walk
+    tracker = replace(config.tracker, evidence_exponent=evidence_exponent, prior_exponent=prior_exponent)
+    updates = tracked(events, replace(config, tracker=tracker), "imm")
+    return np.array([u.step.time_s for u in updates]), np.array([u.mode_prob for u in updates]).reshape(
+        -1, len(CONTEXTS)
+    )
+
+
+def window_answers(walk: Sensed, time_s: FloatArray, prob: FloatArray) -> tuple[IntArray, IntArray, IntArray]:
+    """True context, arg-max and the filter's answer (W,) of the windows inside one context that have a step."""
+    windows = [e for e in walk[2] if isinstance(e, WindowContext)]
+    rows: list[tuple[int, int, int]] = []
+    for window in windows:
+        last = int(np.searchsorted(time_s, window.time_s)) - 1
+        has_step = last >= 0 and time_s[last] >= window.time_s - 1.0
+        truth = context_at(walk[0], window.time_s - 1.0)
+        if has_step and truth >= 0 and label_of(walk[0], window.time_s - 2.0, window.time_s) is not None:
+            rows.append((truth, int(window.prob.argmax()), int(prob[last].argmax())))
+    truth, highest, answer = np.array(rows).T
+    return truth, highest, answer
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
-    names = {*PLAN.datasets, "ubicomp13"}
-    paths = [p for d in sorted(names) for p in sorted((data / d).glob("*.zip"))]
-    windows = labelled_windows(paths, feature_set=PLAN.feature_set)
-    prob, prior = unseen_prob(windows)
-    truth = np.array([CONTEXTS.index(c) for c in windows.context])
-    new_walk = np.concatenate([[True], windows.recording[1:] != windows.recording[:-1]])
-    scored = (windows.dataset == "motionsense") & (windows.context != "stationary")
-    walks = {
-        "ubicomp13 pocket": (windows.dataset == "ubicomp13") & (windows.carrying_mode == "pocket"),
-        "ubicomp13 hand": (windows.dataset == "ubicomp13") & (windows.carrying_mode == "texting"),
-        "tyrex walking": (windows.dataset == "tyrex") & (windows.context == "walking"),
-    }
-    for prior_exponent in (0.0, 0.25, 0.5, 1.0):
-        for exponent in (0.25, 0.5, 1.0):
-            result = filtered(prob, prior, new_walk, exponent, prior_exponent)
-            of_truth = result[scored, truth[scored]]
-            recall = {
-                CONTEXTS[c]: round(float((result[scored & (truth == c)].argmax(axis=1) == c).mean()), 2)
-                for c in np.unique(truth[scored])
-            }
-            log_loss = -np.log(np.maximum(of_truth, 1e-6)).mean()
-            walking = ", ".join(f"{name} {result[use, 1].mean():.2f}" for name, use in walks.items())
-            choice = f"prior {prior_exponent}, tempering {exponent}"
-            print(f"{choice}: log loss {log_loss:.3f}, recall {recall}; p(walking): {walking}")
+    parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
+    parser.add_argument("--every", type=int, default=3, help="so many walks of ubicomp13 are one")
+    args = parser.parse_args()
+    walks = walks_of(args.data, args.cache, args.every)
+    print({name: len(found) for name, found in walks.items()}, flush=True)
+    for evidence_exponent, prior_exponent in CHOICES:
+        truth, highest, answer, losses = [], [], [], []
+        for walk in walks["mixed"]:
+            time_s, prob = at_steps(walk, evidence_exponent, prior_exponent)
+            for column, found in zip((truth, highest, answer), window_answers(walk, time_s, prob), strict=True):
+                column.append(found)
+            y = np.array([context_at(walk[0], t) for t in time_s])
+            losses.append(-np.log(np.maximum(prob[y >= 0, y[y >= 0]], 1e-6)).mean())
+        y, first, filtered = (np.concatenate(column) for column in (truth, highest, answer))
+        recall = ", ".join(
+            f"{CONTEXTS[c]} {(filtered[y == c] == c).mean():.2f}" for c in np.unique(y) if c != STATIONARY
+        )
+        others = []
+        for name, found in walks.items():
+            if name == "mixed":
+                continue
+            of_walking = []
+            for walk in found:
+                time_s, prob = at_steps(walk, evidence_exponent, prior_exponent)
+                of_walking.append(prob[[context_at(walk[0], t) == WALKING for t in time_s]])
+            prob = np.concatenate(of_walking)
+            others.append(f"{name} {prob[:, WALKING].mean():.3f}, {(prob.argmax(axis=1) == WALKING).mean():.3f}")
+        print(
+            f"evidence {evidence_exponent}, prior {prior_exponent}: accuracy {(filtered == y).mean():.4f} (arg-max "
+            f"{(first == y).mean():.4f}), log loss {np.mean(losses):.3f}, recall {recall}; "
+            f"walking: {'; '.join(others)}",
+            flush=True,
+        )
 
 
 if __name__ == "__main__":
