@@ -17,7 +17,7 @@ pytest.importorskip("numba")
 from pdr_filter import imm_compiled
 
 SEEDS = st.integers(0, 2**32 - 1)
-BATCHES = st.sampled_from([(), (1,), (3,), (2, 3), (0,)])
+BATCHES = st.sampled_from([(), (1,), (3,), (2, 3), (9,), (0,)])  # fewer and more than a vector has lanes
 
 
 def random_cov(rng: np.random.Generator, n: int, *leading: int) -> np.ndarray:

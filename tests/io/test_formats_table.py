@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from app_files import a_walk, on_one_clock, with_level_attitude
-from mutations import SOURCES, file_of
+from mutations import FORMS, SOURCES, file_of
 
 from pdr_filter.io import FORMATS, read
 from pdr_filter.io.errors import RecordingError
@@ -31,19 +31,6 @@ ROUND_TRIP = {
     "ronin": ("same values", 1e-12, 0.0),
     "generic_csv": ("same values", 1e-9, 1e-12),
 }
-FORMS = [
-    "own",
-    "sensor_logger:android",
-    "sensor_logger:ios",
-    "sensor_logger:json",
-    "phyphox:zip",
-    "phyphox:csv",
-    "get_sensor_data",
-    "indoor_location",
-    "core_motion",
-    "ronin",
-    "generic_csv",
-]
 # An attitude in the file is the only witness of the sign.
 WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "generic_csv")]
 
