@@ -8,8 +8,8 @@ names, arguments and results, to rounding, with four differences. Covariances ar
 must be exactly the documented ones, since compiled loops do not check an index; an innovation covariance that is not
 positive gives NaN or infinity instead of an error or a warning; and no result is ever one of the arguments.
 
-Needs the extra `fast` (numba). The first call of a function compiles it, which takes up to half a minute; the code is kept in
-`__pycache__`, later processes load it. numba is imported with this module and nowhere else.
+Needs the extra `fast` (numba). The first call of a function compiles it, which takes up to half a minute; the code is
+kept in `__pycache__`, later processes load it. numba is imported with this module and nowhere else.
 """
 
 from __future__ import annotations
