@@ -141,9 +141,14 @@ class MotionNoise:
     log_scale_drift_per_sqrt_step: float = 0.001
     gap_speed_mps: float = 1.0
 
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name} must be 0 or more and finite, got {value}")
+
     @property
     def log_scale_drift_var(self) -> float:
-        """Variance that the log scale gains with each step."""
+        """Variance that the log scale gains with each step: that of the drift, at most the spread of people."""
         return min(self.log_scale_drift_per_sqrt_step, self.log_scale_std) ** 2
 
     @property

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, is_dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -193,7 +193,8 @@ def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[St
     due = [f for f in state.waiting_fixes if received_s(f) <= state.sensing.processed_s]
     late = tuple(f for f in state.waiting_fixes if received_s(f) > state.sensing.processed_s)
     for fix in due:
-        tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s)
+        first_s = state.sensing.conditioner.report.first_time_s
+        tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s, first_s)
         output.fixes.append(result)
     state = replace(state, tracker=tracker, waiting_fixes=late, finished=True)
     return state, replace(output, updates=[*output.updates, *last])
@@ -204,8 +205,9 @@ def _process(
 ) -> tuple[State, Output]:
     output = Output()
     tracker, fixes, seen = state.tracker, state.waiting_fixes, state.seen
+    first_s = state.sensing.conditioner.report.first_time_s
     for known_s, event in events:
-        tracker, fixes, used = _apply_fixes(config, tracker, fixes, known_s)
+        tracker, fixes, used = _apply_fixes(config, tracker, fixes, known_s, first_s)
         output.fixes.extend(used)
         if watch is not None:
             watch(tracker, event)
@@ -219,7 +221,7 @@ def _process(
         else:
             tracker, updates = config.tracker.on_step(tracker, event)
         output.updates.extend(updates)
-    tracker, fixes, used = _apply_fixes(config, tracker, fixes, state.sensing.processed_s)
+    tracker, fixes, used = _apply_fixes(config, tracker, fixes, state.sensing.processed_s, first_s)
     output.fixes.extend(used)
     climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
     state = replace(state, tracker=tracker, waiting_fixes=fixes, climbs=climbs, seen=seen)
@@ -227,11 +229,11 @@ def _process(
 
 
 def _apply_fixes(
-    config: Config, state: TrackerState, fixes: tuple[Fix, ...], until_s: float
+    config: Config, state: TrackerState, fixes: tuple[Fix, ...], until_s: float, first_s: float
 ) -> tuple[TrackerState, tuple[Fix, ...], list[FixResult]]:
     used: list[FixResult] = []
     while fixes and due_s(config, fixes[0]) <= until_s:
-        state, result = _use_fix(config, state, fixes[0], until_s)
+        state, result = _use_fix(config, state, fixes[0], until_s, first_s)
         used.append(result)
         fixes = fixes[1:]
     return state, fixes, used
@@ -249,11 +251,31 @@ def due_s(config: Config, fix: Fix) -> float:
     return max(received_s(fix), fix.time_s + delay_s)
 
 
-def _use_fix(config: Config, state: TrackerState, fix: Fix, now_s: float) -> tuple[TrackerState, FixResult]:
+def _use_fix(
+    config: Config, state: TrackerState, fix: Fix, now_s: float, first_s: float
+) -> tuple[TrackerState, FixResult]:
+    if untimely(fix, first_s, received_s(fix)):
+        return replace(state, rejected_fixes=state.rejected_fixes + 1), FixResult.of(fix, now_s, np.inf, False)
     n_rejected = state.rejected_fixes
     state, nis = config.tracker.on_fix(state, fix)
-    kind = type(fix).__name__.removesuffix("Fix").lower()
-    return state, FixResult(kind, fix.time_s, now_s, nis, accepted=state.rejected_fixes == n_rejected)
+    return state, FixResult.of(fix, now_s, nis, state.rejected_fixes == n_rejected)
+
+
+def untimely(fix: Fix, first_s: float, last_s: float) -> str:
+    """Why a fix is of another time than the samples so far, whose first and last are given; empty if it is not."""
+    until_s = fix.end_s if isinstance(fix, Standstill) else fix.time_s
+    late_s, ahead_s = max(received_s(fix), last_s) - until_s, fix.time_s - last_s
+    remedy = "fixes and samples need one clock, in seconds"
+    if until_s < first_s - FIX_TOLERANCE_S:
+        return f"the fix at {until_s:.1f} s is from before the first sample ({first_s:.1f} s); {remedy}"
+    if late_s > MAX_FIX_AGE_S:
+        return (
+            f"the fix at {until_s:.1f} s comes {late_s:.0f} s late (last sample {last_s:.1f} s), more than "
+            f"{MAX_FIX_AGE_S:.0f} s; {remedy}; pdr_filter.smooth takes fixes of any time"
+        )
+    if ahead_s > MAX_FIX_AGE_S:
+        return f"the fix at {fix.time_s:.1f} s is {ahead_s:.0f} s ahead of the last sample ({last_s:.1f} s); {remedy}"
+    return ""
 
 
 class OnlineFilter:
@@ -332,30 +354,17 @@ class OnlineFilter:
 
         It is used when it was received and the step that it falls into is known. Raises ValueError, and stays as it
         is, for a fix from before the first sample, more than a minute older than the last one, or more than a minute
-        ahead of it. Before the first sample any fix is taken.
+        ahead of it; for a standstill its end counts. A fix that is given before the first sample is looked at when it
+        is used, and then rejected.
         """
-        self._check_time(fix)
+        if self.state.finished:
+            raise ValueError("the filter is finished: start a new one for further fixes")
+        seen = self.state.sensing.conditioner.report
+        wrong = "" if np.isnan(seen.first_time_s) else untimely(fix, seen.first_time_s, seen.last_time_s)
+        if wrong:
+            raise ValueError(wrong)
         waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: due_s(self.config, f))
         self.state = replace(self.state, waiting_fixes=tuple(waiting))
-
-    def _check_time(self, fix: Fix) -> None:
-        seen = self.state.sensing.conditioner.report
-        first_s, last_s = seen.first_time_s, seen.last_time_s
-        late_s, remedy = max(received_s(fix), last_s) - fix.time_s, "fixes and samples need one clock, in seconds"
-        if fix.time_s < first_s - FIX_TOLERANCE_S:
-            raise ValueError(
-                f"the fix at {fix.time_s:.1f} s is from before the first sample ({first_s:.1f} s); {remedy}"
-            )
-        if late_s > MAX_FIX_AGE_S:
-            raise ValueError(
-                f"the fix at {fix.time_s:.1f} s comes {late_s:.0f} s late (last sample {last_s:.1f} s), more than "
-                f"{MAX_FIX_AGE_S:.0f} s; {remedy}; pdr_filter.smooth takes fixes of any time"
-            )
-        ahead_s = fix.time_s - last_s
-        if ahead_s > MAX_FIX_AGE_S:
-            raise ValueError(
-                f"the fix at {fix.time_s:.1f} s is {ahead_s:.0f} s ahead of the last sample ({last_s:.1f} s); {remedy}"
-            )
 
     @property
     def position_m(self) -> FloatArray:
@@ -391,10 +400,18 @@ class OnlineFilter:
         if not (whole and isinstance(content["config"], Config) and isinstance(content["state"], State)):
             raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
         loaded = cls(content["config"])
-        if content["state"].tracker.mean.shape != loaded.state.tracker.mean.shape:
+        if _shape(content["state"]) != _shape(loaded.state):
             raise ValueError("these bytes hold a state of another configuration; save the filter again")
         loaded.state = content["state"]
         return loaded
+
+
+def _shape(state: State) -> tuple[object, ...]:
+    """What a configuration fixes of a state: the arrays of its modes, and the kinds of the stages' own states."""
+    stages = (getattr(state.sensing, f.name) for f in fields(state.sensing))
+    sensing = tuple(type(stage) for stage in stages if is_dataclass(stage))
+    tracker = state.tracker
+    return (tracker.mean.shape, tracker.cov.shape, tracker.mode_prob.shape, tracker.shared_m.shape, sensing)
 
 
 def imu_block(

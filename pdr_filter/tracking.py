@@ -188,6 +188,7 @@ class Tracker:
             raise ValueError(f"frame must be one of {_FRAMES}, got {self.frame!r}")
         if self.backend not in _BACKENDS:
             raise ValueError(f"backend must be one of {tuple(_BACKENDS)}, got {self.backend!r}")
+        self._check_numbers()
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
@@ -198,6 +199,19 @@ class Tracker:
                 f"weighting {self.weighting!r} needs exactly one mode for each of {CONTEXTS}, got {contexts}; "
                 'use weighting="imm" for other modes'
             )
+
+    def _check_numbers(self) -> None:
+        if not self.modes:
+            raise ValueError("modes must hold one mode at least, got none")
+        for name in ("evidence_exponent", "prior_exponent", "wc_threshold", "fix_gate_nis", "scalar_gate_nis"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0 < self.evidence_floor < 1:
+            raise ValueError(f"evidence_floor must be between 0 and 1, got {self.evidence_floor}")
+        if not 0 < self.window_hop_s < np.inf:
+            raise ValueError(f"window_hop_s must be positive, got {self.window_hop_s}")
+        if not np.isfinite(self.step_log_odds_stationary):
+            raise ValueError(f"step_log_odds_stationary must be finite, got {self.step_log_odds_stationary}")
 
     @cached_property
     def _imm(self) -> ModuleType:
@@ -291,7 +305,9 @@ class Tracker:
         state, updates = self._settle(state, force=True)
         # The gap's own growth stands for the time since the last step.
         cov = grow_over_gap(state.cov, gap_s, self.noise)
-        return replace(state, cov=cov, windows=(), last_step_s=np.nan, speed=None), updates
+        # For the carrying mode the gap was no time: what lasts over it was not followed through it.
+        used = replace(state.used, time_s=state.used.time_s + gap_s) if state.used else None
+        return replace(state, cov=cov, windows=(), used=used, last_step_s=np.nan, speed=None), updates
 
     def on_fix(self, state: TrackerState, fix: Fix) -> tuple[TrackerState, float]:
         """New state after a fix, and its normalised innovation squared in the mode that explains it best.
@@ -464,13 +480,14 @@ class Tracker:
         )
         x, P = self._imm.combine(mean, cov, prob)
         # The length and direction of the step itself; evidence also moves the combined position, which is no walking.
-        length_m = float(prob @ (length * np.exp(mean[:, LOG_SCALE])))
+        scale = np.exp(ahead.mixed[:, LOG_SCALE])  # the person's at this step, before it is forgotten a little
+        length_m = float(prob @ (length * scale))
         heading_rad = step.device_heading_rad + float(x[HEADING_OFFSET] + self._mean_offset(prob))
         length_var_m2 = max(float(prob @ (variance + length**2)) - float(prob @ length) ** 2, 0.0)
         speed = _speed(state, step, length_m, length_var_m2, float(P[LOG_SCALE, LOG_SCALE]))
         state = _remember(replace(state, speed=speed), step, x)
         own_rad = step.device_heading_rad + mean[:, HEADING_OFFSET] + self._directions.heading_offset_rad
-        parameter_m = prob * ahead.parameter_std_m * np.exp(mean[:, LOG_SCALE])
+        parameter_m = prob * ahead.parameter_std_m * scale
         state = _with_shared(state, P, length_m, heading_rad, parameter_m, own_rad)
         update = StepUpdate(
             index=state.n_final - 1,
@@ -498,9 +515,9 @@ class Tracker:
         if state.windows:
             return state.windows[-1].prob
         # before the first window: what the modes say, summed over those of one context
-        return np.array(
-            [sum(p for m, p in zip(self.modes, state.mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
-        )
+        prob = [sum(p for m, p in zip(self.modes, state.mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
+        total = sum(prob)  # less than one beside irregular modes
+        return np.array(prob) / total if total > 0 else np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 
     # --- HC and WC ---------------------------------------------------------------------------------------------
 
@@ -541,6 +558,7 @@ class Tracker:
         own_var = max(mixture_var - float(weights @ parameter_std**2), 0.0)
         directions = self._directions.weighted(weights)
         mean, cov = _learn_heading(state, step)
+        scale = float(np.exp(mean[0, LOG_SCALE]))
         mean, cov = advance(
             mean,
             cov,
@@ -551,7 +569,6 @@ class Tracker:
             self.noise,
             _elapsed_s(state, step),
         )
-        scale = float(np.exp(mean[0, LOG_SCALE]))
         length_m = mean_length * scale
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
         speed = _speed(state, step, length_m, mixture_var, float(cov[0, LOG_SCALE, LOG_SCALE]))

@@ -60,7 +60,7 @@ def doubts(track: Track) -> list[str]:
     if rejected:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
         told.append(
-            f"{len(rejected)} of {len(track.fixes)} position fixes do not fit the track and were not used: "
+            f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
             f"at {times} s."
         )
     return told

@@ -257,6 +257,10 @@ class PositionFix:
         _check_times(self.time_s, self.received_time_s)
 
 
+# A deviation beyond this says nothing, and its square must stay a number.
+_MAX_STD = 1e100
+
+
 @dataclass(frozen=True, slots=True)
 class HeadingFix:
     """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver.
@@ -280,7 +284,7 @@ class HeadingFix:
 
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
-        if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < np.inf):
+        if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < _MAX_STD):
             raise ValueError(
                 f"walking_heading_rad must be finite and std_rad positive, got {self.walking_heading_rad} and "
                 f"{self.std_rad}"
@@ -308,7 +312,7 @@ class SpeedFix:
 
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
-        if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < np.inf):
+        if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < _MAX_STD):
             raise ValueError(
                 f"speed_mps and std_mps must be positive, got {self.speed_mps} and {self.std_mps}; somebody who stands "
                 "is a Standstill"
@@ -361,10 +365,15 @@ class FixResult:
     kind: str  # "position", "heading", "speed", "standstill"
     time_s: float  # when it was true
     used_s: float  # when the filter took it
-    # Normalised innovation squared in the mode that explains it best; infinite if it came too late, NaN where there was
-    # nothing to compare it with.
+    # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
+    # there was nothing to compare it with.
     nis: float
     accepted: bool
+
+    @classmethod
+    def of(cls, fix: Fix, used_s: float, nis: float, accepted: bool) -> FixResult:
+        """That of a fix."""
+        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, nis, accepted)
 
 
 class MissingSensorError(ValueError):

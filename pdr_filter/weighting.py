@@ -100,7 +100,9 @@ def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows
     Probabilities of the carrying mode are of all windows so far, so each of them holds the earlier ones once more. What
     the last windows added is log p_k - log(predicted p_{k-n}), the prediction by the transitions with which they were
     followed (`context.stage.follow_mode`); exact if the mode did not change in between. `before` is None for the first.
-    A carrying mode that the classifier does not know (probability zero) has no evidence for or against it.
+    A carrying mode that the classifier does not know (probability zero) has no evidence for or against it. For stages
+    that say of each window alone where the phone is (those of two published recipes), this is a difference of two
+    windows and means little: give modes a carrying mode with the learned contexts of the default only.
     """
     known = prob > 0
     n_known = max(int(known.sum()), 1)
@@ -151,7 +153,7 @@ class ModeEvidence:
         """
         prob, prior = window.prob, window.training_prior
         if IRREGULAR in self.contexts:
-            irregular = float(np.clip(np.nan_to_num(window.irregular_prob), 0.0, 1.0))
+            irregular = float(np.clip(window.irregular_prob, 0.0, 1.0)) if np.isfinite(window.irregular_prob) else 0.5
             prob = np.append((1.0 - irregular) * prob, irregular)
             prior = np.append(0.5 * prior, 0.5)
         evidence = context_log_evidence(prob, prior, self.exponent, self.floor, self.prior_exponent)
@@ -159,5 +161,6 @@ class ModeEvidence:
         if all(c is None for c in self.carrying_modes) or not np.isfinite(window.carrying_prob).all():
             return evidence
         n_windows = 1 if used is None else max(round((window.time_s - used.time_s) / self.window_hop_s), 1)
-        of_carrying = carrying_log_evidence(window.carrying_prob, used.carrying_prob if used else None, n_windows)
+        before = used.carrying_prob if used is not None and np.isfinite(used.carrying_prob).all() else None
+        of_carrying = carrying_log_evidence(window.carrying_prob, before, n_windows)
         return evidence + np.append(of_carrying, 0.0)[self._carrying_index]

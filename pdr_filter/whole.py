@@ -117,6 +117,8 @@ def _run(
         notes.append(f"fixes rejected as outliers: {state.tracker.rejected_fixes}")
     if state.waiting_fixes:
         notes.append(f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")
+        end_s = state.sensing.processed_s
+        results += [FixResult.of(fix, end_s, np.inf, False) for fix in state.waiting_fixes]
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
     track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)

@@ -179,6 +179,8 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         alone = pdr.track(walk, config)
         standing = pdr.track(walk, config, fixes=[Standstill(20.0, 30.0)])
         inside = (alone.time_s > 20.5) & (alone.time_s < 29.5)
+        before = alone.time_s < 17.0
+        np.testing.assert_array_equal(standing.step_length_m[before], alone.step_length_m[before])
         assert standing.step_length_m[inside].sum() < 0.1 * alone.step_length_m[inside].sum()
         assert standing.n_steps == alone.n_steps
 
@@ -196,6 +198,8 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         (lambda: SpeedFix(1.0, 0.0, 0.1), "is a Standstill"),
         (lambda: SpeedFix(1.0, 1.0, np.nan), "must be positive"),
         (lambda: Standstill(2.0, 2.0), "must end after its begin"),
+        (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad positive"),
+        (lambda: SpeedFix(1.0, 1.0, 1e200), "must be positive"),
         (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "finite"),
     ],
 )
@@ -213,8 +217,9 @@ def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(w
     ]
     track = pdr.track(walk, fixes=fixes)
     assert np.isfinite(track.position_m).all()
-    late = [f for f in track.fixes if f.time_s == 10.0]
-    assert all(not f.accepted and f.nis == np.inf for f in late)
+    assert len(track.fixes) == len(fixes)
+    assert all(not f.accepted and f.nis == np.inf for f in track.fixes)
+    np.testing.assert_array_equal(track.position_m, pdr.track(walk).position_m)
     assert any("fixes from after the last sample, not used: 1" in note for note in track.notes)
 
 
@@ -260,4 +265,34 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> N
     online.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
     for time_s in (21.0, 80.0, 139.0):
         online.add_fix(PositionFix(time_s, np.zeros(2), np.eye(2)))
-    assert len(online.state.waiting_fixes) == 3
+    online.add_fix(Standstill(2.0, 79.0))  # told at its end
+    assert len(online.state.waiting_fixes) == 4
+    online.finish()
+    with pytest.raises(ValueError, match="the filter is finished"):
+        online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
+
+
+def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(walk: Recording) -> None:
+    """Two late fixes of the same moment and place: the second finds what the first has mended, and moves little."""
+    alone = pdr.track(walk)
+    k = int(np.searchsorted(alone.time_s, 30.0))
+    place = alone.position_m[k] + np.array([1.5, 0.0])
+    cov = 0.01 * np.eye(2)
+    first = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.0)
+    again = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.5)
+    one, two = pdr.track(walk, fixes=[first, again]).fixes
+    assert one.accepted and two.accepted
+    assert two.nis < 0.2 * one.nis
+
+
+def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording) -> None:
+    """The deviation after it is not smaller than what a person's scale makes of the way since."""
+    alone = pdr.track(walk)
+    k = int(np.searchsorted(alone.time_s, 20.0))
+    fix_s = float(alone.time_s[k])
+    fix = PositionFix(fix_s, alone.position_m[k], 1e-4 * np.eye(2), received_time_s=fix_s + 15.0)
+    track = pdr.track(walk, fixes=[fix])
+    after = int(np.searchsorted(track.steps.detected_time_s, fix_s + 16.0))
+    std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[after]))
+    since_m = np.linalg.norm(alone.position_m[after] - alone.position_m[k])
+    assert std_m[0] > 0.7 * recipes.default().tracker.noise.log_scale_std * since_m

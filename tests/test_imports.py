@@ -22,7 +22,9 @@ def test_the_list_of_loaded_modules_is_not_empty() -> None:
     assert {"pdr_filter", "pdr_filter.types", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
 
 
-@pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy.signal", "filterpy", "numba", "typer", "rich"])
+@pytest.mark.parametrize(
+    "module", ["gtsam", "matplotlib", "sklearn", "scipy.signal", "filterpy", "numba", "typer", "rich"]
+)
 def test_importing_the_package_does_not_load(module: str) -> None:
     assert module not in loaded_by("import pdr_filter")
 

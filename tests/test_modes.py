@@ -79,6 +79,38 @@ def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
         np.testing.assert_allclose(update.mode_prob, carrying[index], atol=1e-9)
 
 
+def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
+    """The classifier keeps its probabilities over a gap, and what it kept is no evidence once more."""
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
+    tracker = Tracker(pair, even_transitions(2, CARRYING_STAY_PROB))
+    even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
+    said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
+    state, _ = walked(tracker, [a_window(2.0, said)])
+    state, _ = tracker.on_gap(state, 60.0)
+    # a window that says nothing: only the transition
+    kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
+    state, _ = tracker.on_window(state, a_window(63.0, kept))
+    before = state.mode_prob
+    state, [update] = tracker.on_step(state, a_step(63.0))
+    np.testing.assert_allclose(update.mode_prob, before @ tracker.transition_prob, atol=1e-9)
+
+
+def test_several_windows_without_a_step_say_together_what_the_classifier_says_after_them() -> None:
+    pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
+    index = [CARRYING_MODES.index(c) for c in ("texting", "pocket")]
+    even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
+    said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
+    tracker = Tracker(pair, np.eye(2))
+    state, updates = walked(tracker, [a_window(2.0, said)])
+    before, carrying = updates[-1].mode_prob, said
+    for k in range(3):  # windows that say nothing: the classifier forgets, three windows long
+        carrying = follow_mode(carrying, even, even, CARRYING_STAY_PROB, 0.5)
+        state, _ = tracker.on_window(state, a_window(3.0 + k, carrying))
+    _, [update] = tracker.on_step(state, a_step(5.0))
+    np.testing.assert_allclose(update.mode_prob, before, atol=1e-9)
+    assert carrying[index[0]] < 0.78
+
+
 def test_windows_without_a_step_count_for_the_carrying_mode_too() -> None:
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
     tracker = Tracker(pair, np.eye(2))
@@ -125,10 +157,18 @@ def test_in_regular_motion_an_irregular_mode_hardly_shortens_the_way() -> None:
     assert updates[-1].step_length_m == pytest.approx(0.7, abs=0.1)
 
 
-def test_an_irregular_probability_that_is_not_a_number_says_nothing_against_walking() -> None:
+def test_an_irregular_probability_that_is_not_a_number_says_nothing() -> None:
     _, updates = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=np.nan) for k in range(5)])
     assert np.isfinite(updates[-1].mode_prob).all()
-    assert updates[-1].mode_prob[0] > 0.85
+    # half and half, as the gate would say if it knew nothing
+    _, even = walked(with_irregular(), [a_window(2.0 + k, irregular_prob=0.5) for k in range(5)])
+    np.testing.assert_array_equal(updates[-1].mode_prob, even[-1].mode_prob)
+
+
+def test_before_the_first_window_contexts_are_those_of_the_modes_that_have_one() -> None:
+    tracker = with_irregular()
+    _, [update] = tracker.on_step(tracker.init(), a_step(1.0))
+    assert update.context_prob[WALKING] == 1.0
 
 
 def test_without_an_irregular_mode_the_gate_does_not_change_the_evidence() -> None:

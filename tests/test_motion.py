@@ -318,6 +318,19 @@ def test_certain_headings_and_scales_have_no_second_order_error() -> None:
     assert second_order_errors(0.0, 0.0) == (0.0, 0.0)
 
 
+def test_noise_and_fits_that_cannot_be_are_refused() -> None:
+    with pytest.raises(ValueError, match="log_scale_std must be 0 or more and finite, got nan"):
+        MotionNoise(log_scale_std=np.nan)
+    with pytest.raises(ValueError, match="gap_speed_mps must be 0 or more and finite, got -1"):
+        MotionNoise(gap_speed_mps=-1.0)
+    model = FrequencyVarianceStepLength()
+    for theta_cov in (-np.eye(3), np.eye(3) * np.nan, np.array([[1.0, 0.5, 0], [0, 1.0, 0], [0, 0, 1.0]])):
+        with pytest.raises(ValueError, match="theta_cov must be symmetric and not negative"):
+            StepLengthFit(model, np.ones(3), theta_cov, 0.1)
+    with pytest.raises(ValueError, match="theta and residual_std_m must be finite"):
+        StepLengthFit(model, np.array([1.0, np.nan, 0.0]), np.eye(3), 0.1)
+
+
 def test_the_heading_wanders_while_nobody_steps() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5)

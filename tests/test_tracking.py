@@ -198,13 +198,14 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         of_length = np.exp(x[3]) ** 2 * residual_var * np.outer(u, u)
         Q[:2, :2] = of_length + (scaled * mode.heading_std_rad) ** 2 * np.outer(v, v)
         x[:2] += scaled * u
+        scale = np.exp(x[3])
         x[3] *= noise.log_scale_memory
         P = F @ P @ F.T + Q
         psi = step.device_heading_rad + x[2]
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
         of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
-        shared_m += np.exp(x[3]) * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
+        shared_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
         seen = P[:2, :2] + sum(np.outer(e, e) for e in shared_m)
         np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
@@ -449,6 +450,13 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         ({"modes": (modes()[0],) * 6}, "distinct"),
         ({"transition_prob": np.eye(5)}, "transition_prob"),
         ({"modes": modes()[:5], "transition_prob": np.eye(5), "weighting": "wc"}, "exactly one mode"),
+        ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
+        ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
+        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
+        ({"evidence_exponent": np.nan}, "evidence_exponent must be 0 or more, got nan"),
+        ({"evidence_floor": 0.0}, "evidence_floor must be between 0 and 1"),
+        ({"window_hop_s": 0.0}, "window_hop_s must be positive"),
+        ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary must be finite"),
     ],
 )
 def test_a_tracker_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:

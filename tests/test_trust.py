@@ -109,7 +109,7 @@ def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk:
     assert all(f.nis < 6 for f in track.fixes if f.accepted)
     assert all(f.used_s >= f.time_s for f in track.fixes)
     [told] = doubts(track)
-    assert told == "1 of 4 position fixes do not fit the track and were not used: at 25 s."
+    assert told == "1 of 4 fixes do not fit the track or its time and were not used: at 25 s."
     assert "fixes: 3 used" in track.report()
 
 

@@ -7,15 +7,20 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from pdr_filter.offline.priors import TYPICAL_STEP
+from pdr_filter.step_length import length_and_jacobian
 from pdr_filter.types import FloatArray
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from pdr_filter.offline.calibration import Calibration
+    from pdr_filter.step_length import StepLengthModel
 
 _MOST_PEOPLE, _MOST_NOTES = 20, 12
 _MAX_POINTS = 5000
+# Journals refuse the Type 3 fonts that matplotlib makes of its own accord: this embeds the font itself.
+_TRUETYPE = 42
 
 
 def text(calibration: Calibration) -> str:
@@ -85,7 +90,12 @@ def _short(name: str, most: int) -> str:
 
 
 def figure(calibration: Calibration, path: str | Path | None = None) -> Figure:
-    """Known against predicted lengths of the segments (each left out), and the people with 95 % intervals."""
+    """Known against predicted lengths of the segments (each left out), and the people with 95 % intervals.
+
+    People are compared by the length in m of one and the same step, at one height, so that every model has the same
+    unit and people differ by their parameters alone: J cov J' is its variance, J = dL / dtheta.
+    """
+    from matplotlib import rc_context
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
@@ -113,20 +123,31 @@ def figure(calibration: Calibration, path: str | Path | None = None) -> Figure:
     left.legend(frameon=False)
     main = "walking" if "walking" in c.contexts or not c.contexts else c.contexts[0]
     people = list(c.subjects.values())[:60]
-    k = np.array([p.k[main][0] for p in people])
-    std = np.array([np.sqrt(p.k_cov[main][0, 0]) for p in people])
-    right.errorbar(k, np.arange(len(people)), xerr=1.96 * std, fmt="o", color="#0072B2", markersize=4, linewidth=1)
-    between = float(np.sqrt(c.between[main][0, 0]))
-    centre = float(c.k[main][0])
-    if np.isfinite(between) and between > 0:
-        right.axvspan(centre - 1.96 * between, centre + 1.96 * between, color="#0072B2", alpha=0.1, linewidth=0)
-    right.axvline(centre, color="#222222", linewidth=0.8)
+    steps = [_typical_step_m(c.models[main], p.k[main], p.k_cov[main]) for p in people]
+    length_m, std_m = np.array(steps).reshape(-1, 2).T
+    interval: dict[str, Any] = {"fmt": "o", "color": "#0072B2", "markersize": 4, "linewidth": 1}
+    right.errorbar(length_m, np.arange(len(people)), xerr=1.96 * std_m, label="person, 95 % interval", **interval)
+    # A parameter that is each person's own without a tie has an infinite spread: there is no band then.
+    spread = np.where(np.isfinite(c.between[main]), c.between[main], np.nan)
+    centre_m, between_m = _typical_step_m(c.models[main], c.k[main], spread)
+    if between_m > 0:
+        band = (centre_m - 1.96 * between_m, centre_m + 1.96 * between_m)
+        right.axvspan(*band, color="#0072B2", alpha=0.1, linewidth=0, label="95 % of all people")
+    right.axvline(centre_m, color="#222222", linewidth=0.8, label="population")
+    right.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9, columnspacing=1.0)
     right.set_yticks(np.arange(len(people)), [_short(p.id, 22) for p in people], fontsize=8 if len(people) < 25 else 5)
-    right.set(xlabel=f"first parameter of {main}, with 95 %", ylim=(len(people) - 0.5, -0.5))
+    right.set(xlabel=f"length of a typical step, {main} (m)", ylim=(len(people) - 0.5, -0.5))
     for axes in (left, right):
         axes.spines[["top", "right"]].set_visible(False)
     if path is not None:
         path = Path(path)
         path.parent.mkdir(parents=True, exist_ok=True)
-        drawn.savefig(path, dpi=120)
+        with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
+            drawn.savefig(path, dpi=120)
     return drawn
+
+
+def _typical_step_m(model: StepLengthModel, theta: FloatArray, cov: FloatArray) -> tuple[float, float]:
+    """Length of a typical step and its standard deviation under the covariance of theta, both in m."""
+    length, jacobian = length_and_jacobian(model, TYPICAL_STEP, theta)
+    return float(length), float(np.sqrt(jacobian @ cov @ jacobian))

@@ -35,6 +35,11 @@ def smoothed_track(recording: Recording, config: Config | None = None, fixes: Se
     """
     if config is not None and config.tracker.weighting != "imm":
         raise ValueError(f'the smoother needs weighting "imm", got {config.tracker.weighting!r}: use with_weighting')
+    if config is not None and config.tracker.frame != "start":
+        raise ValueError(
+            f'the smoother works in the frame "start", got {config.tracker.frame!r}: '
+            "pdr_filter.smooth takes fixes in any frame"
+        )
     passages: list[tuple[TrackerState, Step | Gap]] = []
 
     def watch(state: TrackerState, event: Event) -> None:

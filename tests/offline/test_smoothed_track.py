@@ -90,3 +90,8 @@ def test_a_recording_without_steps_stays_without() -> None:
 def test_another_weighting_than_imm_is_refused() -> None:
     with pytest.raises(ValueError, match="the smoother needs weighting"):
         smoothed_track(demo_walk(), pdr.recipes.default().with_weighting("wc"))
+
+
+def test_a_track_in_a_world_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match='works in the frame "start", got'):
+        smoothed_track(demo_walk(), pdr.recipes.default().in_world_frame())
