@@ -206,8 +206,8 @@ class Tracker:
         for name in ("evidence_exponent", "prior_exponent", "wc_threshold", "fix_gate_nis", "scalar_gate_nis"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if not 0 < self.evidence_floor < 1:
-            raise ValueError(f"evidence_floor must be between 0 and 1, got {self.evidence_floor}")
+        if not 0 <= self.evidence_floor < 1:
+            raise ValueError(f"evidence_floor must be at least 0 and below 1, got {self.evidence_floor}")
         if not 0 < self.window_hop_s < np.inf:
             raise ValueError(f"window_hop_s must be positive, got {self.window_hop_s}")
         if not np.isfinite(self.step_log_odds_stationary):

@@ -454,7 +454,7 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
         ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
         ({"evidence_exponent": np.nan}, "evidence_exponent must be 0 or more, got nan"),
-        ({"evidence_floor": 0.0}, "evidence_floor must be between 0 and 1"),
+        ({"evidence_floor": -0.1}, "evidence_floor must be at least 0 and below 1"),
         ({"window_hop_s": 0.0}, "window_hop_s must be positive"),
         ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary must be finite"),
     ],
