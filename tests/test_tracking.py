@@ -9,6 +9,7 @@ from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pdr_filter.frame import Alignment
 from pdr_filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
 from pdr_filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.tracking import (
@@ -16,6 +17,7 @@ from pdr_filter.tracking import (
     Tracker,
     TrackerState,
     WindowContext,
+    _moved,
     even_transitions,
     present_position,
 )
@@ -469,3 +471,12 @@ def test_even_transitions_stay_with_their_probability_and_leave_alike() -> None:
     np.testing.assert_array_equal(even_transitions(1, 0.3), [[1.0]])
     with pytest.raises(ValueError, match="stay_prob"):
         even_transitions(3, 1.2)
+
+
+def test_a_turned_frame_turns_what_all_steps_share_too() -> None:
+    filter_ = tracker("imm")
+    state, _ = run(filter_, in_order(*random_walk(5)))
+    assert np.linalg.norm(state.shared_m) > 0.1
+    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, state.n_final)
+    before, after = present_position(state)[1], present_position(_moved(state, turn))[1]
+    np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)

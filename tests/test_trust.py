@@ -115,3 +115,11 @@ def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk:
 
 def test_without_a_gyroscope_the_direction_is_said_to_be_unknown(walk: Recording) -> None:
     assert any("no angular rate" in d for d in doubts(pdr.track(replace(walk, gyroscope=None))))
+
+
+def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> None:
+    later = np.where(np.arange(track.n_steps) < 50, 0.0, 90.0)
+    told = doubts(replace(track, time_s=track.time_s + later))
+    gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
+    assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
+    assert not any("there is nothing for" in line for line in doubts(track))
