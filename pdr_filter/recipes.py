@@ -10,22 +10,11 @@ from types import MappingProxyType
 
 import numpy as np
 
-from pdr_filter.context import zhou as behaviours
-from pdr_filter.context.guo import NOTE as POSE_NOTE
-from pdr_filter.context.guo import PoseContext
-from pdr_filter.context.learned import LearnedContexts
-from pdr_filter.context.model import ContextModel, load_model
-from pdr_filter.context.stage import ContextModels
-from pdr_filter.context.susi import MotionModes
-from pdr_filter.context.tian import TianContexts
-from pdr_filter.context.transitions import Transitions, load_transitions
-from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
-from pdr_filter.heading.offset_compensation import OffsetCompensation
-from pdr_filter.heading.walking_direction import WalkingDirection
-from pdr_filter.motion import Mode, MotionNoise
-from pdr_filter.online import Config
-from pdr_filter.sensing import Sensing
-from pdr_filter.step_length import (
+from pdr_filter.classifiers.model import ContextModel, load_model
+from pdr_filter.classifiers.transitions import Transitions, load_transitions
+from pdr_filter.config import Config
+from pdr_filter.filter.motion import Mode, MotionNoise
+from pdr_filter.filter.step_length import (
     FrequencyVarianceStepLength,
     KimStepLength,
     StepLengthFit,
@@ -36,14 +25,27 @@ from pdr_filter.step_length import (
     static_fit,
     tian_fit,
 )
-from pdr_filter.steps import zhou as reference_lines
-from pdr_filter.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.steps.gate import StepGate
-from pdr_filter.steps.guo import PoseStepDetector
-from pdr_filter.steps.susi import NormMinimaStepDetector
-from pdr_filter.steps.tian import TianStepDetector
-from pdr_filter.tracking import Tracker
-from pdr_filter.types import CONTEXTS, FloatArray, Recording, Subject
+from pdr_filter.filter.tracking import Tracker
+from pdr_filter.io.recording import Recording, Subject
+from pdr_filter.papers.guo2018.contexts import NOTE as POSE_NOTE
+from pdr_filter.papers.guo2018.contexts import PoseContext
+from pdr_filter.papers.guo2018.steps import PoseStepDetector
+from pdr_filter.papers.susi2013.contexts import MotionModes
+from pdr_filter.papers.susi2013.steps import NormMinimaStepDetector
+from pdr_filter.papers.tian2016.contexts import TianContexts
+from pdr_filter.papers.tian2016.heading import OffsetCompensation
+from pdr_filter.papers.tian2016.steps import TianStepDetector
+from pdr_filter.papers.zhou2019 import contexts as behaviours
+from pdr_filter.papers.zhou2019 import steps as reference_lines
+from pdr_filter.sensing.contexts.learned import LearnedContexts
+from pdr_filter.sensing.contexts.stage import ContextModels
+from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.walking_direction import WalkingDirection
+from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
+from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CONTEXTS
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
 # the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence

@@ -17,7 +17,7 @@ from typing import Any, cast
 import numpy as np
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 1
+_FORMAT = 2
 _MAX_BYTES = 256 << 20  # a filter with its models has some MB
 
 

@@ -8,19 +8,15 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.attitude import AttitudeBlock
-from pdr_filter.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
-from pdr_filter.sensing import Event, Sensing
-from pdr_filter.types import (
-    CARRYING_MODES,
-    CONTEXTS,
-    STANDARD_GRAVITY_MPS2,
-    FloatArray,
-    ImuBlock,
-    Recording,
-    Step,
-    Windows,
-)
+from pdr_filter.io.recording import Recording
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
+from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock
+from pdr_filter.values.step import Step
+from pdr_filter.values.windows import Windows
 
 
 def imu(

@@ -16,9 +16,9 @@ import typer.main
 from helpers import cut_randomly
 
 import pdr_filter as pdr
-from pdr_filter.cli import app
+from pdr_filter.cli.app import app
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.types import Samples
+from pdr_filter.values.samples import Samples
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
@@ -127,7 +127,7 @@ def test_names_of_the_package_that_a_page_gives_exist(page: str) -> None:
 
 def test_a_name_that_does_not_exist_is_noticed() -> None:
     assert resolved("pdr.recipes.default") is pdr.recipes.default
-    for name in ("pdr.recipes.best", "pdr_filter.steps.detector.StepDetectors", "pdr_filter.stepz"):
+    for name in ("pdr.recipes.best", "pdr_filter.sensing.steps.detector.StepDetectors", "pdr_filter.stepz"):
         with pytest.raises(AttributeError):
             resolved(name)
 

@@ -19,7 +19,7 @@ def loaded_by(statement: str) -> set[str]:
 
 
 def test_the_list_of_loaded_modules_is_not_empty() -> None:
-    assert {"pdr_filter", "pdr_filter.types", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
+    assert {"pdr_filter", "pdr_filter.tracks", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
 
 
 @pytest.mark.parametrize(
@@ -37,7 +37,8 @@ def test_importing_the_online_filter_does_not_load(module: str) -> None:
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy", "vqf", "pymap3d"])
 def test_the_help_of_the_command_does_not_load(module: str) -> None:
     statement = (
-        "import sys; sys.argv = ['pdr-filter', '--help']; from pdr_filter.cli import app; app(standalone_mode=False)"
+        "import sys; sys.argv = ['pdr-filter', '--help']\n"
+        "from pdr_filter.cli.app import app; app(standalone_mode=False)"
     )
     loaded = loaded_by(statement)
     assert "typer" in loaded
@@ -62,4 +63,4 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
         "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
         "assert n > 100, n"
     )
-    assert "pdr_filter.tracking" in loaded_by(statement)
+    assert "pdr_filter.filter.tracking" in loaded_by(statement)

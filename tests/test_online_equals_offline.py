@@ -16,9 +16,13 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.angles import wrap_angle
+from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, demo_walk, simulate
-from pdr_filter.types import ImuBlock, PositionFix, Recording, Samples, Track, step_table
+from pdr_filter.tracks import Track
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values.samples import ImuBlock, Samples
+from pdr_filter.values.step import step_table
 
 WEIGHTINGS = ("imm", "wc", "hc")
 REAL = (

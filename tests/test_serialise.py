@@ -13,10 +13,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 
-from pdr_filter.motion import MotionNoise
+from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.filter.step_length import known_length
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.step_length import known_length
-from pdr_filter.types import PositionFix
+from pdr_filter.values.fixes import PositionFix
 
 NUMBERS = st.floats(allow_nan=True) | st.integers(-(2**63), 2**63) | st.booleans()
 VALUES = st.recursive(
@@ -144,12 +144,12 @@ def blob(value: Any, **content: Any) -> bytes:
         {"dataclass": "pdr_filter_evil:Thing", "fields": {}},
         {"dataclass": "builtins:dict", "fields": {}},
         {"dataclass": "pdr_filter.online:OnlineFilter", "fields": {}},
-        {"dataclass": "pdr_filter.types:np", "fields": {}},
-        {"dataclass": "pdr_filter.types:Nothing", "fields": {}},
+        {"dataclass": "pdr_filter.tracks:np", "fields": {}},
+        {"dataclass": "pdr_filter.tracks:Nothing", "fields": {}},
         {"dataclass": "pdr_filter.nothing:Step", "fields": {}},
-        {"dataclass": "pdr_filter.types:Step", "fields": {"unknown": 1}},
-        {"dataclass": "pdr_filter.types:Step", "fields": {}},
-        {"dataclass": "pdr_filter.types:Step"},
+        {"dataclass": "pdr_filter.tracks:Step", "fields": {"unknown": 1}},
+        {"dataclass": "pdr_filter.tracks:Step", "fields": {}},
+        {"dataclass": "pdr_filter.tracks:Step"},
         {"dataclass": 5, "fields": {}},
         {"array": "AAAA", "dtype": "O", "shape": [1]},
         {"array": "AAAA", "dtype": "<f8", "shape": [1]},

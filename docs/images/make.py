@@ -19,7 +19,7 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
-from pdr_filter.plotting import plot_track
+from pdr_filter.report.plotting import plot_track
 
 HERE = Path(__file__).resolve().parent
 REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from pdr_filter.context.calibration import brier_score as brier_score
-from pdr_filter.context.calibration import reliability
-from pdr_filter.types import FloatArray, IntArray, Table, table
+from pdr_filter.classifiers.probability_calibration import brier_score as brier_score
+from pdr_filter.classifiers.probability_calibration import reliability
+from pdr_filter.values.arrays import FloatArray, IntArray, Table, table
 
 
 def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> IntArray:
@@ -70,7 +70,7 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
     """Expected calibration error of probabilities (N, C): mean distance of confidence and accuracy over bins.
 
     sum_b |B_b| / N |acc(B_b) - conf(B_b)|, bins of equal width in the highest probability (Guo, Pleiss, Sun and
-    Weinberger 2017, eq. 3). `pdr_filter.context.calibration.reliability` has the bins.
+    Weinberger 2017, eq. 3). `pdr_filter.classifiers.probability_calibration.reliability` has the bins.
     """
     return reliability(prob, prob.argmax(axis=1) == label, n_bins).expected_calibration_error
 

@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
+from pdr_filter.config import Config
 from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at, rigid_fit
-from pdr_filter.motion import Mode
-from pdr_filter.online import Config
-from pdr_filter.types import FloatArray, Recording, Step, Table, Track, table
-from pdr_filter.weighting import WEIGHTINGS
-from pdr_filter.whole import track as track_of
+from pdr_filter.filter.motion import Mode
+from pdr_filter.filter.weighting import WEIGHTINGS
+from pdr_filter.io.recording import Recording
+from pdr_filter.recording_run import track as track_of
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import FloatArray, Table, table
+from pdr_filter.values.step import Step
 
 
 def comparison_table(recording: Recording, tracks: Mapping[str, Track]) -> Table:
@@ -89,7 +92,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
 
 
 def epoch_distances(track: Track, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """What `pdr_filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
+    """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
 
     Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
     eq. 17 and 18), and the probabilities of all windows.

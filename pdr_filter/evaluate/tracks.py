@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.angles import wrap_angle
-from pdr_filter.types import BoolArray, FloatArray
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import BoolArray, FloatArray
 
 Alignment = Literal["none", "origin", "first", "all"]
 

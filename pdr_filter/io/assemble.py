@@ -21,8 +21,10 @@ from pdr_filter.io.checks import (
 )
 from pdr_filter.io.describe import describe_stream
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.io.report import reading_meta
-from pdr_filter.types import FloatArray, Recording, Samples, Truth
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import Samples
 
 
 @dataclass
@@ -71,7 +73,7 @@ class Parsed:
                 self.notes.append(
                     f"{name}: {stream.n_duplicates} repeated and {stream.n_backward} backward times, kept as recorded"
                 )
-        from pdr_filter.types import table
+        from pdr_filter.values.arrays import table
 
         truth = {
             name: table(

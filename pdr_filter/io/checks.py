@@ -12,7 +12,8 @@ import numpy as np
 
 from pdr_filter.io.describe import describe_stream, median_norm
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import BoolArray, FloatArray, Samples
+from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.samples import Samples
 
 # A window of 0.2 s at the lowest rate below; less cannot hold a step.
 MIN_SAMPLES = 10

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import FloatArray
+from pdr_filter.values.arrays import FloatArray
 
 
 def read_numbers(content: bytes, names: Sequence[str], where: str, notes: list[str]) -> FloatArray:

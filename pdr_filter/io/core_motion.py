@@ -20,8 +20,10 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.get_sensor_data import only_text
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, find_separator, header_fields, parse_blocks, split_header
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, Recording
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 RATE_HZ = 50.0
 GROUPS = {

@@ -14,9 +14,9 @@ from pdr_filter.io.get_sensor_data import read_get_sensor_data
 from pdr_filter.io.indoor_location import read_indoor_location
 from pdr_filter.io.own_format import read_recording
 from pdr_filter.io.phyphox import read_phyphox
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.ronin import SIGNATURE, read_ronin
 from pdr_filter.io.sensor_logger import read_sensor_logger
-from pdr_filter.types import Recording
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
@@ -101,3 +101,30 @@ def _is_table(members: Members, name: str) -> bool:
     lines = head.decode("latin-1").splitlines()[:3]
     counts = {max(line.count(separator) for separator in ",;\t") for line in lines}
     return len(lines) >= 2 and len(counts) == 1 and counts.pop() >= 3
+
+
+def read(path: str | Path, format: str | None = None) -> Recording:
+    """Return the recording at a path, whatever its format.
+
+    The format is found by content, not by file name: the project's own, Sensor Logger, phyphox, GetSensorData (IPIN),
+    indoor-location-competition 2.0, CoreMotion tables (MotionSense), RoNIN, or any CSV file with a TOML file beside it.
+    `pdr_filter.io.report.reading_report` of the result says what was found: source, signs, units, rates, clock.
+
+    Parameters
+    ----------
+    path : str or Path
+        File or folder.
+    format : str, optional
+        Name of a format to force, one of `FORMATS`.
+
+    Raises
+    ------
+    RecordingError
+        A ValueError whose message names the file, the column, the value and the remedy.
+    """
+    path = Path(path)
+    format = format.lower().replace("-", "_") if format else None
+    if format is not None and format not in FORMATS:
+        raise ValueError(f"format is {format!r}; known are {', '.join(FORMATS)}")
+    reader: Callable[[Path], Recording] = FORMATS[format or detect(path)]
+    return reader(path)

@@ -31,8 +31,9 @@ from pdr_filter.io.archive import open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.get_sensor_data import only_text
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, find_separator, header_fields, parse_blocks, split_header, to_number
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 # For each stream: how many columns, and its units with the factor to the one of `Recording`; "" if none is needed.

@@ -27,9 +27,11 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.checks import G_RANGE
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, NumberTable
 from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, Recording
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 # First the time of the app and of the sensor, then the values.
 LAYOUTS = {

@@ -17,9 +17,9 @@ from pdr_filter.io.archive import open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.get_sensor_data import only_text, rotation_vector_quaternion
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout
 from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
-from pdr_filter.types import Recording
 
 LAYOUTS = {
     "TYPE_ACCELEROMETER": Layout((2, 3, 4), 0, "\t"),

@@ -22,7 +22,10 @@ from pdr_filter.io.checks import check_accelerometer, check_gyroscope, finite, o
 from pdr_filter.io.columns import fields_to_numbers, read_fields, read_numbers
 from pdr_filter.io.describe import describe_stream
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import CONTEXTS, FloatArray, Recording, Samples, Subject, Table, Truth, table
+from pdr_filter.io.recording import Recording, Subject, Truth
+from pdr_filter.values.arrays import FloatArray, Table, table
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.samples import Samples
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     "accelerometer": ("x", "y", "z"),

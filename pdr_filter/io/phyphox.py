@@ -22,8 +22,9 @@ import numpy as np
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import SEPARATORS, Layout, decode, header_fields, parse_blocks, to_number
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 TIME = "Time (s)"
 # Words of a column name, without axis and unit, in lower case: experiments of the app and those that users make with

@@ -7,7 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any, cast
 
 from pdr_filter.io.describe import StreamDescription, describe_stream
-from pdr_filter.types import Recording
+from pdr_filter.io.recording import Recording
 
 # A stream whose mean rate is below this part of the one that was asked for is named: phones often deliver half.
 DELIVERED_ENOUGH = 0.9

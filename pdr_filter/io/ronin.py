@@ -20,7 +20,8 @@ import numpy as np
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.checks import LARGEST_VALUE, finite
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import FloatArray, Recording
+from pdr_filter.io.recording import Recording
+from pdr_filter.values.arrays import FloatArray
 
 RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -32,6 +32,7 @@ from pdr_filter.io.archive import BLOCK_BYTES, Members, open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.checks import finite
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import (
     Layout,
     decode,
@@ -43,7 +44,8 @@ from pdr_filter.io.table import (
     to_number,
     whole_number,
 )
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Recording
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 VECTOR = ("x", "y", "z")
 COLUMNS: dict[str, tuple[str, ...]] = {

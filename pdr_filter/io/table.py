@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_filter.io.checks import finite
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.types import FloatArray, IntArray
+from pdr_filter.values.arrays import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
 MAX_INT64 = 2**63 - 1

@@ -15,8 +15,9 @@ import numpy as np
 import pymap3d
 
 from pdr_filter import __version__
-from pdr_filter.angles import yaw_from_heading
-from pdr_filter.types import FloatArray, Track
+from pdr_filter.tracks import Track
+from pdr_filter.values.angles import yaw_from_heading
+from pdr_filter.values.arrays import FloatArray
 
 _NORTH = (
     "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "

@@ -1,1 +1,1 @@
-"""What needs the whole recording: smoothing, and calibration. Nothing here runs in an app."""
+"""What looks at whole recordings: calibration and smoothing; gtsam is imported only here."""

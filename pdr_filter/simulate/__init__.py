@@ -15,10 +15,12 @@ from typing import Any
 
 import numpy as np
 
+from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, StepPlan, plan_steps
 from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
 from pdr_filter.simulate.sensors import SensorError, SensorErrors
-from pdr_filter.types import FloatArray, Recording, Samples, Table, Truth, table
+from pdr_filter.values.arrays import FloatArray, Table, table
+from pdr_filter.values.samples import Samples
 
 __all__ = ["Carrying", "Gait", "Leg", "Motion", "SensorError", "SensorErrors", "demo_walk", "phone_motion", "simulate"]
 

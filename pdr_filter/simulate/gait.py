@@ -8,7 +8,8 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, IntArray
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
+from pdr_filter.values.contexts import CONTEXTS
 
 STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
@@ -194,7 +195,7 @@ class Leg:
     Parameters
     ----------
     context : str
-        One of `pdr_filter.types.CONTEXTS`.
+        One of `pdr_filter.values.contexts.CONTEXTS`.
     duration_s, distance_m : float, optional
         Exactly one of them; kept exactly, except that a distance on stairs is rounded to whole treads. Stationary
         legs take a duration.

@@ -16,7 +16,8 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.simulate.gait import CONTEXT_GAITS, Gait, Leg, StepPlan, nominal_step
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 GRID_HZ = 1000.0
 # The grid begins and ends this much outside the walk, so that every sensor's clock may.

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 _DEG = np.pi / 180
 

@@ -23,12 +23,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdr_filter as pdr
-from pdr_filter.offline.calibration import DEFAULT_PRIORS, hierarchy_of, solve_sums
-from pdr_filter.offline.estimation import Estimate, Hierarchy
-from pdr_filter.offline.priors import StepLengthPrior, eq12_priors, weak_prior
-from pdr_filter.offline.segments import Segment, SegmentSums, integrate, segments_of
-from pdr_filter.step_length import KimStepLength, WeinbergStepLength
-from pdr_filter.types import CONTEXTS, Recording, Track
+from pdr_filter.filter.step_length import KimStepLength, WeinbergStepLength
+from pdr_filter.io.recording import Recording
+from pdr_filter.offline.calibration.estimation import Estimate, Hierarchy
+from pdr_filter.offline.calibration.fit import DEFAULT_PRIORS, hierarchy_of, solve_sums
+from pdr_filter.offline.calibration.priors import StepLengthPrior, eq12_priors, weak_prior
+from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
+from pdr_filter.tracks import Track
+from pdr_filter.values.contexts import CONTEXTS
 
 FloatArray = NDArray[np.float64]
 N_SPLITS = 20
@@ -252,7 +254,7 @@ def simulated(
 
 def coverage(n_runs: int = 500) -> None:
     """How often 95 % intervals have the truth."""
-    from pdr_filter.offline.estimation import estimate
+    from pdr_filter.offline.calibration.estimation import estimate
 
     print(f"\n{n_runs} simulated calibrations: share of 95 % intervals with the truth; RMS error of k0 in cm")
     print("| people x segments | wrong segments | loss | k0 of people | k0 | k1 | k2 | people RMS | population RMS |")
@@ -289,7 +291,7 @@ def coverage(n_runs: int = 500) -> None:
 
 def speed() -> None:
     """Time and memory."""
-    from pdr_filter.offline.estimation import estimate
+    from pdr_filter.offline.calibration.estimation import estimate
 
     rng = np.random.default_rng(3)
     sums, prior, _, _ = simulated(rng, 15, 33, contexts=6)

@@ -21,10 +21,10 @@ from typing import Any
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.context.model import ContextModel, load_model
-from pdr_filter.context.train_carrying import FEATURE_NAMES, MODES, PLANS, SignalWindows, features_of, train_carrying
-from pdr_filter.features import invariant
-from pdr_filter.sensing import feature_windows
+from pdr_filter.classifiers.model import ContextModel, load_model
+from pdr_filter.sensing.features import invariant
+from pdr_filter.sensing.front_end import feature_windows
+from pdr_filter.training.carrying import FEATURE_NAMES, MODES, PLANS, SignalWindows, features_of, train_carrying
 
 
 def left_out(card: dict[str, Any]) -> None:

@@ -30,10 +30,10 @@ from sklearn.gaussian_process.kernels import RBF
 from sklearn.linear_model import LogisticRegression
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.context.forest import Forest
-from pdr_filter.context.kernel_machine import RelevanceVectors
-from pdr_filter.context.rvm import RelevanceVectorClassifier
-from pdr_filter.context.softmax import SoftmaxRegression
+from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.kernel_machine import RelevanceVectors
+from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
+from pdr_filter.classifiers.softmax import SoftmaxRegression
 
 Machine = Forest | RelevanceVectors | SoftmaxRegression
 

@@ -36,12 +36,15 @@ from accuracy import aligned
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter import imm
-from pdr_filter.context.stage import WindowContext
-from pdr_filter.motion import HEADING_OFFSET, LOG_SCALE
-from pdr_filter.step_length import length_and_jacobian
-from pdr_filter.tracking import Tracker, TrackerState, present_position
-from pdr_filter.types import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
+from pdr_filter.filter import imm
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.step_length import length_and_jacobian
+from pdr_filter.filter.tracking import Tracker, TrackerState, present_position
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values.step import Step
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it

@@ -24,9 +24,11 @@ from rich.console import Console
 from rich.table import Table
 from sklearn.ensemble import RandomForestClassifier
 
-from pdr_filter.context.calibration import reliability
-from pdr_filter.context.forest import Forest
-from pdr_filter.context.train import (
+from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.probability_calibration import reliability
+from pdr_filter.papers.martinelli2018 import features as martinelli
+from pdr_filter.sensing.features.windows import FEATURE_SETS
+from pdr_filter.training.contexts import (
     PLANS,
     Fitted,
     LabelledWindows,
@@ -38,9 +40,8 @@ from pdr_filter.context.train import (
     labelled_windows,
     score,
 )
-from pdr_filter.features import martinelli
-from pdr_filter.features.windows import FEATURE_SETS
-from pdr_filter.types import CONTEXTS, BoolArray, FloatArray
+from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.contexts import CONTEXTS
 
 WALKING = CONTEXTS.index("walking")
 SHIPPED = {plan.name: plan for plan in PLANS}

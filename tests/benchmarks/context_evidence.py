@@ -24,13 +24,15 @@ import numpy as np
 from mixed_contexts import N_FOLDS, N_WALKS, cached, context_at, mixed_walk, model_without, tracked, windows_of
 
 import pdr_filter as pdr
-from pdr_filter.context.stage import WindowContext
-from pdr_filter.context.train import label_of
-from pdr_filter.online import Config
+from pdr_filter.config import Config
+from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, for_recording, with_context_model
-from pdr_filter.sensing import Event
-from pdr_filter.types import CONTEXTS, FloatArray, IntArray, Recording
-from pdr_filter.whole import sensed_events
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.sensing.front_end import Event
+from pdr_filter.training.contexts import label_of
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.contexts import CONTEXTS
 
 CHOICES = tuple((e, p) for e in (0.5, 0.7, 1.0) for p in (0.0, 0.2, 0.5, 1.0))
 STATIONARY, WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")

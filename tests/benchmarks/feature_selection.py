@@ -20,10 +20,10 @@ from sklearn.model_selection import GroupKFold, cross_val_score
 from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
-from pdr_filter.context.selection import Selection, select_features
-from pdr_filter.context.train import LabelledWindows, labelled_windows
-from pdr_filter.features.martinelli import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
-from pdr_filter.types import FloatArray, IntArray
+from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
+from pdr_filter.training.contexts import LabelledWindows, labelled_windows
+from pdr_filter.values.arrays import FloatArray, IntArray
+from tests.studies.feature_selection import Selection, select_features
 
 ESTIMATOR = make_pipeline(StandardScaler(), LinearDiscriminantAnalysis())
 COLUMNS = [NAMES.index(n) for n in WITHOUT_MAGNETOMETER]

@@ -17,11 +17,11 @@ import numpy as np
 from step_length_models import MODELS, Leg, displacement, fit, legs_between_landmarks, summed
 
 import pdr_filter as pdr
-from pdr_filter.context import zhou as behaviours
-from pdr_filter.sensing import Sensing
-from pdr_filter.steps import zhou as steps
-from pdr_filter.types import Step
-from pdr_filter.whole import sensed_events
+from pdr_filter.papers.zhou2019 import contexts as behaviours
+from pdr_filter.papers.zhou2019 import steps as steps
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.values.step import Step
 
 
 def detected(recording: pdr.Recording, on_foot: bool) -> list[Step]:

@@ -33,8 +33,8 @@ HANG_S = 60.0  # on the wall, on a machine that may be busy: the process ends an
 
 def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
     """Counts of what happened."""
-    from pdr_filter.io import read
     from pdr_filter.io.errors import RecordingError
+    from pdr_filter.io.formats import read
 
     warnings.simplefilter("error")
     counts: Counter[str] = Counter()

@@ -35,9 +35,9 @@ from numpy.typing import NDArray
 from vqf import VQF
 
 import pdr_filter as pdr
-from pdr_filter.attitude import AttitudeEstimator
-from pdr_filter.bias import GyroBias
-from pdr_filter.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.attitude import AttitudeEstimator
+from pdr_filter.sensing.bias import GyroBias
+from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 
 FloatArray = NDArray[np.float64]
 ADDED_RADPS = (0.005, 0.02, 0.1)

@@ -20,7 +20,8 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter import imm, imm_compiled
+from pdr_filter import imm_compiled
+from pdr_filter.filter import imm
 
 N_MODES, N_STATES = 6, 4
 GROUP = 500

@@ -1,4 +1,5 @@
-"""The gate for irregular motion (`pdr_filter.context.irregular`) on people and sites, with and without gyroscope.
+"""The gate for irregular motion (`pdr_filter.sensing.contexts.irregular`) on people and sites, with and without
+gyroscope.
 
 usage: .venv/bin/python tests/benchmarks/irregular_motion.py [--data ../shared/data]
 
@@ -24,9 +25,9 @@ from numpy.typing import NDArray
 from sklearn.metrics import log_loss, roc_auc_score
 
 import pdr_filter as pdr
-from pdr_filter.context.irregular import irregular_prob
-from pdr_filter.features.windows import FeatureWindows
-from pdr_filter.sensing import feature_windows
+from pdr_filter.sensing.contexts.irregular import irregular_prob
+from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.front_end import feature_windows
 
 FloatArray = NDArray[np.float64]
 

@@ -28,11 +28,9 @@ from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
-from pdr_filter.context.familiarity import fit_familiarity
-from pdr_filter.context.model import ContextModel
-from pdr_filter.context.stage import WindowContext
-from pdr_filter.context.train import FEATURE_LIMIT, PLANS, Fitted, LabelledWindows, fit, label_of, labelled_windows
-from pdr_filter.context.transitions import (
+from pdr_filter.classifiers.familiarity import fit_familiarity
+from pdr_filter.classifiers.model import ContextModel
+from pdr_filter.classifiers.transitions import (
     UNKNOWN,
     LabelledProbabilities,
     count_transitions,
@@ -40,16 +38,30 @@ from pdr_filter.context.transitions import (
     filter_windows,
     fit_tempering,
 )
-from pdr_filter.features.windows import FEATURE_SETS
-from pdr_filter.imm import lagged_mode_prob
-from pdr_filter.offline.smoothed_track import smoothed_track
-from pdr_filter.online import Config, finish, init, step
+from pdr_filter.config import Config
+from pdr_filter.filter.imm import lagged_mode_prob
+from pdr_filter.filter.tracking import StepUpdate
+from pdr_filter.filtering import finish, init, step
+from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from pdr_filter.recipes import context_transitions, default, with_context_model
-from pdr_filter.sensing import Event, Gap
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.sensing.features.windows import FEATURE_SETS
+from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.tracking import StepUpdate
-from pdr_filter.types import CONTEXTS, FloatArray, ImuBlock, IntArray, Recording, Samples, Truth, table
-from pdr_filter.whole import sensed_events
+from pdr_filter.training.contexts import (
+    FEATURE_LIMIT,
+    PLANS,
+    Fitted,
+    LabelledWindows,
+    fit,
+    label_of,
+    labelled_windows,
+)
+from pdr_filter.values.arrays import FloatArray, IntArray, table
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.samples import ImuBlock, Samples
 
 PLAN = PLANS[0]
 N_FOLDS = 3

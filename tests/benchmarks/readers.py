@@ -144,7 +144,7 @@ def main() -> None:
     parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)
     options = parser.parse_args()
     if options.read:
-        from pdr_filter.io import read
+        from pdr_filter.io.formats import read
 
         begin, cpu = time.perf_counter(), time.process_time()
         recording = read(options.read)

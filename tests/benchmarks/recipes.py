@@ -44,9 +44,9 @@ from peers.walks import GRID_S, Walk
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
-from pdr_filter.types import Step
-from pdr_filter.weighting import WEIGHTINGS
-from pdr_filter.whole import sensed_events
+from pdr_filter.filter.weighting import WEIGHTINGS
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.values.step import Step
 
 FloatArray = NDArray[np.float64]
 Values = dict[str, float]

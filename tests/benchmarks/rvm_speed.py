@@ -27,7 +27,7 @@ from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
-from pdr_filter.context.rvm import median_distance
+from pdr_filter.classifiers.rvm import median_distance
 
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 

@@ -22,13 +22,13 @@ import numpy as np
 from accuracy import aligned
 
 import pdr_filter as pdr
-from pdr_filter.motion import MotionNoise
-from pdr_filter.offline.fixed_lag import FixedLagSmoother
-from pdr_filter.offline.preintegration import bridge, frame
-from pdr_filter.offline.smoothed_track import smoothed_track
-from pdr_filter.offline.smoother import NO_OFFSETS, Problem, estimate, pose_problem, smooth, waypoint_fixes
+from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother
+from pdr_filter.offline.smoothing.preintegration import bridge, frame
+from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
+from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, Problem, estimate, pose_problem, smooth, waypoint_fixes
 
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "offline"))
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from simulated_steps import Walk, simulated_walk
 
 WIDE_RAD = float(np.pi / np.sqrt(3))

@@ -4,10 +4,10 @@
 
 Every step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s outside,
 where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of the other sets. The
-log odds are a logistic regression on the four features of `pdr_filter.steps.gate.evidence_features`, every kind of
-recording with the mass in `MASS`. Figures are of people left out: people with odd numbers are judged by a fit without
-them, and those with even numbers likewise; the other sets have one person each or unknown ones, and are in both fits.
-Then the same with the weights that the package has, which have seen everybody.
+log odds are a logistic regression on the four features of `pdr_filter.sensing.steps.gate.evidence_features`, every
+kind of recording with the mass in `MASS`. Figures are of people left out: people with odd numbers are judged by a fit
+without them, and those with even numbers likewise; the other sets have one person each or unknown ones, and are in
+both fits. Then the same with the weights that the package has, which have seen everybody.
 """
 
 from __future__ import annotations
@@ -23,12 +23,12 @@ from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 import pdr_filter as pdr
-from pdr_filter.attitude import AttitudeBlock
-from pdr_filter.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.steps.detector import unknown_modes
-from pdr_filter.steps.gate import EVIDENCE, StepGate, WalkEvidence
-from pdr_filter.types import Step
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
+from pdr_filter.sensing.steps.detector import unknown_modes
+from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence
+from pdr_filter.values.step import Step
 
 FloatArray = NDArray[np.float64]
 

@@ -29,9 +29,9 @@ from scipy.optimize import least_squares
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter import step_length as models
-from pdr_filter.step_length import StepLengthModel, length_and_jacobian
-from pdr_filter.types import Step
+from pdr_filter.filter import step_length as models
+from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
+from pdr_filter.values.step import Step
 
 FloatArray = NDArray[np.float64]
 UNKNOWN_HEIGHT_M = 1.70

@@ -20,12 +20,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 import pdr_filter as pdr
-from pdr_filter.conditioning import merge_streams
-from pdr_filter.sensing import Sensing
-from pdr_filter.steps.adaptive import AdaptiveStepDetector, low_pass_kernel
-from pdr_filter.steps.gate import StepGate
-from pdr_filter.steps.wavelet import WaveletStepDetector
-from pdr_filter.types import Samples, Step
+from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.sensing.conditioning import merge_streams
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector, low_pass_kernel
+from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.values.samples import Samples
+from pdr_filter.values.step import Step
 
 FloatArray = NDArray[np.float64]
 

@@ -17,9 +17,9 @@ os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 import numpy as np
 
 import pdr_filter as pdr
-from pdr_filter.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.recipes import default
-from pdr_filter.types import Samples
+from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.values.samples import Samples
 
 
 def long_walk(hours: float) -> pdr.Recording:

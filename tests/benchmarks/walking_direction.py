@@ -1,4 +1,4 @@
-"""The walking direction in any carrying mode (`pdr_filter.heading.walking_direction`), against motion capture.
+"""The walking direction in any carrying mode (`pdr_filter.sensing.heading.walking_direction`), against motion capture.
 
 usage: .venv/bin/python tests/benchmarks/walking_direction.py [--data ../shared/data]
 
@@ -32,14 +32,16 @@ from numpy.typing import NDArray
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
-from pdr_filter.angles import circular_mean, wrap_angle
-from pdr_filter.attitude import AttitudeBlock, AttitudeEstimator
-from pdr_filter.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.heading.walking_direction import WalkingDirection
-from pdr_filter.motion import MotionNoise
-from pdr_filter.steps.detector import ModeBlock, unknown_modes
-from pdr_filter.steps.wavelet import WaveletStepDetector
-from pdr_filter.types import CARRYING_MODES, Recording, Step
+from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.io.recording import Recording
+from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
+from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.sensing.heading.walking_direction import WalkingDirection
+from pdr_filter.sensing.steps.detector import ModeBlock, unknown_modes
+from pdr_filter.values.angles import circular_mean, wrap_angle
+from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values.step import Step
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]

@@ -2,20 +2,17 @@
 
 from __future__ import annotations
 
-import sys
 from dataclasses import replace
-from pathlib import Path
 
+import accuracy as benchmark
 import numpy as np
 import pytest
 
 import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, tracks
-from pdr_filter.types import CONTEXTS, Truth
-from pdr_filter.weighting import HC, weighted_distances
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-import accuracy as benchmark
+from pdr_filter.filter.weighting import HC, weighted_distances
+from pdr_filter.io.recording import Truth
+from pdr_filter.values.contexts import CONTEXTS
 
 
 @pytest.fixture(scope="module")

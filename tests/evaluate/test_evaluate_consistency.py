@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
+import consistency as benchmark
 import numpy as np
 import pytest
 
 from pdr_filter.evaluate import consistency
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-import consistency as benchmark
 
 
 def gaussian(n: int, too_sure: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import sys
 from pathlib import Path
 
+import accuracy as benchmark
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
 from pdr_filter.evaluate import distance, tracks
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "benchmarks"))
-import accuracy as benchmark
 
 
 def turned(points: np.ndarray, angle_rad: float, shift_m: tuple[float, float]) -> np.ndarray:

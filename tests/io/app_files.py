@@ -11,8 +11,9 @@ from pathlib import Path
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording, Samples
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 T0_NS = 1_787_923_304_123_456_789  # odd in the last digit: a float would round it to a multiple of 256
 T0_MS = 1_574_659_531_598

@@ -10,11 +10,11 @@ import pytest
 from app_files import a_walk, assert_same_streams, assert_same_track, core_motion_text, on_one_clock
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io import read
 from pdr_filter.io.core_motion import quaternion_of
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = on_one_clock(a_walk(50.0))
 TEXT = core_motion_text(WALK)

@@ -12,10 +12,11 @@ import pytest
 from app_files import a_walk, on_one_clock, with_level_attitude
 from mutations import FORMS, SOURCES, file_of
 
-from pdr_filter.io import FORMATS, read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import FORMATS, read
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording, Samples
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")

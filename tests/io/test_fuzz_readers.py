@@ -14,9 +14,8 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
 
-from pdr_filter.io import FORMATS, read
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.formats import detect
+from pdr_filter.io.formats import FORMATS, detect, read
 
 TEXTS = ("sensor_logger:json", "get_sensor_data", "indoor_location", "core_motion", "phyphox:csv")
 # Of processor time; each takes some 0.1 s, and a machine may be busy. The benchmark of the same mutations says seconds.

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 from app_files import GENERIC_MAPPING, T0_NS, a_walk, assert_same_streams, assert_same_track, generic_text, on_one_clock
 
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.report import reading_report
 
 WALK = on_one_clock(a_walk())

@@ -18,11 +18,11 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.get_sensor_data import rotation_vector_quaternion
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 WALK = with_level_attitude(a_walk())
 TEXT = get_sensor_data_text(WALK, positions=((1.0, 40.3130, -3.4833, 0.0), (20.0, 40.3131, -3.4830, 1.0)))

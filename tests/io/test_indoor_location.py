@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from app_files import T0_MS, a_walk, assert_same_streams, assert_same_track, indoor_location_text, with_level_attitude
 
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import Samples
+from pdr_filter.values.samples import Samples
 
 WALK = with_level_attitude(a_walk())
 TEXT = indoor_location_text(WALK, ((0.2, 196.41757, 117.84907), (20.0, 200.0, 118.5)))

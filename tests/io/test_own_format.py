@@ -14,10 +14,12 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 import pdr_filter.io.archive as archive
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
-from pdr_filter.types import Recording, Samples, Truth, table
+from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.values.arrays import table
+from pdr_filter.values.samples import Samples
 
 META = json.dumps({"name": "test_s1_walk", "subject": {"id": "s1", "height_m": 1.8}})
 

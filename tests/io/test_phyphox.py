@@ -16,10 +16,10 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()
 CHOICES = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]

@@ -10,10 +10,11 @@ import numpy as np
 import pytest
 from app_files import a_walk, metadata, sensor_logger_files, write_folder
 
-from pdr_filter.io import read
+from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import Recording, Samples
+from pdr_filter.values.samples import Samples
 
 
 def test_a_report_counts_gaps_repeated_and_backward_times() -> None:

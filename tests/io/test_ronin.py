@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, assert_same_track, on_one_clock, with_level_attitude
 
-from pdr_filter.io import read
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.report import reading_report
 
 WALK = with_level_attitude(on_one_clock(a_walk(200.0)))

@@ -23,11 +23,13 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import archive, read
+from pdr_filter.io import archive
 from pdr_filter.io.describe import describe
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
+from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import reading_report
-from pdr_filter.types import STANDARD_GRAVITY_MPS2, Recording, Samples
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = with_level_attitude(a_walk())
 ALL = "accelerometer gyroscope magnetometer attitude"

@@ -18,10 +18,11 @@ from helpers import windows_of
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
-from pdr_filter.cli import app
+from pdr_filter.cli.app import app
 from pdr_filter.io import writers
 from pdr_filter.simulate import Leg
-from pdr_filter.types import Step, Track, step_table
+from pdr_filter.tracks import Track
+from pdr_filter.values.step import Step, step_table
 
 ORIGIN = (48.137, 11.575)
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}

@@ -41,7 +41,10 @@ def table_lines() -> tuple[str, ...]:
 
     reference, reference_s = _timed(theirs, fixes)
     rows = [f"| filterpy, IMMEstimator | {1e3 * reference_s:.3f} | 1 | - |"]
-    for name, n in (("pdr_filter.imm, one pedestrian", None), (f"pdr_filter.imm, {N_AT_ONCE} at once", N_AT_ONCE)):
+    for name, n in (
+        ("pdr_filter.filter.imm, one pedestrian", None),
+        (f"pdr_filter.filter.imm, {N_AT_ONCE} at once", N_AT_ONCE),
+    ):
         mean, step_s = _timed(ours(n), fixes)
         apart = max(np.abs(m - r).max() for m, r in zip(mean, reference, strict=True))
         step_s /= n or 1

@@ -13,7 +13,7 @@ from scipy.signal import butter, sosfiltfilt
 from vqf import offlineVQF
 
 import pdr_filter as pdr
-from pdr_filter.conditioning import Conditioner, merge_streams
+from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 
 FloatArray = NDArray[np.float64]
 RATE_HZ = 100.0

@@ -1,0 +1,332 @@
+"""Step-length parameters of people, with covariance: saved, loaded, and used by the filter. Needs no gtsam."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, is_dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, cast
+
+import numpy as np
+
+from pdr_filter.config import Config
+from pdr_filter.filter import step_length
+from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.io.recording import Subject
+from pdr_filter.offline.calibration.priors import TYPICAL_STEP
+from pdr_filter.offline.calibration.segments import (
+    of_height,
+    slices_of,
+)
+from pdr_filter.values.arrays import FloatArray, Table, read_only, table
+from pdr_filter.values.contexts import CONTEXTS
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+
+FORMAT_VERSION = 1
+
+
+@dataclass(frozen=True, eq=False)
+class Person:
+    """What was found of one person.
+
+    Parameters
+    ----------
+    id : str
+    height_m : float or None
+        The models' height; the parameters belong to it.
+    k, k_cov : dict
+        Parameters (p,) of each context with their covariance (p, p). Of contexts without segments it is the
+        population's with the spread between people.
+    n_segments : int
+    """
+
+    id: str
+    height_m: float | None
+    k: Mapping[str, FloatArray]
+    k_cov: Mapping[str, FloatArray]
+    n_segments: int
+
+    @property
+    def k0(self) -> float:
+        """First parameter of walking."""
+        return float(self.k["walking"][0])
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration:
+    """Step-length parameters of a population and its people, per context.
+
+    Parameters
+    ----------
+    models : dict
+        Step-length model of each context.
+    theta, theta_cov : (P,), (P, P)
+        Of the population, all contexts one after the other in the order of `models`, and how well they are known.
+    between_cov : (P, P)
+        How people differ from it.
+    people, people_cov : (S, P), (S, P, P)
+    subject_ids : (S,)
+    heights_m : (S,)
+        NaN where unknown.
+    residual_std_m : dict
+        Of single steps in each context.
+    recording_std : float
+        How one person's scale differs between recordings, relative.
+    n_segments : dict
+        How many segments, in steps' shares, each context had.
+    segments : table
+        One row for each segment: `subject, recording, context, start_s, end_s, distance_m, n_steps, summed` (lengths
+        and not displacement), `predicted_m`, `left_out_m` (without this segment), `stranger_m` (without this person,
+        NaN for only one), `uncalibrated_m`, `misfit` (standard deviations), `weight`, `distrusted`.
+    notes : tuple of str
+        What was left out, taken otherwise, or distrusted.
+    card : dict
+        Version, date and what else people should know.
+    """
+
+    models: Mapping[str, StepLengthModel]
+    theta: FloatArray
+    theta_cov: FloatArray
+    between_cov: FloatArray
+    people: FloatArray
+    people_cov: FloatArray
+    subject_ids: tuple[str, ...]
+    heights_m: FloatArray
+    residual_std_m: Mapping[str, float]
+    recording_std: float
+    n_segments: Mapping[str, float]
+    segments: Table
+    notes: tuple[str, ...] = ()
+    card: Mapping[str, Any] | None = None
+
+    def __post_init__(self) -> None:
+        for name in ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        n, s = slices_of(self.models)[1], len(self.subject_ids)
+        shapes = {
+            "theta": (n,),
+            "theta_cov": (n, n),
+            "between_cov": (n, n),
+            "people": (s, n),
+            "people_cov": (s, n, n),
+            "heights_m": (s,),
+        }
+        for name, shape in shapes.items():
+            if getattr(self, name).shape != shape:
+                raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
+        if not set(self.models) <= set(CONTEXTS):
+            raise ValueError(f"contexts must be among {CONTEXTS}, got {tuple(self.models)}")
+
+    def __repr__(self) -> str:
+        contexts = ", ".join(self.contexts) or "no context"
+        return f"Calibration({contexts}; {len(self.subject_ids)} people, {len(self.segments)} segments)"
+
+    @property
+    def contexts(self) -> tuple[str, ...]:
+        """Contexts that are the main one of a segment: those that a few doubtful steps hint at are not calibrated."""
+        found = set(self.segments.context.tolist())
+        return tuple(c for c in self.models if c in found and c != "stationary")
+
+    @property
+    def k(self) -> dict[str, FloatArray]:
+        """Parameters of the population in each context."""
+        return self._by_context(self.theta)
+
+    @property
+    def k_cov(self) -> dict[str, FloatArray]:
+        """How well the population's parameters are known."""
+        return self._blocks(self.theta_cov)
+
+    @property
+    def between(self) -> dict[str, FloatArray]:
+        """Covariance between people in each context."""
+        return self._blocks(self.between_cov)
+
+    @property
+    def subjects(self) -> dict[str, Person]:
+        """The people, by id."""
+        return {
+            name: Person(
+                name,
+                None if np.isnan(self.heights_m[s]) else float(self.heights_m[s]),
+                self._by_context(self.people[s]),
+                self._blocks(self.people_cov[s]),
+                int(np.sum(self.segments.subject == name)),
+            )
+            for s, name in enumerate(self.subject_ids)
+        }
+
+    @property
+    def distrusted(self) -> Table:
+        """Segments whose residual is beyond three standard deviations."""
+        return self.segments[self.segments.distrusted].view(np.recarray)
+
+    def fits(self, subject: Subject | str | None = None) -> dict[str, StepLengthFit]:
+        """Model, parameters and covariance in each context, for a person.
+
+        Of somebody who was not calibrated they are the population's; how people differ from it is not in `theta_cov`
+        then, but in `scale_std`: it is one factor for all steps of the person.
+        """
+        subject = Subject(id=subject) if isinstance(subject, str) else subject or Subject()
+        theta, cov, height_m = self.theta, self.theta_cov, subject.height_m
+        if subject.id in self.subject_ids:
+            s = self.subject_ids.index(subject.id)
+            theta, cov = self.people[s], self.people_cov[s]
+            height_m = None if np.isnan(self.heights_m[s]) else float(self.heights_m[s])
+        k, k_cov = self._by_context(theta), self._blocks(cov)
+        return {
+            name: StepLengthFit(of_height(model, height_m), k[name], k_cov[name], self.residual_std_m[name])
+            for name, model in self.models.items()
+        }
+
+    def scale_std(self, subject: Subject | str | None = None) -> float:
+        """Relative standard deviation of all of a person's step lengths together, of walking if it was calibrated.
+
+        It has how well the person is known (or how people differ, for somebody who was not calibrated), and how a
+        person differs between recordings.
+        """
+        context = "walking" if "walking" in self.contexts or not self.contexts else self.contexts[0]
+        fit = self.fits(subject)[context]
+        name = subject if isinstance(subject, str) else subject.id if subject else None
+        cov = fit.theta_cov if name in self.subject_ids else fit.theta_cov + self.between[context]
+        length, jacobian = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
+        relative = float(np.sqrt(jacobian @ cov @ jacobian)) / max(float(length), 1e-3)
+        return float(np.hypot(min(relative, 1.0), self.recording_std))
+
+    def config(self, config: Config, subject: Subject | None = None) -> Config:
+        """The configuration with the calibrated step lengths of a person, and how sure they are.
+
+        Contexts that no segment said anything about keep the lengths of the configuration.
+        """
+        fits = self.fits(subject)
+        used = self.contexts
+        modes = tuple(
+            replace(mode, step_length=fits[mode.context]) if mode.context in used else mode
+            for mode in config.tracker.modes
+        )
+        noise = replace(config.tracker.noise, log_scale_std=self.scale_std(subject))
+        known = subject is not None and subject.id in self.subject_ids
+        who = f"of {subject.id}" if subject is not None and known else "of the calibrated population"
+        note = f"step lengths {who}: {', '.join(used) or 'none calibrated'}"
+        notes = tuple(n for n in config.notes if "height is not known" not in n or not known)
+        return replace(config, tracker=replace(config.tracker, modes=modes, noise=noise), notes=(*notes, note))
+
+    def report(self) -> str:
+        """Parameters, errors and doubts as text."""
+        from pdr_filter.offline.calibration.report import text
+
+        return text(self)
+
+    def _repr_markdown_(self) -> str:
+        return f"```\n{self.report()}\n```"
+
+    def plot(self, path: str | Path | None = None) -> Figure:
+        """Figure of people and residuals, saved if a path is given."""
+        from pdr_filter.offline.calibration.report import figure
+
+        return figure(self, path)
+
+    def save(self, path: str | Path) -> Path:
+        """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""
+        stem = _stem(path)
+        arrays: dict[str, Any] = {
+            name: getattr(self, name)
+            for name in ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
+        }
+        arrays |= {f"segment_{name}": np.asarray(self.segments[name]) for name in self.segments.dtype.names or ()}
+        buffer = io.BytesIO()
+        np.savez_compressed(buffer, allow_pickle=False, **arrays)
+        content = buffer.getvalue()
+        description = {
+            "format_version": FORMAT_VERSION,
+            "kind": "calibration",
+            "models": {name: _model_to_plain(model) for name, model in self.models.items()},
+            "subject_ids": list(self.subject_ids),
+            "residual_std_m": dict(self.residual_std_m),
+            "recording_std": self.recording_std,
+            "n_segments": dict(self.n_segments),
+            "notes": list(self.notes),
+            "npz_sha256": hashlib.sha256(content).hexdigest(),
+            "card": dict(self.card or {}),
+        }
+        stem.parent.mkdir(parents=True, exist_ok=True)
+        _with_ending(stem, "npz").write_bytes(content)
+        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
+        target = _with_ending(stem, "json")
+        target.write_text(text, encoding="utf-8")
+        return target
+
+    def _by_context(self, theta: FloatArray) -> dict[str, FloatArray]:
+        return {name: theta[part] for name, part in slices_of(self.models)[0].items()}
+
+    def _blocks(self, cov: FloatArray) -> dict[str, FloatArray]:
+        return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
+
+
+def load_calibration(path: str | Path) -> Calibration:
+    """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy."""
+    stem = _stem(path)
+    npz_path, json_path = _with_ending(stem, "npz"), _with_ending(stem, "json")
+    for needed in (json_path, npz_path):
+        if not needed.is_file():
+            raise ValueError(f"{needed}: no such file; a calibration is a .json and a .npz of the same name")
+    try:
+        description = json.loads(json_path.read_text(encoding="utf-8"))
+        if not isinstance(description, dict) or description.get("kind") != "calibration":
+            raise ValueError("it is no calibration")
+        if description.get("format_version") != FORMAT_VERSION:
+            raise ValueError(
+                f"format_version is {description.get('format_version')}, this version reads {FORMAT_VERSION}"
+            )
+        content = npz_path.read_bytes()
+        if hashlib.sha256(content).hexdigest() != description["npz_sha256"]:
+            raise ValueError(f"{npz_path.name} belongs to another calibration or is damaged; copy both files again")
+        with np.load(io.BytesIO(content), allow_pickle=False) as file:
+            arrays = {name: file[name] for name in file.files}
+        prefix = "segment_"
+        return Calibration(
+            models={name: _model_from_plain(m) for name, m in description["models"].items()},
+            **cast(Any, {name: array for name, array in arrays.items() if not name.startswith(prefix)}),
+            subject_ids=tuple(description["subject_ids"]),
+            residual_std_m=description["residual_std_m"],
+            recording_std=float(description["recording_std"]),
+            n_segments=description["n_segments"],
+            segments=table({n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}),
+            notes=tuple(description["notes"]),
+            card=description["card"],
+        )
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
+        raise ValueError(f"{json_path}: not a usable calibration: {what}; calibrate again") from error
+
+
+def _model_to_plain(model: StepLengthModel) -> dict[str, Any]:
+    name = type(model).__name__
+    if getattr(step_length, name, None) is not type(model):
+        raise ValueError(f"{name} is not a model of pdr_filter.filter.step_length, so its calibration cannot be saved")
+    # JSON has no infinity
+    values = {f.name: getattr(model, f.name) for f in fields(cast(Any, model))}
+    return {"class": name, **{n: None if v == np.inf else v for n, v in values.items() if n != "n_params"}}
+
+
+def _model_from_plain(plain: Mapping[str, Any]) -> StepLengthModel:
+    kind = getattr(step_length, str(plain["class"]), None)
+    if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
+        raise ValueError(f"no step-length model {plain['class']!r}")
+    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name != "class"}
+    return cast(StepLengthModel, kind(**values))
+
+
+def _stem(path: str | Path) -> Path:
+    path = Path(path)
+    return path.with_suffix("") if path.suffix in (".json", ".npz") else path
+
+
+def _with_ending(stem: Path, ending: str) -> Path:
+    return stem.with_name(f"{stem.name}.{ending}")

@@ -1,0 +1,1 @@
+"""Classifiers as plain arrays: predicting, the model files, the relevance vector machine, transitions of contexts."""

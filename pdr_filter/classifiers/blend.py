@@ -1,0 +1,63 @@
+"""A linear classifier and boosted trees with one voice.
+
+The linear one goes on sensibly where there is no training data, the trees know what depends on what; on people left out
+their mean is better than either (docs/benchmarks.md).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdr_filter.classifiers.boosting import BoostedTrees
+from pdr_filter.classifiers.softmax import SoftmaxRegression
+from pdr_filter.values.arrays import FloatArray
+
+_LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Blend:
+    """p proportional to (p_linear p_trees)^(1/2): the mean of the logits, of the same features and classes."""
+
+    linear: SoftmaxRegression
+    trees: BoostedTrees
+
+    def __post_init__(self) -> None:
+        linear, trees = ((part.n_features, part.n_classes) for part in (self.linear, self.trees))
+        if linear != trees:
+            raise ValueError(f"the parts must be of the same features and classes, got {linear} and {trees}")
+
+    @property
+    def n_features(self) -> int:
+        """Number of features, F."""
+        return self.linear.n_features
+
+    @property
+    def n_classes(self) -> int:
+        """Number of classes, K."""
+        return self.linear.n_classes
+
+    def predict_proba(self, X: ArrayLike) -> FloatArray:
+        """Class probabilities of rows, (N, F) to (N, K); the same bits alone and in any batch."""
+        relative = np.sqrt(self.linear.predict_proba(X) * self.trees.predict_proba(X))
+        return relative / relative.sum(axis=1, keepdims=True)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the plain arrays that `from_arrays` takes."""
+        return {_LINEAR + name: array for name, array in self.linear.to_arrays().items()} | {
+            _TREES + name: array for name, array in self.trees.to_arrays().items()
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Blend:
+        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+
+        def part(prefix: str) -> dict[str, NDArray[Any]]:
+            return {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
+
+        return cls(SoftmaxRegression.from_arrays(part(_LINEAR)), BoostedTrees.from_arrays(part(_TREES)))

@@ -1,0 +1,176 @@
+"""Trained relevance vectors as plain arrays: probabilities in NumPy only, some tens of microseconds a row.
+
+`pdr_filter.classifiers.rvm` trains them and needs scikit-learn; this module does not import it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from pdr_filter.classifiers.rows import checked_rows
+from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+
+KERNELS = ("rbf", "linear")
+LINKS = ("sigmoid", "softmax")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class RelevanceVectors:
+    """Relevance vector machines, one for each class, that share their relevance vectors.
+
+    Machine k has the logit t_k(x) = sum_m weights[k, m] phi[basis[k, m]](x) (eq. 4 of Martinelli et al. 2018), where
+    phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). Machines that use fewer than m vectors are filled up
+    with weight zero.
+
+    Parameters
+    ----------
+    kernel : str
+        "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5), or "linear": K(x, v) = x . v.
+    width : float
+        sigma_G of eq. 5, in units of the features; not used by the linear kernel.
+    vectors : (R, F)
+        Relevance vectors of all machines; R may be zero.
+    basis : (K, m)
+        Basis functions of each machine: 0 the bias, r the vector r - 1.
+    weights : (K, m)
+        Posterior mean of the weights (eq. 10), K at least two.
+    cov_factor : (K, m, m)
+        Factor G of the weights' posterior covariance Delta = G^T G (eq. 10): the variance of the logit is
+        phi^T Delta phi = ||G phi||^2. All zeros: no moderation.
+    link : str
+        From logits to probabilities. "sigmoid": each machine knows its class from all others, `normalised_sigmoids`.
+        "softmax": the logits compete, `moderated_softmax`.
+    """
+
+    kernel: str
+    width: float
+    vectors: FloatArray
+    basis: IntArray
+    weights: FloatArray
+    cov_factor: FloatArray
+    link: str = "sigmoid"
+
+    def __post_init__(self) -> None:
+        for name in ("vectors", "weights", "cov_factor"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+        basis = np.asarray(self.basis)
+        if not np.issubdtype(basis.dtype, np.integer):
+            raise ValueError(f"basis must hold integers, got {basis.dtype}")
+        basis = basis.astype(np.int64)
+        basis.flags.writeable = False
+        object.__setattr__(self, "basis", basis)
+        _check(self)
+
+    @property
+    def n_features(self) -> int:
+        """Number of features, F."""
+        return self.vectors.shape[1]
+
+    @property
+    def n_classes(self) -> int:
+        """Number of classes, K."""
+        return len(self.weights)
+
+    def predict_proba(self, X: ArrayLike) -> FloatArray:
+        """Class probabilities of rows, (N, F) to (N, K), each row summing to one.
+
+        Every row goes through the same computation on its own, so it has the same bits alone and in any batch.
+        Raises ValueError for NaN or infinite features.
+        """
+        rows = checked_rows(X, self.n_features)
+        probabilities = normalised_sigmoids if self.link == "sigmoid" else moderated_softmax
+        result = np.empty((len(rows), self.n_classes))
+        for row, features in enumerate(rows):
+            result[row] = probabilities(*self._logits(features))
+        return result
+
+    def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Mean and variance of every machine's logit, (K,) each, for one row (F,).
+
+        Sums are NumPy's own over the last axis of whole arrays, never BLAS, whose order depends on the shapes.
+        """
+        phi = np.ones(len(self.vectors) + 1)
+        if self.kernel == "rbf":
+            difference = self.vectors - features
+            phi[1:] = np.exp(np.einsum("rf,rf->r", difference, difference) / (-2.0 * self.width**2))
+        else:
+            phi[1:] = np.einsum("rf,f->r", self.vectors, features)
+        own = phi.take(self.basis)  # (K, m)
+        projected = np.einsum("kij,kj->ki", self.cov_factor, own)  # G phi
+        return np.einsum("km,km->k", self.weights, own), np.einsum("km,km->k", projected, projected)
+
+    def to_arrays(self) -> dict[str, NDArray[Any]]:
+        """Return the plain arrays that `from_arrays` takes."""
+        return {
+            "kernel": np.array(self.kernel),
+            "width": np.array(self.width),
+            "vectors": self.vectors,
+            "basis": self.basis.astype(np.int32),
+            "weights": self.weights,
+            "cov_factor": self.cov_factor,
+            "link": np.array(self.link),
+        }
+
+    @classmethod
+    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RelevanceVectors:
+        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+        return cls(
+            kernel=str(arrays["kernel"]),
+            width=float(arrays["width"]),
+            vectors=arrays["vectors"],
+            basis=arrays["basis"],
+            weights=arrays["weights"],
+            cov_factor=arrays["cov_factor"],
+            link=str(arrays["link"]) if "link" in arrays else "sigmoid",  # files of version 0.1 have none
+        )
+
+
+def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
+    """Class probabilities (K,) from the one-against-all logits and their variances, (K,) each.
+
+    p_k is proportional to sigma(kappa(variance_k) logit_k), with kappa(v) = (1 + pi v / 8)^(-1/2): the sigmoid averaged
+    over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
+    """
+    moderated = logit / np.sqrt(1.0 + np.pi / 8.0 * variance)
+    log_sigmoid = -np.logaddexp(0.0, -moderated)  # in logarithms: far from all classes every sigmoid underflows
+    relative = np.exp(log_sigmoid - log_sigmoid.max())
+    return relative / relative.sum()
+
+
+def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
+    """Class probabilities (K,) from competing logits and their variances, (K,) each.
+
+    p_k is proportional to 1 / sum_j exp(-kappa(variance_k + variance_j) (logit_k - logit_j)), j over all classes, with
+    kappa as in `normalised_sigmoids` and 1 for j = k (a mean-field form of Lu, Ie and Sha 2020). With no
+    variance it is the softmax, with two classes the moderated sigmoid of the difference.
+    """
+    kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
+    advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k
+    most = advantage.max(axis=1)  # not negative: a class has no advantage over itself
+    log_share = -most - np.log(np.exp(advantage - most[:, None]).sum(axis=1))
+    relative = np.exp(log_share - log_share.max())
+    return relative / relative.sum()
+
+
+def _check(machine: RelevanceVectors) -> None:
+    """Raise ValueError unless the arrays belong together and are finite."""
+    if machine.kernel not in KERNELS:
+        raise ValueError(f"kernel must be one of {KERNELS}, got {machine.kernel!r}")
+    if machine.link not in LINKS:
+        raise ValueError(f"link must be one of {LINKS}, got {machine.link!r}")
+    if not (np.isfinite(machine.width) and machine.width > 0):
+        raise ValueError(f"width must be positive and finite, got {machine.width}")
+    if machine.vectors.ndim != 2 or machine.weights.ndim != 2 or len(machine.weights) < 2:
+        raise ValueError(f"vectors (R, F), weights (K > 1, m): got {machine.vectors.shape}, {machine.weights.shape}")
+    shape = machine.weights.shape
+    if machine.basis.shape != shape or machine.cov_factor.shape != (*shape, shape[1]):
+        raise ValueError(f"shapes of weights {shape}, basis {machine.basis.shape} and cov_factor disagree")
+    if machine.basis.size and not 0 <= machine.basis.min() <= machine.basis.max() <= len(machine.vectors):
+        raise ValueError(f"basis must hold 0 (bias) to {len(machine.vectors)} (last relevance vector)")
+    if not all(np.isfinite(a).all() for a in (machine.vectors, machine.weights, machine.cov_factor)):
+        raise ValueError("relevance vectors, weights and covariances must be finite")

@@ -1,0 +1,481 @@
+"""Relevance vector machine of many classes: sparse Bayesian classification with probabilities (Tipping 2001).
+
+The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9): kernels at training rows as basis functions, and
+a Gaussian prior with its own precision alpha_i on every weight. The alphas maximise the evidence
+(`pdr_filter.classifiers.sparse_bayes`); most become infinite, and what stays are the relevance vectors. The iteration
+that the paper prints (eq. 10, 11) is `tests.oracles.rvm_reference`.
+"""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.distance import cdist, pdist
+from scipy.special import logsumexp
+from sklearn.base import BaseEstimator, ClassifierMixin
+from sklearn.exceptions import ConvergenceWarning
+from sklearn.model_selection import StratifiedGroupKFold, StratifiedKFold
+from sklearn.utils import check_random_state
+from sklearn.utils.multiclass import check_classification_targets
+from sklearn.utils.validation import check_is_fitted, validate_data
+from threadpoolctl import threadpool_limits  # scikit-learn depends on it
+
+from pdr_filter.classifiers.kernel_machine import KERNELS, RelevanceVectors
+from pdr_filter.classifiers.sparse_bayes import Bernoulli, Posterior, Trained, train
+from pdr_filter.values.arrays import FloatArray, IntArray
+
+MULTI_CLASS = ("one_against_all", "multinomial")
+
+# Widths tried by kernel_width="cv", as shares of the median distance. The median itself, which is used when no width is
+# given, had the lowest mean log loss of 0.35 to 4 times the median over 22 problems (docs/methods/rvm.md).
+WIDTH_GRID = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
+
+# Candidates from which the kernel width is estimated: the median of half a million distances is as good as any.
+_MAX_WIDTH_ROWS = 1000
+
+# Candidates during the search for a width: it needs the order of the log losses only.
+_MAX_SEARCH_SAMPLES = 300
+
+# Entries of the matrix of basis functions, 0.4 GB: with more rows, fewer of them are candidates.
+_MAX_ENTRIES = 50_000_000
+
+# Passes of one class before it is the next one's turn (multinomial), and rounds in all.
+_PASSES_A_ROUND = 4
+_MAX_ROUNDS = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """What training may use for each class, and when it stops; see `RelevanceVectorClassifier`."""
+
+    max_basis: int
+    max_iter: int
+    tol: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Machine:
+    """One trained machine (bias and candidates as basis functions) and the budgets that it used up."""
+
+    posterior: Posterior
+    n_iter: int
+    out_of_passes: bool
+    out_of_basis: bool
+
+
+def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: float) -> FloatArray:
+    """Basis functions at the rows, (1 + R, N): ones for the bias, then K(x, v) of each vector (eq. 5)."""
+    functions = np.ones((len(vectors) + 1, len(X)))
+    if kernel == "rbf":
+        gram = cdist(vectors, X, "sqeuclidean")
+        gram /= -2.0 * width**2
+        np.exp(gram, out=functions[1:])
+    else:
+        functions[1:] = vectors @ X.T
+    return functions
+
+
+def median_distance(vectors: FloatArray) -> float:
+    """Median Euclidean distance between pairs of different vectors (R, F), 1 if there is none."""
+    spread = np.unique(np.linspace(0, len(vectors) - 1, min(len(vectors), _MAX_WIDTH_ROWS)).astype(np.int64))
+    distances = pdist(vectors[spread])
+    distances = distances[distances > 0]
+    return float(np.median(distances)) if len(distances) else 1.0
+
+
+def train_one_against_all(
+    functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
+) -> list[Machine]:
+    """K machines, each for its class against all others; with two classes the first mirrors the second.
+
+    functions (R, N), label (N,) 0 to K - 1, weight (N,) how often each row counts.
+    """
+    no_offset = np.zeros(len(label))
+    machines: list[Machine] = []
+    for k in [1] if n_classes == 2 else range(n_classes):
+        likelihood = Bernoulli((label == k).astype(np.float64), weight, no_offset)
+        machines.append(_machine(_train(functions, likelihood, None, budget.max_iter, budget)))
+    return [_mirrored(machines[0]), machines[0]] if n_classes == 2 else machines
+
+
+def train_multinomial(
+    functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
+) -> list[Machine]:
+    """K machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j), for three classes or more.
+
+    While the others stand still, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j), and the
+    shares of the other classes among themselves do not change: the softmax is a binary machine with an offset. All
+    classes begin where one-against-all ends, so that their order matters less, and take turns until a round raises
+    the joint log posterior and evidence by less than `tol` a class.
+    """
+    targets = [(label == k).astype(np.float64) for k in range(n_classes)]
+    no_offset = np.zeros(len(label))
+    trained = [_train(functions, Bernoulli(t, weight, no_offset), None, budget.max_iter, budget) for t in targets]
+    n_iter = [t.n_passes for t in trained]
+    logit = np.array([t.posterior.logit for t in trained])
+    value, settled = _joint_value(logit, label, weight, trained), False
+    for _ in range(_MAX_ROUNDS):
+        if min(n_iter) >= budget.max_iter:
+            break
+        for k in range(n_classes):
+            offset = -np.asarray(logsumexp(np.delete(logit, k, axis=0), axis=0))
+            likelihood = Bernoulli(targets[k], weight, offset)
+            allowed = min(_PASSES_A_ROUND, budget.max_iter - n_iter[k])
+            if allowed > 0:
+                trained[k] = _train(functions, likelihood, trained[k].posterior, allowed, budget)
+                logit[k] = trained[k].posterior.logit
+                n_iter[k] += trained[k].n_passes
+        before, value = value, _joint_value(logit, label, weight, trained)
+        settled = value - before < budget.tol * n_classes
+        if settled:
+            break
+    return [
+        Machine(t.posterior, n, not settled or n >= budget.max_iter, t.out_of_basis)
+        for t, n in zip(trained, n_iter, strict=True)
+    ]
+
+
+def _joint_value(logit: FloatArray, label: IntArray, weight: FloatArray, trained: Sequence[Trained]) -> float:
+    """Log likelihood of the softmax plus every machine's Occam factor, ln p(w*) + ln |Delta| / 2, in nats."""
+    chosen = logit[label, np.arange(len(label))]
+    value = float(weight @ (chosen - np.asarray(logsumexp(logit, axis=0))))
+    for one in trained:
+        p = one.posterior
+        value -= 0.5 * float(np.sum(p.alpha * p.mean**2 - np.log(p.alpha)))
+        value += float(np.sum(np.log(np.diag(p.cov_factor))))  # G is triangular
+    return value
+
+
+def _train(
+    functions: FloatArray, likelihood: Bernoulli, start: Posterior | None, max_passes: int, budget: Budget
+) -> Trained:
+    return train(likelihood, functions, start, max_basis=budget.max_basis, max_passes=max_passes, tol=budget.tol)
+
+
+def _machine(trained: Trained) -> Machine:
+    return Machine(trained.posterior, trained.n_passes, trained.out_of_passes, trained.out_of_basis)
+
+
+def _mirrored(machine: Machine) -> Machine:
+    """Return the machine for the other of two classes: the opposite logit with the same covariance."""
+    p = machine.posterior
+    mirrored = Posterior(p.basis, p.alpha, -p.mean, p.cov_factor, -p.logit, p.log_evidence)
+    return Machine(mirrored, machine.n_iter, machine.out_of_passes, machine.out_of_basis)
+
+
+def assemble(
+    machines: Sequence[Machine], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
+) -> RelevanceVectors:
+    """Machines (K), trained on the bias and `vectors` (R, F), as arrays; vectors that none uses are left out."""
+    used = np.unique(
+        np.concatenate([[0], *(machine.posterior.basis for machine in machines)])
+    )  # the bias is always there
+    size = max(len(machine.posterior.basis) for machine in machines)
+    basis = np.zeros((len(machines), size), dtype=np.int64)
+    weights = np.zeros((len(machines), size))
+    cov_factor = np.zeros((len(machines), size, size))
+    for k, machine in enumerate(machines):
+        m = len(machine.posterior.basis)
+        basis[k, :m] = np.searchsorted(used, machine.posterior.basis)
+        weights[k, :m] = machine.posterior.mean
+        if moderate:
+            cov_factor[k, :m, :m] = machine.posterior.cov_factor
+    return RelevanceVectors(kernel, width, vectors[used[1:] - 1], basis, weights, cov_factor, link)
+
+
+def stratified_rows(labels: IntArray, n_rows: int, random: np.random.RandomState) -> IntArray:
+    """Choose about `n_rows` rows (ascending indices), each class in proportion but at least once."""
+    if n_rows >= len(labels):
+        return np.arange(len(labels))
+    chosen: list[IntArray] = []
+    for label in np.unique(labels):
+        rows = np.flatnonzero(labels == label)
+        n_chosen = max(1, round(n_rows * len(rows) / len(labels)))
+        chosen.append(random.permutation(rows)[:n_chosen])
+    return np.sort(np.concatenate(chosen))
+
+
+class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
+    """Sparse kernel classifier with probabilities for two or more classes.
+
+    Scale the features before (for instance to unit variance): the kernel takes their distances as they are. Training
+    never runs longer than its budgets allow; a ConvergenceWarning says which were used up.
+
+    Parameters
+    ----------
+    kernel : str
+        "rbf": one candidate basis function exp(-||x - x_i||^2 / (2 kernel_width^2)) for each training row (eq. 5).
+        "linear": one candidate for each feature, x_j over its root mean square, so that relevance selects features.
+        (Inner products with the training rows span the same functions with more candidates than dimensions.)
+    kernel_width : float, "cv" or None
+        sigma_G of eq. 5 in units of the features. None: the median distance between candidates. "cv": the
+        lowest cross-validated log loss of 0.5 to 4 times the median distance, in the time of some 20 trainings.
+        (The evidence prefers narrower kernels than the log loss of new rows does.)
+    multi_class : str
+        "one_against_all": a machine for each class against all others, sigmoids divided by their sum (the paper).
+        "multinomial": machines whose logits compete in a softmax; half as long again to train, with fewer vectors.
+        With two classes both are the same.
+    class_weight : dict, "balanced" or None
+        Factor by which the rows of a class count; "balanced": all classes count the same, and the rows N in all.
+    max_samples : int or None
+        At most about this many training rows, drawn class by class in proportion, become candidates for relevance
+        vectors; all rows always count in the likelihood. Time grows with N max_samples max_basis. None: every row is
+        a candidate, up to 50 million entries of the kernel matrix.
+    max_basis : int
+        Basis functions of each class at most, the bias included.
+    moderate : bool
+        Average the probabilities over the uncertainty of the logits (Bishop 2006, eq. 4.153). It lowers the log loss
+        most for narrow kernels.
+    max_iter : int
+        Passes of each class at most: refreshed posteriors.
+    tol : float
+        A class is trained when two passes in a row each raise its log evidence by less than half of this, in nats.
+    cv : int or splitter
+        Folds for kernel_width="cv": a number (stratified, whole `groups` if they are given) or any scikit-learn
+        splitter.
+    random_state : int, RandomState or None
+        Draws the candidates if there are more than `max_samples` rows. Nothing else is random.
+
+    Attributes
+    ----------
+    classes_ : (K,)
+        Class labels, sorted; columns of `predict_proba`.
+    relevance_vectors_ : (R, F)
+        Vectors that any of the machines kept.
+    kernel_width_ : float
+        The width that was used.
+    cv_log_loss_ : dict
+        Cross-validated log loss of each width that was tried; empty unless kernel_width="cv".
+    log_evidence_ : (K,)
+        Log evidence of each machine, in nats. For comparisons of one problem's settings, not across data.
+    n_iter_ : int
+        Passes of the class that needed most.
+    machine_ : RelevanceVectors
+        All that prediction needs, as plain arrays; store this.
+    n_features_in_ : int
+        Features of a row, F.
+    """
+
+    def __init__(
+        self,
+        *,
+        kernel: str = "rbf",
+        kernel_width: float | str | None = None,
+        multi_class: str = "one_against_all",
+        class_weight: dict[Any, float] | str | None = None,
+        max_samples: int | None = 1000,
+        max_basis: int = 100,
+        moderate: bool = True,
+        max_iter: int = 100,
+        tol: float = 1.0,
+        cv: Any = 3,
+        random_state: int | np.random.RandomState | None = 0,
+    ) -> None:
+        self.kernel = kernel
+        self.kernel_width = kernel_width
+        self.multi_class = multi_class
+        self.class_weight = class_weight
+        self.max_samples = max_samples
+        self.max_basis = max_basis
+        self.moderate = moderate
+        self.max_iter = max_iter
+        self.tol = tol
+        self.cv = cv
+        self.random_state = random_state
+
+    def fit(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None = None, groups: ArrayLike | None = None
+    ) -> RelevanceVectorClassifier:
+        """Train on rows X (N, F) and labels y (N,), and return the classifier itself.
+
+        A row of weight w (`sample_weight` (N,)) counts as if it were there w times; 0 leaves it out. `groups` (N,), for
+        instance people, stay whole in the folds of kernel_width="cv".
+        """
+        self._check_settings()
+        rows, labels, weight, group = self._checked(X, y, sample_weight, groups)
+        self.classes_, label = np.unique(labels, return_inverse=True)
+        if len(self.classes_) < 2:
+            raise ValueError(f"only one class in y ({self.classes_[0]!r}): a classifier needs at least two classes")
+        weight = weight * self._class_factors(label, weight)[label]
+        self.cv_log_loss_: dict[float, float] = {}
+        # One thread: on a busy computer BLAS threads wait for each other, and training took eight times as long.
+        with threadpool_limits(limits=1, user_api="blas"):
+            candidates, messages = self._candidates(rows, label, weight)
+            self.kernel_width_ = self._width(rows, label, weight, group, candidates)
+            machines, self.machine_ = self._fitted(rows, label, weight, candidates, self.kernel_width_)
+        messages += self._used_up(machines)
+        if messages:
+            warnings.warn("; ".join(messages), ConvergenceWarning, stacklevel=2)
+        self.n_iter_ = max(machine.n_iter for machine in machines)
+        self.log_evidence_ = np.array([machine.posterior.log_evidence for machine in machines])
+        self.relevance_vectors_ = self.machine_.vectors
+        return self
+
+    def predict_proba(self, X: ArrayLike) -> FloatArray:
+        """Class probabilities of rows, (N, F) to (N, K), each row summing to one."""
+        check_is_fitted(self)
+        rows: Any = validate_data(self, cast(Any, X), dtype=np.float64, reset=False)
+        return self.machine_.predict_proba(rows)
+
+    def predict(self, X: ArrayLike) -> NDArray[Any]:
+        """Most probable class of each row, (N, F) to (N,)."""
+        best = self.predict_proba(X).argmax(axis=1)
+        return self.classes_[best]
+
+    def _check_settings(self) -> None:
+        """Raise ValueError that names a setting which makes no sense."""
+        if self.kernel not in KERNELS:
+            raise ValueError(f"kernel must be one of {KERNELS}, got {self.kernel!r}")
+        if self.multi_class not in MULTI_CLASS:
+            raise ValueError(f"multi_class must be one of {MULTI_CLASS}, got {self.multi_class!r}")
+        width = self.kernel_width
+        if isinstance(width, str) and width != "cv":
+            raise ValueError(f'kernel_width must be a number, "cv" or None, got {width!r}')
+        if width is not None and not isinstance(width, str) and not 0 < width < np.inf:
+            raise ValueError(f"kernel_width must be positive, in units of the features, got {width}")
+        if self.max_samples is not None and self.max_samples < 1:
+            raise ValueError(f"max_samples must be at least 1 or None, got {self.max_samples}")
+        for name in ("max_basis", "max_iter"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} must be at least 1, got {getattr(self, name)}")
+        if not self.tol > 0:
+            raise ValueError(f"tol must be positive, in nats, got {self.tol}")
+
+    def _checked(
+        self, X: ArrayLike, y: ArrayLike, sample_weight: ArrayLike | None, groups: ArrayLike | None
+    ) -> tuple[FloatArray, NDArray[Any], FloatArray, NDArray[Any] | None]:
+        """Rows, labels, weights and groups as arrays of one length, rows of weight zero left out."""
+        checked: Any = validate_data(self, cast(Any, X), cast(Any, y), dtype=np.float64)
+        rows: FloatArray = checked[0]
+        labels: NDArray[Any] = checked[1]
+        check_classification_targets(labels)
+        weight = np.ones(len(rows)) if sample_weight is None else np.asarray(sample_weight, dtype=np.float64)
+        if weight.ndim == 0:
+            weight = np.full(len(rows), float(weight))
+        if weight.shape != (len(rows),):
+            raise ValueError(f"sample_weight must be ({len(rows)},), one for each row, got {weight.shape}")
+        if not (np.isfinite(weight).all() and (weight >= 0).all() and (weight > 0).any()):
+            raise ValueError("sample_weight must be finite, not negative, and not zero for all rows")
+        group = None if groups is None else np.asarray(groups)
+        if group is not None and group.shape != (len(rows),):
+            raise ValueError(f"groups must be ({len(rows)},), one for each row, got {group.shape}")
+        counts = weight > 0
+        return rows[counts], labels[counts], weight[counts], None if group is None else group[counts]
+
+    def _class_factors(self, label: IntArray, weight: FloatArray) -> FloatArray:
+        """Factor of each class's rows, (K,)."""
+        if self.class_weight is None:
+            return np.ones(len(self.classes_))
+        if isinstance(self.class_weight, str):
+            if self.class_weight != "balanced":
+                raise ValueError(f'class_weight must be a dict, "balanced" or None, got {self.class_weight!r}')
+            return weight.sum() / (len(self.classes_) * np.bincount(label, weights=weight))
+        factors = np.array([float(self.class_weight.get(c, 1.0)) for c in self.classes_.tolist()])
+        if not (np.isfinite(factors).all() and (factors > 0).all()):
+            raise ValueError(f"class_weight must be positive and finite, got {self.class_weight}")
+        return factors
+
+    def _candidates(self, rows: FloatArray, label: IntArray, weight: FloatArray) -> tuple[FloatArray, list[str]]:
+        """Candidates for relevance vectors, (R, F), different and sorted, and what to say if not all rows are some."""
+        if self.kernel == "linear":
+            size = np.sqrt(weight @ rows**2 / weight.sum())
+            return np.diag(1.0 / np.where(size > 0, size, 1.0)), []
+        room = max(1, _MAX_ENTRIES // len(rows))
+        n_rows = min(len(rows), room, len(rows) if self.max_samples is None else self.max_samples)
+        chosen = stratified_rows(label, n_rows, check_random_state(self.random_state))
+        messages: list[str] = []
+        if len(chosen) < len(rows):
+            limit = "max_samples" if self.max_samples is not None and self.max_samples <= room else "memory"
+            messages.append(f"{len(chosen)} of {len(rows)} rows are candidates for relevance vectors ({limit})")
+        return np.unique(rows[chosen], axis=0), messages
+
+    def _fitted(
+        self, rows: FloatArray, label: IntArray, weight: FloatArray, candidates: FloatArray, width: float
+    ) -> tuple[list[Machine], RelevanceVectors]:
+        """Trained machines, and the same as arrays for prediction."""
+        functions = basis_functions(rows, candidates, self.kernel, width)
+        budget = Budget(self.max_basis, self.max_iter, self.tol)
+        n_classes = int(label.max()) + 1
+        multinomial = self.multi_class == "multinomial" and n_classes > 2  # of two, one logit can as well be zero
+        trainer = train_multinomial if multinomial else train_one_against_all
+        machines = trainer(functions, label, weight, n_classes, budget)
+        link = "softmax" if multinomial else "sigmoid"
+        return machines, assemble(machines, candidates, self.kernel, width, link, self.moderate)
+
+    def _used_up(self, machines: Sequence[Machine]) -> list[str]:
+        """What to say about budgets that were used up."""
+        passes = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_passes]
+        basis = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_basis]
+        messages: list[str] = []
+        if passes:
+            messages.append(f"the evidence still rises for classes {passes}: raise max_iter={self.max_iter} or tol")
+        if basis:
+            messages.append(f"classes {basis} would use more basis functions: raise max_basis={self.max_basis}")
+        return messages
+
+    def _width(
+        self,
+        rows: FloatArray,
+        label: IntArray,
+        weight: FloatArray,
+        group: NDArray[Any] | None,
+        candidates: FloatArray,
+    ) -> float:
+        """Kernel width that is given, guessed or chosen by cross-validation."""
+        if self.kernel == "linear":
+            return 1.0
+        if isinstance(self.kernel_width, int | float | np.number):
+            return float(self.kernel_width)
+        median = median_distance(candidates)
+        if self.kernel_width is None:
+            return median
+        folds = self._folds(rows, label, group)
+        for share in WIDTH_GRID:
+            self.cv_log_loss_[share * median] = self._log_loss(rows, label, weight, folds, share * median)
+        return min(self.cv_log_loss_, key=lambda width: self.cv_log_loss_[width])
+
+    def _folds(self, rows: FloatArray, label: IntArray, group: NDArray[Any] | None) -> list[tuple[IntArray, IntArray]]:
+        """Rows to train on and to score, for each fold; folds that train on one class are left out."""
+        splitter: Any = self.cv
+        if isinstance(splitter, int):
+            if group is None:
+                splitter = StratifiedKFold(splitter, shuffle=True, random_state=0)
+            else:
+                splitter = StratifiedGroupKFold(splitter)
+        with warnings.catch_warnings():
+            warnings.filterwarnings("ignore", message="The least populated class")  # such rows are not scored
+            folds = list(splitter.split(rows, label, group)) if hasattr(splitter, "split") else list(splitter)
+        folds = [(fit, score) for fit, score in folds if len(np.unique(label[fit])) > 1]
+        if not folds:
+            raise ValueError(f"cv={self.cv!r} gives no fold with two classes: use fewer folds or give kernel_width")
+        return folds
+
+    def _log_loss(
+        self,
+        rows: FloatArray,
+        label: IntArray,
+        weight: FloatArray,
+        folds: Sequence[tuple[IntArray, IntArray]],
+        width: float,
+    ) -> float:
+        """Weighted mean log loss in nats of rows left out, of classes that their fold has seen."""
+        loss, total = 0.0, 0.0
+        for fit, score in folds:
+            seen, fit_label = np.unique(label[fit], return_inverse=True)
+            n_candidates = (
+                _MAX_SEARCH_SAMPLES if self.max_samples is None else min(_MAX_SEARCH_SAMPLES, self.max_samples)
+            )
+            chosen = stratified_rows(fit_label, n_candidates, np.random.RandomState(0))
+            candidates = np.unique(rows[fit][chosen], axis=0)
+            machine = self._fitted(rows[fit], fit_label, weight[fit], candidates, width)[1]
+            score = score[np.isin(label[score], seen)]
+            prob = machine.predict_proba(rows[score])
+            chosen_prob = prob[np.arange(len(score)), np.searchsorted(seen, label[score])]
+            loss -= float(weight[score] @ np.log(np.maximum(chosen_prob, 1e-15)))
+            total += float(weight[score].sum())
+        return loss / total if total else np.inf

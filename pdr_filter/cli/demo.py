@@ -1,0 +1,150 @@
+"""The demonstration: one walk tracked, drawn, written as files and summed up on one screen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+from pdr_filter.io.formats import read
+from pdr_filter.io.recording import Recording
+from pdr_filter.recording_run import track
+from pdr_filter.report.plotting import context_colours, plot_track
+from pdr_filter.simulate import demo_walk
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import FloatArray
+
+# Royal Observatory, Greenwich (latitude, longitude in degrees): a recording does not say where on Earth it began, and
+# a map needs some place.
+PLACEHOLDER_ORIGIN_DEG = (51.4779, -0.0015)
+_BAR_CELLS = 30
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Demo:
+    """What the demonstration made."""
+
+    recording: Recording
+    track: Track
+    is_simulated: bool
+    picture: Path
+    geojson: Path
+    csv: Path
+
+    def print(self, console: Console) -> None:
+        """Print the summary."""
+        result = self.track
+        console.print()
+        if self.is_simulated:
+            console.print("[bold]A simulated walk[/]: nobody walked this, so the truth is known exactly.")
+        else:
+            console.print(f"[bold]{escape(result.name)}[/] from {escape(self.recording.source)}", soft_wrap=True)
+        console.print()
+        console.print(_facts(self))
+        console.print(f"  how sure   {_end_std(result)}")
+        console.print()
+        console.print(_context_bars(result))
+        console.print()
+        if self.is_simulated:
+            console.print("note: the models know real people: simulated side steps and stairs pass for something else")
+        for note in result.notes:
+            console.print(f"note: {escape(note)}")
+        if result.notes:
+            console.print()
+        for what, path, remark in (
+            ("picture", self.picture, ""),
+            ("map", self.geojson, "placed in Greenwich, only a placeholder"),
+            ("table", self.csv, "one line a step"),
+        ):
+            console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
+        console.print()
+        console.print("Next, with your own recording:  pdr-filter track YOUR.zip --out results")
+
+
+def run_demo(file: Path | None, out_dir: Path, progress: Callable[[float], None] | None = None) -> Demo:
+    """Track a file, or the simulated walk, and write NAME.png, NAME.geojson and NAME.csv to a folder.
+
+    Parameters
+    ----------
+    file : Path or None
+        A recording; None for the simulated walk.
+    out_dir : Path
+        Created if needed.
+    progress : callable, optional
+        Called with the fraction done, 0 to 1.
+    """
+    is_simulated = file is None
+    recording = demo_walk() if file is None else read(file)
+    result = track(recording, progress=progress)
+    stem = out_dir / result.name
+    reference_m = _true_way(recording) if is_simulated else None
+    picture = stem.with_name(f"{result.name}.png")
+    plot_track(result, picture, reference_m)
+    return Demo(
+        recording=recording,
+        track=result,
+        is_simulated=is_simulated,
+        picture=picture,
+        geojson=result.to_geojson(stem.with_name(f"{result.name}.geojson"), PLACEHOLDER_ORIGIN_DEG),
+        csv=result.to_csv(stem.with_name(f"{result.name}.csv")),
+    )
+
+
+def _true_way(recording: Recording) -> FloatArray | None:
+    position = recording.truth.position
+    return None if position is None else np.column_stack([position.east_m, position.north_m])
+
+
+def _facts(demo: Demo) -> Table:
+    """Steps, distance and end point; against the truth where the walk is simulated."""
+    result = demo.track
+    end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
+    table = Table.grid(padding=(0, 3))
+    for _ in range(3):
+        table.add_column()
+    truth = _true_facts(demo.recording, end_m) if demo.is_simulated else ("", "", "")
+    table.add_row("  steps", f"{result.n_steps}", truth[0])
+    table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
+    table.add_row("  end", f"{end_m[0]:.1f} m east, {end_m[1]:.1f} m north", truth[2])
+    table.add_row("  duration", f"{result.duration_s:.0f} s", "")
+    return table
+
+
+def _true_facts(recording: Recording, end_m: FloatArray) -> tuple[str, str, str]:
+    truth, way_m = recording.truth, _true_way(recording)
+    if truth.steps is None or truth.segments is None or way_m is None:
+        return "", "", ""
+    apart_m = float(np.hypot(*(end_m - way_m[-1])))
+    return (
+        f"(truth: {len(truth.steps)})",
+        f"(truth: {float(truth.segments.distance_m.sum()):.1f} m)",
+        f"({apart_m:.1f} m from the truth)",
+    )
+
+
+def _end_std(result: Track) -> str:
+    """Standard deviation of the last position along the axis where it is largest."""
+    if result.n_steps == 0:
+        return "no step, no position"
+    largest_m2 = float(np.linalg.eigvalsh(result.position_cov_m2[-1])[-1])
+    return f"± {np.sqrt(largest_m2):.1f} m at the end (one standard deviation, worst direction)"
+
+
+def _context_bars(result: Track) -> Table:
+    """Seconds in each context, with a bar."""
+    table = Table.grid(padding=(0, 2))
+    table.add_column()
+    table.add_column(justify="right")
+    table.add_column()
+    seconds = result.context_seconds()
+    longest_s = max(seconds.values(), default=0.0)
+    for name, colour in context_colours(result.contexts).items():
+        if seconds[name] > 0:
+            cells = max(1, round(_BAR_CELLS * seconds[name] / longest_s))
+            table.add_row(f"  {name}", f"{seconds[name]:.0f} s", f"[{colour}]{'█' * cells}[/]")
+    return table

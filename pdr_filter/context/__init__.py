@@ -1,1 +1,0 @@
-"""Context classifiers: windows of features in, context probabilities out."""

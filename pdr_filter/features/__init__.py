@@ -1,1 +1,0 @@
-"""Features of windows of samples: what a context classifier sees."""

@@ -1,0 +1,1 @@
+"""Events in, rows of a track out: step lengths, motion, the IMM, the weightings, fixes."""

@@ -1,0 +1,143 @@
+"""The interacting multiple model: mix, predict, update, combine, for all modes and all pedestrians at once.
+
+Pure functions on arrays: `mean` (..., M, n), `cov` (..., M, n, n), `mode_prob` (..., M). Leading axes, if any,
+are pedestrians: each is filtered as if it were alone. Letters follow Blom and Bar-Shalom, "The
+interacting multiple model algorithm for systems with Markovian switching coefficients", IEEE Trans. Automatic Control
+33(8), 1988. Likelihoods are logarithms throughout, so that no evidence is lost to underflow.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_filter.values.arrays import FloatArray
+
+_LOG_2_PI = float(np.log(2 * np.pi))
+
+
+def check_transition_prob(transition_prob: FloatArray, n_modes: int) -> None:
+    """Raise ValueError unless `transition_prob[i, j]`, from mode i to mode j, is (M, M) with rows that sum to one."""
+    if transition_prob.shape != (n_modes, n_modes):
+        raise ValueError(f"transition_prob must be ({n_modes}, {n_modes}), got {transition_prob.shape}")
+    row_sums = transition_prob.sum(axis=1)
+    if (transition_prob < 0).any() or not np.allclose(row_sums, 1.0, atol=1e-9):
+        raise ValueError(f"transition_prob rows (from mode) must sum to 1, got {row_sums}; transpose it?")
+
+
+def mix(
+    mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Mixed means (..., M, n), mixed covariances (..., M, n, n) and predicted mode probabilities (..., M).
+
+    c_j = sum_i p_ij mu_i;  mu_i|j = p_ij mu_i / c_j;  x_0j = sum_i mu_i|j x_i;
+    P_0j = sum_i mu_i|j (P_i + (x_i - x_0j)(x_i - x_0j)').
+    A mode that cannot be reached (c_j = 0) keeps its own estimate.
+    """
+    *batch, n_modes, n = mean.shape
+    joint = transition_prob * mode_prob[..., :, None]
+    predicted = joint.sum(axis=-2)
+    reachable = (predicted > 0)[..., None, :]
+    weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(n_modes))
+    from_source = weights.swapaxes(-1, -2)  # (..., j, i)
+    mixed_mean = from_source @ mean
+    spread = mean[..., None, :, :] - mixed_mean[..., :, None, :]  # (..., j, i, n)
+    mixed_cov = (from_source @ cov.reshape(*batch, n_modes, n * n)).reshape(cov.shape)
+    mixed_cov += (spread * from_source[..., None]).swapaxes(-1, -2) @ spread
+    return mixed_mean, mixed_cov, predicted
+
+
+def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (..., M, n, n)."""
+    return np.matmul(F, mean[..., None])[..., 0], F @ cov @ F.swapaxes(-1, -2) + Q
+
+
+def update(
+    mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Updated means, covariances, log likelihoods (..., M), normalised innovations squared (..., M) of a measurement.
+
+    y = z - H x;  S = H P H' + R;  K = P H' S^-1;  x = x + K y;  P = (I - K H) P (I - K H)' + K R K' (Joseph's form,
+    symmetric and positive in rounding). z is (..., d), R (..., d, d), one for each pedestrian; H (d, n).
+    """
+    innovation = z[..., None, :] - mean @ H.T
+    R_ = R[..., None, :, :]
+    HP = H @ cov
+    S_inverse, log_det_S = _inverse(HP @ H.T + R_)
+    K = HP.swapaxes(-1, -2) @ S_inverse
+    updated_mean = mean + np.matmul(K, innovation[..., None])[..., 0]
+    I_KH = np.eye(mean.shape[-1]) - K @ H
+    updated_cov = I_KH @ cov @ I_KH.swapaxes(-1, -2) + K @ R_ @ K.swapaxes(-1, -2)
+    nis = (innovation * np.matmul(S_inverse, innovation[..., None])[..., 0]).sum(axis=-1)
+    log_likelihood = -0.5 * (nis + log_det_S + z.shape[-1] * _LOG_2_PI)
+    return updated_mean, updated_cov, log_likelihood, nis
+
+
+def _inverse(S: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse (..., d, d) and log determinant (...) of innovation covariances."""
+    if S.shape[-1] != 2:
+        return np.asarray(np.linalg.inv(S), dtype=float), np.linalg.slogdet(S)[1]
+    # A position is what most measurements are, and for thousands of pedestrians LAPACK is called once for each matrix.
+    a, b, c, d = S[..., 0, 0], S[..., 0, 1], S[..., 1, 0], S[..., 1, 1]
+    det = a * d - b * c
+    adjugate = np.stack([np.stack([d, -b], axis=-1), np.stack([-c, a], axis=-1)], axis=-2)
+    return adjugate / det[..., None, None], np.log(det)
+
+
+def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+    """Posterior mode probabilities, shape (..., M). A mode with prior zero stays at zero.
+
+    Evidence that is not a number, or that rules out every mode, says nothing: the prediction is returned.
+    """
+    with np.errstate(divide="ignore"):
+        log_posterior = np.log(predicted_mode_prob) + log_likelihood
+    highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
+    told = np.isfinite(highest)
+    if not told.any():
+        return predicted_mode_prob
+    relative = np.exp(log_posterior - np.where(told, highest, 0.0), where=told, out=np.ones_like(log_posterior))
+    return np.where(told, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
+
+
+def lagged_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int) -> FloatArray:
+    """Mode probabilities (K, M) of each step with the evidence of up to `lag` more, from the filtered ones (K, M).
+
+    The fixed-lag smoother of the modes: p(j at k | k + L) = sum_i p(i at k + 1 | k + L) mu_k(j) t_ji /
+    sum_j mu_k(j) t_ji, backwards from k + L. Exact for modes that move alike, a hidden Markov model; what the positions
+    say of the modes between is in the filtered probabilities only.
+
+    Parameters
+    ----------
+    mode_prob : (K, M)
+        After each step, as `Track.mode_prob`.
+    transition_prob : (M, M)
+        From one step to the next, as `Tracker.transition_prob`.
+    lag : int
+        Steps of hindsight L; 4 are two seconds of walking.
+    """
+    mode_prob = np.asarray(mode_prob, dtype=float)
+    check_transition_prob(transition_prob, mode_prob.shape[-1])
+    if lag < 0:
+        raise ValueError(f"lag must be 0 steps or more, got {lag}")
+    predicted = mode_prob @ transition_prob
+    k = np.arange(len(mode_prob))
+    end = np.minimum(k + lag, len(k) - 1)
+    lagged = mode_prob[end]
+    for back in range(1, lag + 1):
+        use = end - back >= k
+        at = end[use] - back
+        ratio = np.divide(lagged[use], predicted[at], where=predicted[at] > 0, out=np.zeros((len(at), lagged.shape[1])))
+        lagged[use] = mode_prob[at] * (ratio @ transition_prob.T)
+    return lagged
+
+
+def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Moment-matched mean (..., n) and covariance (..., n, n).
+
+    x = sum mu_j x_j;  P = sum mu_j (P_j + (x_j - x)(x_j - x)').
+    """
+    *batch, n_modes, n = mean.shape
+    weights = mode_prob[..., None, :]
+    combined = weights @ mean  # (..., 1, n)
+    spread = mean - combined
+    within = (weights @ cov.reshape(*batch, n_modes, n * n)).reshape(*batch, n, n)
+    return combined[..., 0, :], within + (mode_prob[..., None] * spread).swapaxes(-1, -2) @ spread

@@ -1,0 +1,328 @@
+"""One step of the pedestrian: where it leads, how that depends on the state, and how unsure it is.
+
+State of a mode: east in m, north in m, heading offset in rad (walking heading less device heading), log step scale
+(the person's own factor on every step length).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.filter.step_length import StepLengthFit
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.step import Step
+
+EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
+N_STATES = 4
+# What a mode may be of besides a context: motion of the phone that moves nobody, as the gate against it calls it.
+IRREGULAR = "irregular"
+
+
+@dataclass(frozen=True, eq=False)
+class Mode:
+    """A motion model of the filter.
+
+    Parameters
+    ----------
+    name : str
+        Unique name.
+    context : str
+        The context whose probability is its evidence, or "irregular" for handling of the phone. Stationary and
+        irregular modes move nowhere, whatever their step length.
+    step_length : StepLengthFit
+        Length of a step with its uncertainty.
+    heading_offset_rad : float
+        Walking direction less the heading the body faces: +pi/2 for steps to the right.
+    heading_std_rad : float
+        Independent error of the walking direction of each step.
+    carrying_mode : str, optional
+        Where the phone is in this mode: that one's probability is evidence too. Any, if not given.
+    heading_drift_rad_per_sqrt_s : float
+        Random walk of the heading offset in this mode, besides that of all modes (`MotionNoise`).
+    extra_noise_m : float
+        Independent error of each step along each axis, besides those of length and direction.
+    """
+
+    name: str
+    context: str
+    step_length: StepLengthFit
+    heading_offset_rad: float = 0.0
+    heading_std_rad: float = 0.1
+    carrying_mode: str | None = None
+    heading_drift_rad_per_sqrt_s: float = 0.0
+    extra_noise_m: float = 0.0
+
+    def __post_init__(self) -> None:
+        if self.context not in (*CONTEXTS, IRREGULAR):
+            raise ValueError(
+                f"context of mode {self.name!r} must be one of {(*CONTEXTS, IRREGULAR)}, got {self.context!r}"
+            )
+        if self.carrying_mode not in (None, *CARRYING_MODES):
+            raise ValueError(
+                f"carrying_mode of mode {self.name!r} must be None or one of {CARRYING_MODES}, "
+                f"got {self.carrying_mode!r}"
+            )
+        if not np.isfinite(self.heading_offset_rad):
+            raise ValueError(f"heading_offset_rad of mode {self.name!r} must be finite, got {self.heading_offset_rad}")
+        for what in ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m"):
+            if not (0 <= getattr(self, what) < np.inf):
+                raise ValueError(f"{what} of mode {self.name!r} must be 0 or more, got {getattr(self, what)}")
+
+    @property
+    def moves(self) -> bool:
+        """Whether a step in this mode leads anywhere."""
+        return self.context not in ("stationary", IRREGULAR)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Directions:
+    """Where modes walk and how unsurely, an entry for each mode."""
+
+    heading_offset_rad: FloatArray  # (M,)
+    heading_var_rad2: FloatArray  # (M,) of each step alone
+    drift_rad2_per_s: FloatArray  # (M,) of the heading offset, besides that of all modes
+    extra_var_m2: FloatArray  # (M,) of a step along each axis
+
+    @classmethod
+    def of(cls, modes: Sequence[Mode]) -> Directions:
+        """Those of some modes."""
+        return cls(
+            heading_offset_rad=np.array([m.heading_offset_rad for m in modes]),
+            heading_var_rad2=np.array([m.heading_std_rad**2 for m in modes]),
+            drift_rad2_per_s=np.array([m.heading_drift_rad_per_sqrt_s**2 for m in modes]),
+            extra_var_m2=np.array([m.extra_noise_m**2 for m in modes]),
+        )
+
+    def weighted(self, weights: FloatArray) -> Directions:
+        """Of one filter for all modes: the offset of the mode of the highest weight (M,), the mean of the variances."""
+        return Directions(
+            heading_offset_rad=self.heading_offset_rad[[int(weights.argmax())]],
+            heading_var_rad2=np.array([weights @ self.heading_var_rad2]),
+            drift_rad2_per_s=np.array([weights @ self.drift_rad2_per_s]),
+            extra_var_m2=np.array([weights @ self.extra_var_m2]),
+        )
+
+
+@dataclass(frozen=True)
+class MotionNoise:
+    """How fast the slow states wander, and what is known at the start.
+
+    Parameters
+    ----------
+    heading_drift_rad_per_sqrt_s : float
+        Random walk of the heading offset: what the bias does not explain, and the body's turning against the phone.
+    unknown_heading_rad_per_sqrt_s : float
+        The same while no angular rate is measured: after a few seconds nothing is known.
+    initial_heading_offset_std_rad : float
+        How well the phone's first heading is the person's.
+    bias_correlation_s : float
+        How long an error of the gyroscope's bias lasts; its variance enters the heading as a random walk with this
+        memory. It is short, because the deviation at the start is that of a mixture: few phones are off by 0.05 rad/s,
+        most by less than 0.002. With both values the errors of real hand-held walks are about as large as predicted
+        (docs/benchmarks.md).
+    log_scale_std : float
+        Spread of people about the population's step lengths: 8 %.
+    log_scale_drift_per_sqrt_step : float
+        How fast a person's scale wanders. It keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2,
+        which forgets in 13,000 steps, so that after a day nothing is less known than of a stranger.
+    gap_speed_mps : float
+        In a gap the pedestrian may have gone anywhere at this speed (one standard deviation).
+    """
+
+    heading_drift_rad_per_sqrt_s: float = 0.008
+    unknown_heading_rad_per_sqrt_s: float = 1.0
+    initial_heading_offset_std_rad: float = 0.15
+    bias_correlation_s: float = 3.0
+    log_scale_std: float = 0.08
+    log_scale_drift_per_sqrt_step: float = 0.001
+    gap_speed_mps: float = 1.0
+
+    def __post_init__(self) -> None:
+        for name, value in vars(self).items():
+            if not 0 <= value < np.inf:
+                raise ValueError(f"{name} must be 0 or more and finite, got {value}")
+
+    @property
+    def log_scale_drift_var(self) -> float:
+        """Variance that the log scale gains with each step: that of the drift, at most the spread of people."""
+        return min(self.log_scale_drift_per_sqrt_step, self.log_scale_std) ** 2
+
+    @property
+    def log_scale_memory(self) -> float:
+        """The share a of the log scale that is left a step later."""
+        if self.log_scale_std == 0:
+            return 1.0
+        return float(np.sqrt(1.0 - self.log_scale_drift_var / self.log_scale_std**2))
+
+
+# A heading that could be anything is uniform on the circle: its variance is pi^2 / 3, and no more.
+MAX_HEADING_VARIANCE = np.pi**2 / 3
+
+
+def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
+    """Mean (4,) and covariance (4, 4) at the origin."""
+    std = np.array([0.0, 0.0, noise.initial_heading_offset_std_rad, noise.log_scale_std])
+    return np.zeros(N_STATES), np.diag(std**2)
+
+
+def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Means (..., M, 4) and covariances (..., M, 4, 4) after the walking direction that the samples of a step show.
+
+    Where the phone was moved, the heading offset may be anything near the new one: its variance grows by
+    `offset_change_std_rad` squared. The walking direction z is a measurement of frame + device heading + offset state,
+    its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
+    offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
+
+    Parameters
+    ----------
+    mean, cov
+        Of the modes.
+    step : Step
+        With what the heading stage says of it.
+    frame_rad : float
+        Offset that counts as zero: north of the track is where the person would have walked with the first one.
+    """
+    o = HEADING_OFFSET
+    if step.offset_change_std_rad > 0:
+        cov = cov.copy()
+        cov[..., o, o] += step.offset_change_std_rad**2
+        cov = bound_heading_variance(cov)
+    variance = step.walking_direction_std_rad**2
+    if not np.isfinite(variance):
+        return mean, cov
+    innovation = wrap_angle(step.walking_direction_rad - step.device_heading_rad - frame_rad - mean[..., o])
+    gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]
+    mean = mean + gain * innovation[..., None]
+    cov = cov - gain[..., :, None] * cov[..., None, o, :]
+    return mean, 0.5 * (cov + cov.swapaxes(-1, -2))
+
+
+def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
+    """Covariances (..., M, 4, 4) in which the heading offset is as unsure as the first walking direction.
+
+    Which way the track points is a matter of its frame, but what later directions can still change is not: the first
+    offset is known as well as the direction that it comes from, and so was the direction of the steps before. With c
+    the covariance of the offset with all else, v its variance and r = std^2 / v: the covariance of all else grows by
+    (r - 1) c c' / v, c becomes r c and v becomes std^2.
+    """
+    o = HEADING_OFFSET
+    cov = cov.copy()
+    std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
+    variance = cov[..., o, o].copy()
+    ratio = std_rad**2 / variance
+    c = cov[..., :, o].copy()
+    cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
+    return cov
+
+
+def advance(
+    mean: FloatArray,
+    cov: FloatArray,
+    step: Step,
+    length_m: FloatArray,
+    length_var_m2: FloatArray,
+    directions: Directions,
+    noise: MotionNoise,
+    elapsed_s: float | None = None,
+) -> tuple[FloatArray, FloatArray]:
+    """Predicted means (..., M, 4) and covariances (..., M, 4, 4) after one step: P_k = F P_{k-1} F' + Q.
+
+    Arguments, F and Q are those of `linearise`.
+    """
+    predicted_mean, F, Q = linearise(mean, step, length_m, length_var_m2, directions, noise, elapsed_s)
+    return predicted_mean, bound_heading_variance(F @ cov @ F.swapaxes(-1, -2) + Q)
+
+
+def linearise(
+    mean: FloatArray,
+    step: Step,
+    length_m: FloatArray,
+    length_var_m2: FloatArray,
+    directions: Directions,
+    noise: MotionNoise,
+    elapsed_s: float | None = None,
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Predicted means (..., M, 4), F (..., M, 4, 4) and Q (..., M, 4, 4) of a step, one length for each mode.
+
+    p_k = p_{k-1} + L e^s [sin psi, cos psi], psi = device heading + heading offset state + the mode's own offset;
+    s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}, and Q from the variances of length and direction:
+    Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v' + var(extra) I, u along and v across the step. The heading
+    offset wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the
+    table drifts too.
+    """
+    elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
+    scaled_m = length_m * np.exp(mean[..., LOG_SCALE])
+    psi = step.device_heading_rad + mean[..., HEADING_OFFSET] + directions.heading_offset_rad
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    across = np.stack([np.cos(psi), -np.sin(psi)], axis=-1)  # d along / d psi
+    displacement = scaled_m[..., None] * along
+
+    predicted_mean = mean.copy()
+    predicted_mean[..., :2] += displacement
+    predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
+    F = np.broadcast_to(np.eye(N_STATES), (*mean.shape, N_STATES)).copy()
+    F[..., :2, HEADING_OFFSET] = scaled_m[..., None] * across
+    F[..., :2, LOG_SCALE] = displacement
+    F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
+
+    var_along = np.exp(2 * mean[..., LOG_SCALE]) * length_var_m2
+    var_across = scaled_m**2 * directions.heading_var_rad2
+    Q = np.zeros_like(F)
+    Q[..., :2, :2] = (
+        var_along[..., None, None] * along[..., :, None] * along[..., None, :]
+        + var_across[..., None, None] * across[..., :, None] * across[..., None, :]
+        + directions.extra_var_m2[..., None, None] * np.eye(2)
+    )
+    unknown_s = np.minimum(step.heading_unknown_s, elapsed_s)
+    drift_rad2_per_s = (
+        noise.heading_drift_rad_per_sqrt_s**2
+        + 2 * noise.bias_correlation_s * step.yaw_bias_std_radps**2
+        + directions.drift_rad2_per_s
+    )
+    Q[..., HEADING_OFFSET, HEADING_OFFSET] = (
+        drift_rad2_per_s * (elapsed_s - unknown_s) + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
+    )
+    Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
+    return predicted_mean, F, Q
+
+
+def bound_heading_variance(cov: FloatArray) -> FloatArray:
+    """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
+    variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
+    if (variance <= MAX_HEADING_VARIANCE).all():
+        return cov
+    scaling = np.ones(cov.shape[:-1])
+    scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))
+    return cov * scaling[..., :, None] * scaling[..., None, :]
+
+
+def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:
+    """Root mean square errors along and across a step of unit length that the linear covariance does not know.
+
+    With a heading error e and an error s of the log scale, both normal and independent, of variances v and w, the step
+    is e^s (cos e, sin e) in place of (1 + s, e). Along it E[(e^s cos e - 1 - s)^2] = e^2w (1 + e^-2v) / 2 + 1 + w
+    - 2 (1 + w) e^(w/2) e^(-v/2). Across it only what the scale adds, E[((e^s - 1) sin e)^2] =
+    (e^2w - 2 e^(w/2) + 1) (1 - e^-2v) / 2: e itself is more than sin e. All steps share e and s, so that these errors
+    add up as vectors, not as variances. 0 to 1.22 along a step whose scale is known.
+    """
+    v, w = heading_var_rad2, log_scale_var
+    of_scale, of_scale_squared = math.exp(0.5 * w), math.exp(2 * w)
+    along = 0.5 * of_scale_squared * (1 + math.exp(-2 * v)) + 1 + w - 2 * (1 + w) * of_scale * math.exp(-0.5 * v)
+    across = 0.5 * (of_scale_squared - 2 * of_scale + 1) * (1 - math.exp(-2 * v))
+    return math.sqrt(max(along, 0.0)), math.sqrt(max(across, 0.0))
+
+
+def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:
+    """Covariances (M, 4, 4) after a time without samples: any way walked, any turn taken."""
+    grown = cov.copy()
+    walked = (noise.gap_speed_mps * gap_s) ** 2
+    grown[:, EAST, EAST] += walked
+    grown[:, NORTH, NORTH] += walked
+    grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.unknown_heading_rad_per_sqrt_s**2 * gap_s
+    return bound_heading_variance(grown)

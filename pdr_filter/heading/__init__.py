@@ -1,1 +1,0 @@
-"""From where the device points to where the person walks."""

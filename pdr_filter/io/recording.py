@@ -1,0 +1,98 @@
+"""A recording: sensor streams, truth, and who walked."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, fields, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    pass
+from pdr_filter.values.arrays import Table
+from pdr_filter.values.samples import Samples
+
+
+@dataclass(frozen=True, slots=True)
+class Subject:
+    """The pedestrian, as far as known."""
+
+    id: str | None = None
+    height_m: float | None = None
+    weight_kg: float | None = None
+    age: float | None = None
+    gender: str | None = None
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Truth:
+    """What is known about the walk: tables with the columns of docs/formats.md, or None."""
+
+    position: Table | None = None
+    waypoints: Table | None = None
+    steps: Table | None = None
+    strides: Table | None = None
+    segments: Table | None = None
+    labels: Table | None = None
+
+    def present(self) -> tuple[str, ...]:
+        """Names of the tables that exist."""
+        return tuple(f.name for f in fields(self) if getattr(self, f.name) is not None)
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Recording:
+    """One recording: sensor streams at their own timestamps, truth where it exists, meta data.
+
+    Sensor frame: x right, y up along the screen, z out of it. Specific force reads +9.81 on z for a phone lying
+    face up. Streams that the phone did not record are None.
+    """
+
+    name: str
+    accelerometer: Samples  # specific force, m/s2, (N, 3)
+    gyroscope: Samples | None = None  # angular rate, rad/s, (N, 3)
+    magnetometer: Samples | None = None  # magnetic field, uT, (N, 3)
+    barometer: Samples | None = None  # pressure, hPa, (N, 1)
+    light: Samples | None = None  # illuminance, lux, (N, 1)
+    proximity: Samples | None = None  # distance, cm, (N, 1)
+    attitude: Samples | None = None  # sensor-to-world quaternion wxyz computed by the phone, (N, 4)
+    location: Samples | None = None  # latitude and longitude deg, altitude m, horizontal accuracy m, (N, 4)
+    truth: Truth = Truth()
+    meta: Mapping[str, Any] = field(default_factory=dict[str, Any])
+    source: str = ""  # path it was read from
+    notes: tuple[str, ...] = ()  # what the reader repaired or found odd, in words
+
+    def __repr__(self) -> str:
+        return f"Recording({self.name!r}, {self.duration_s:.1f} s, {', '.join(self.streams)})"
+
+    @property
+    def subject(self) -> Subject:
+        """The pedestrian, from meta; unknown fields are None."""
+        known = self.meta.get("subject") or {}
+        return Subject(**{f.name: known.get(f.name) for f in fields(Subject)})
+
+    def of_height(self, height_m: float) -> Recording:
+        """The same recording of a person of this height: step lengths follow it."""
+        subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
+        return replace(self, meta={**self.meta, "subject": subject})
+
+    def save(self, path: str | Path) -> Path:
+        """Write it in the project's own format and return the path: a zip file, or a folder without suffix."""
+        from pdr_filter.io.own_format import write_recording
+
+        return write_recording(self, path)
+
+    @property
+    def streams(self) -> dict[str, Samples]:
+        """The sensor streams that exist, by name."""
+        return {f.name: value for f in fields(self) if isinstance(value := getattr(self, f.name), Samples)}
+
+    @property
+    def duration_s(self) -> float:
+        """Time from the first to the last accelerometer sample."""
+        time_s = self.accelerometer.time_s
+        return float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+
+
+class MissingSensorError(ValueError):
+    """A recording lacks a sensor that the recipe needs; the message names both."""

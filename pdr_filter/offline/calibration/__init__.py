@@ -1,0 +1,1 @@
+"""Step-length parameters from walks of known length."""

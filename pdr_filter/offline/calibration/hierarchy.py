@@ -1,0 +1,191 @@
+"""Linear least squares over many people at once: what is shared, what is each person's own, and how people differ.
+
+Each person enters as ONE factor, the sum over all of the person's segments, so that the solver's work follows people.
+The sum is exact: every segment is linear, and a sum of squares of linear residuals is one quadratic form.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import gtsam
+import numpy as np
+
+from pdr_filter.values.arrays import FloatArray, IntArray
+
+_POPULATION = 0  # key of the population's parameters; people are 1 ... S
+# Smallest over largest diagonal entry of a square-root factor whose columns have unit size: below, two parameters
+# differ by less than rounding.
+_SINGULAR = 1e-7
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Posterior:
+    """Normal posterior of the population and of each person.
+
+    Parameters
+    ----------
+    population : (P,)
+        Mean of the population's parameters.
+    population_cov : (P, P)
+    people : (S, P)
+        Each person's parameters: own ones, and the population's where these are shared.
+    people_cov : (S, P, P)
+    deviation_cov : (S, Q, Q)
+        Covariance of each person's own parameters less the population's.
+    """
+
+    population: FloatArray
+    population_cov: FloatArray
+    people: FloatArray
+    people_cov: FloatArray
+    deviation_cov: FloatArray
+
+
+class SingularError(ValueError):
+    """The data and priors do not determine all parameters; `indices` are those that are involved."""
+
+    def __init__(self, indices: tuple[int, ...]) -> None:
+        super().__init__("the segments do not determine all parameters")
+        self.indices = indices
+
+
+def solve(
+    information: FloatArray,
+    vector: FloatArray,
+    prior_mean: FloatArray,
+    prior_precision: FloatArray,
+    personal: IntArray,
+    between_precision: FloatArray,
+) -> Posterior:
+    """Posterior of a person's parameters t_s and the population's y, for data that are already summed.
+
+    Minimises over y (P,) and t_s (Q,), with theta_s = y but for theta_s[personal] = t_s,
+
+        sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
+
+    as a `gtsam.GaussianFactorGraph` eliminated person by person. Covariances come from the eliminated graph: each
+    conditional is R t_s + S y = d, so t_s has (R'R)^-1 of its own and -R^-1 S of y's.
+
+    Parameters
+    ----------
+    information, vector : (S, P, P), (S, P)
+        G_s and g_s: sums of row' row / variance and of row' distance / variance.
+    prior_mean, prior_precision : (P,)
+        Of the population; precision 0 is no prior.
+    personal : (Q,)
+        Which parameters are each person's own.
+    between_precision : (Q, Q)
+        W, inverse of the covariance between people; zero rows for parameters in which people tell nothing of each
+        other. The population's value of such a parameter is the mean of the people's.
+
+    Raises
+    ------
+    SingularError
+        Parameters that neither data nor priors determine.
+    """
+    n_people, n_params = vector.shape
+    free = np.diagonal(between_precision) == 0  # nothing ties these to the population
+    weight = np.einsum("sii->i", information) + prior_precision
+    weight[personal] += np.diagonal(between_precision)
+    scale = 1 / np.sqrt(np.where(weight > 0, weight, 1.0))
+    G = information * scale[:, None] * scale
+    g = vector * scale
+    W = between_precision * scale[personal][:, None] * scale[personal]
+    precision = prior_precision * scale**2
+    precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)  # overwritten below: only keeps y regular
+    mean = prior_mean / scale
+
+    graph = _graph(G, g, mean, precision, personal, W)
+    ordering = gtsam.Ordering()
+    for key in (*range(1, n_people + 1), _POPULATION):
+        if key == _POPULATION or len(personal):
+            ordering.push_back(key)
+    try:
+        net: Any = graph.eliminateSequential(ordering)
+    except RuntimeError as error:
+        raise SingularError(_undetermined(G, precision, personal, W)) from error
+    R, _, d = _parts(net.at(net.size() - 1))
+    diagonal = [R.diagonal()]
+    inverse = np.linalg.inv(R)
+    y, y_cov = inverse @ d, inverse @ inverse.T
+    theta = np.repeat(y[None], n_people, axis=0)
+    own_cov = np.zeros((n_people, len(personal), len(personal)))
+    follow = np.repeat(np.eye(n_params)[None], n_people, axis=0)  # theta_s = follow_s y + constant + own noise
+    if len(personal):
+        parts = [_parts(net.at(s)) for s in range(n_people)]
+        R_s, S_s, d_s = (np.stack([p[k] for p in parts]) for k in range(3))
+        diagonal.append(np.diagonal(R_s, axis1=1, axis2=2).ravel())
+        inverse_s = np.linalg.inv(R_s)
+        gain = -inverse_s @ S_s
+        theta[:, personal] = np.einsum("sij,sj->si", inverse_s, d_s) + gain @ y
+        own_cov = inverse_s @ inverse_s.transpose(0, 2, 1)
+        follow[:, personal] = gain
+    size = np.abs(np.concatenate(diagonal))
+    if not np.isfinite(theta).all() or size.min() < _SINGULAR * max(1.0, float(size.max()) / np.sqrt(max(n_people, 1))):
+        raise SingularError(_undetermined(G, precision, personal, W))
+    cov = follow @ y_cov @ follow.transpose(0, 2, 1)
+    cov[:, personal[:, None], personal] += own_cov
+    apart = follow[:, personal] - np.eye(n_params)[personal]
+    deviation_cov = own_cov + apart @ y_cov @ apart.transpose(0, 2, 1)
+    if free.any() and n_people:
+        alone = personal[free]
+        spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
+        y[alone] = theta[:, alone].mean(axis=0)
+        y_cov[alone, :] = y_cov[:, alone] = 0.0
+        y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
+    both = scale[:, None] * scale
+    own = both[np.ix_(personal, personal)]
+    return Posterior(y * scale, y_cov * both, theta * scale, cov * both, deviation_cov * own)
+
+
+def _graph(
+    G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
+) -> gtsam.GaussianFactorGraph:
+    n_params = g.shape[1]
+    shared = np.delete(np.arange(n_params), personal)
+    graph = gtsam.GaussianFactorGraph()
+    unit = gtsam.noiseModel.Unit.Create(n_params)
+    root = np.sqrt(precision)
+    graph.add(gtsam.JacobianFactor(_POPULATION, np.diag(root), root * mean, unit))
+    if len(personal) == 0:
+        for G_s, g_s in zip(G, g, strict=True):
+            graph.add(gtsam.HessianFactor(_POPULATION, G_s, g_s, 0.0))
+        return graph
+    G12, G22, g2 = np.zeros((len(g), len(personal), n_params)), np.zeros_like(G), np.zeros_like(g)
+    G12[:, :, shared] = G[:, personal][:, :, shared]
+    G22[:, shared[:, None], shared] = G[:, shared][:, :, shared]
+    g2[:, shared] = g[:, shared]
+    # t - y[personal] has precision W: the tie of a person to the population, in the same factor as the person's data
+    G11 = G[:, personal][:, :, personal] + W
+    G12[:, :, personal] -= W
+    G22[:, personal[:, None], personal] += W
+    g1 = g[:, personal]
+    for s in range(len(g)):
+        graph.add(gtsam.HessianFactor(s + 1, _POPULATION, G11[s], G12[s], g1[s], G22[s], g2[s], 0.0))
+    return graph
+
+
+def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:
+    return np.asarray(conditional.R()), np.asarray(conditional.S()), np.asarray(conditional.d())
+
+
+def _undetermined(G: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray) -> tuple[int, ...]:
+    """Parameters in the weakest direction of the first person for whom it is as good as nothing."""
+    indices: set[int] = set()
+    shared = np.delete(np.arange(len(precision)), personal)
+    total = G.sum(axis=0) + np.diag(precision)
+    candidates = [total]
+    for G_s in G:
+        own = total.copy()  # a person's own parameters have only the person's data, and the tie
+        own[np.ix_(personal, personal)] = G_s[np.ix_(personal, personal)] + W
+        own[np.ix_(personal, shared)] = G_s[np.ix_(personal, shared)]
+        own[np.ix_(shared, personal)] = G_s[np.ix_(shared, personal)]
+        candidates.append(own)
+    for matrix in candidates:
+        value, direction = np.linalg.eigh(matrix)
+        weak = value < 1e-10 * value[-1]
+        for column in direction.T[weak]:
+            indices |= set(np.flatnonzero(np.abs(column) > 0.1 * np.abs(column).max()).tolist())
+    return tuple(sorted(indices))

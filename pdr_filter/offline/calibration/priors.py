@@ -1,0 +1,160 @@
+"""What is known of step lengths before a calibration, for each context."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from pdr_filter.filter.step_length import (
+    BounceStepLength,
+    FrequencyVarianceStepLength,
+    KimStepLength,
+    StepLengthModel,
+    TianStepLength,
+    WeinbergStepLength,
+    bounce_fit,
+    length_and_jacobian,
+)
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.step import Step
+
+# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
+TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
+# How people of known height differ in their step lengths (docs/methods/step_length.md).
+PEOPLE_RELATIVE_STD = 0.065
+
+
+@dataclass(frozen=True, eq=False)
+class StepLengthPrior:
+    """A step-length model of one context, and what is known of its parameters.
+
+    Parameters
+    ----------
+    model : StepLengthModel
+        One with a `height_m` takes that of each person, and its own where it is unknown.
+    mean, std : (p,)
+        Of the population. Std 0 holds a parameter at its mean, inf knows nothing.
+    between_std : (p,)
+        How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one of which
+        no person tells anything about another (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the
+        spread starts.
+    step_std_m : float
+        Of single steps about the model.
+    """
+
+    model: StepLengthModel
+    mean: FloatArray
+    std: FloatArray
+    between_std: FloatArray
+    step_std_m: float = 0.08
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "std", "between_std"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+            if getattr(self, name).shape != (self.model.n_params,):
+                raise ValueError(
+                    f"{name} of {type(self.model).__name__} must be ({self.model.n_params},), "
+                    f"got {getattr(self, name).shape}"
+                )
+        if not ((self.std >= 0).all() and (self.between_std >= 0).all() and np.isfinite(self.mean).all()):
+            raise ValueError("mean must be finite, std and between_std not negative")
+        if not self.step_std_m >= 0:
+            raise ValueError(f"step_std_m must not be negative, got {self.step_std_m}")
+        if ((self.std == 0) & (self.between_std > 0)).any():
+            raise ValueError("a parameter that is held (std 0) cannot differ between people (between_std 0)")
+
+
+def prior(
+    model: StepLengthModel, mean: ArrayLike, std: ArrayLike, between_std: ArrayLike, step_std_m: float = 0.08
+) -> StepLengthPrior:
+    """`StepLengthPrior` from plain lists."""
+    arrays = [np.array(a, dtype=float) for a in (mean, std, between_std)]
+    return StepLengthPrior(model, *arrays, step_std_m=step_std_m)
+
+
+def weak_prior(
+    model: StepLengthModel, mean: ArrayLike | None = None, personal: tuple[int, ...] = (0,), step: Step = TYPICAL_STEP
+) -> StepLengthPrior:
+    """Prior for any model, of a size that only decides between parameters that tell the same.
+
+    Each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m; with a `mean`, each term is uncertain by
+    0.35 m. People differ by 6.5 % of a step in each of the `personal` parameters, if there is one, and by less in each
+    of several.
+    """
+    start = np.ones(model.n_params) if mean is None else np.array(mean, dtype=float)
+    length, slope = length_and_jacobian(model, step, start)
+    slope = np.where(np.abs(slope) < 1e-9, 1.0, slope)
+    if mean is None:
+        std = 0.7 / np.abs(slope)
+        centre = np.where(np.arange(model.n_params) == 0, 0.7 / slope, 0.0)
+        length_m = 0.7
+    else:
+        std, centre, length_m = 0.35 / np.abs(slope), start, float(length)
+    between = np.zeros(model.n_params)
+    own = list(personal)
+    between[own] = PEOPLE_RELATIVE_STD * length_m / np.abs(slope[own]) / np.sqrt(max(len(own), 1))
+    return StepLengthPrior(model, centre, std, between)
+
+
+def _known(length_m: float, std_m: float, between_m: float, step_std_m: float) -> StepLengthPrior:
+    """One length whatever the step: k1 and k2 of eq. 12 are held at zero."""
+    return prior(FrequencyVarianceStepLength(), [length_m, 0, 0], [std_m, 0, 0], [between_m, 0, 0], step_std_m)
+
+
+_BOUNCE = bounce_fit()
+_BOUNCE_K = float(_BOUNCE.theta[0])
+# The population's k is known to 3 %: the shipped 1.6 %, and that other phones and other carrying modes move it (up to
+# 4 % in seven places of the phone).
+DEFAULT_PRIORS: Mapping[str, StepLengthPrior] = MappingProxyType(
+    {
+        "stationary": _known(0.0, 0.0, 0.0, 0.02),
+        "walking": prior(
+            BounceStepLength(),
+            [_BOUNCE_K],
+            [0.03 * _BOUNCE_K],
+            [PEOPLE_RELATIVE_STD * _BOUNCE_K],
+            _BOUNCE.residual_std_m,
+        ),
+        # Treads of public stairs are 0.26 to 0.32 m and belong to the stairs more than to the person.
+        "upstairs": _known(0.29, 0.03, 0.02, 0.05),
+        "downstairs": _known(0.43, 0.08, 0.05, 0.10),
+        "sideways": _known(0.45, 0.10, 0.07, 0.10),
+        "running": prior(FrequencyVarianceStepLength(), [0, 0.35, 0], [0.2, 0.1, 0], [0.08, 0, 0], 0.10),
+    }
+)
+
+
+def eq12_priors(between_std_m: float = 0.05) -> dict[str, StepLengthPrior]:
+    """k0 + k1 f + k2 sigma^2 in every moving context, k0 of each person, k1 and k2 shared.
+
+    Martinelli et al. 2018, eq. 12-16, with weak priors: k0 +- 0.5 m, k1 +- 0.2 m s about 0.2 (stairs: 0), k2 +- 0.02.
+    """
+    model = FrequencyVarianceStepLength()
+    k0 = {"walking": 0.4, "upstairs": 0.29, "downstairs": 0.43, "sideways": 0.45, "running": 0.0}
+    k1 = {"walking": 0.2, "upstairs": 0.0, "downstairs": 0.0, "sideways": 0.0, "running": 0.35}
+    moving = {
+        name: StepLengthPrior(
+            model,
+            np.array([k0[name], k1[name], 0.0]),
+            np.array([0.5, 0.2, 0.02]),
+            np.array([between_std_m, 0.0, 0.0]),
+            DEFAULT_PRIORS[name].step_std_m,
+        )
+        for name in k0
+    }
+    return {"stationary": DEFAULT_PRIORS["stationary"], **moving}
+
+
+def candidates() -> dict[str, dict[str, StepLengthPrior]]:
+    """Sets of priors that differ in the model of walking, by name, for `calibration.compare_models`."""
+    return {
+        "bounce": {"walking": DEFAULT_PRIORS["walking"]},
+        "eq12": {"walking": eq12_priors()["walking"]},
+        "kim": {"walking": weak_prior(KimStepLength())},
+        "tian": {"walking": weak_prior(TianStepLength(1.70))},
+        "weinberg": {"walking": weak_prior(WeinbergStepLength())},
+    }

@@ -1,0 +1,405 @@
+"""Stretches of known length in recordings, and the sums over their steps that a calibration needs.
+
+A segment is preintegrated: whatever the number of its steps, it enters as the sum of their regressors times the sine
+and cosine of their headings. Given those, the displacement is linear in the parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from itertools import pairwise
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
+from pdr_filter.io.recording import Recording
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.step import Step
+
+# How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
+# at each end (measured on 133 straight legs of one person; docs/methods/calibration.md).
+ANCHOR_STD_M = 0.35
+# A "segment" shorter than this is a single step (group B of Martinelli et al. 2018: one stair, 0.29 or 0.43 m), whose
+# length is that of the tread and not a distance between clicks.
+SINGLE_STEP_M = 1.5
+# Waypoints of a floor map are good to a metre or so; this is the residual of 165 legs between them.
+WAYPOINT_STD_M = 0.9
+# Strides of motion capture or of a walkway, and treads.
+STRIDE_STD_M = 0.02
+# Waypoints closer than this say little about the steps between them: the path may go round a corner.
+MIN_WAYPOINT_DISTANCE_M = 4.0
+# GNSS fixes are thinned until they are this far apart, and this many times their own deviation.
+MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
+# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
+_RADIUS_68 = 1.515
+# Displacement over walked distance below which a stretch of known *walked* distance has a turn in it. A step or two
+# round the corner at the ends of a leg of ten steps leave 0.92; half of the leg at a right angle 0.71.
+STRAIGHT = 0.85
+# Less than half a step inside is none.
+MIN_STEPS = 0.5
+# A context with less than this probability adds less than a millimetre to a step.
+_MIN_PROB = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Segment:
+    """Steps of one person between two anchors whose distance is known.
+
+    Parameters
+    ----------
+    subject, recording : str
+        Who, and where it was recorded: segments of one recording share what was odd on that day.
+    distance_m : float
+        Displacement from anchor to anchor, or walked distance if `heading_rad` is None.
+    steps : (n,) of Step
+        Steps at least partly between the anchors.
+    inside : (n,)
+        Share of each step that is inside, 0 to 1.
+    heading_rad : (n,) or None
+        Directions of the steps, clockwise, up to one unknown angle for the whole segment; None where none are known:
+        then lengths are summed instead of vectors.
+    context_prob : (n, C)
+        Probabilities of `CONTEXTS` of each step.
+    anchor_std_m : float
+        Standard deviation of `distance_m`.
+    height_m : float, optional
+        Of the person.
+    start_s, end_s : float
+        When the anchors were passed.
+    """
+
+    subject: str
+    recording: str
+    distance_m: float
+    steps: tuple[Step, ...]
+    inside: FloatArray
+    heading_rad: FloatArray | None
+    context_prob: FloatArray
+    anchor_std_m: float = ANCHOR_STD_M
+    height_m: float | None = None
+    start_s: float = 0.0
+    end_s: float = 0.0
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
+
+
+@dataclass(frozen=True, eq=False)
+class SegmentSums:
+    """All that a calibration needs of N segments, as arrays: predicted length = | regressors @ theta + offset_m |.
+
+    theta (P,) are the parameters of all contexts, one after the other (`Layout`), of the segment's subject.
+
+    Parameters
+    ----------
+    regressors : (N, 2, P)
+        Sums over the steps of context probability times regressors times (sin, cos) of the heading. For summed lengths
+        the second row is zero.
+    offset_m : (N, 2)
+        Zero for models that are linear in theta.
+    distance_m, anchor_std_m, n_steps : (N,)
+        Known length, its standard deviation, number of steps.
+    context : (N,)
+        Index of the context that most of the steps are of, into `CONTEXTS`.
+    subject, recording : (N,)
+        Index into `subjects` and `recordings`.
+    subjects, recordings : tuple of str
+    """
+
+    regressors: FloatArray
+    offset_m: FloatArray
+    distance_m: FloatArray
+    anchor_std_m: FloatArray
+    n_steps: FloatArray
+    context: IntArray
+    subject: IntArray
+    recording: IntArray
+    subjects: tuple[str, ...]
+    recordings: tuple[str, ...]
+
+    def __post_init__(self) -> None:
+        n = len(self.distance_m)
+        if self.regressors.ndim != 3 or self.regressors.shape[:2] != (n, 2) or self.offset_m.shape != (n, 2):
+            raise ValueError(
+                f"regressors must be ({n}, 2, P) and offset_m ({n}, 2) for {n} distances, got "
+                f"{self.regressors.shape} and {self.offset_m.shape}"
+            )
+        for name in ("anchor_std_m", "n_steps", "context", "subject", "recording"):
+            if getattr(self, name).shape != (n,):
+                raise ValueError(f"{name} must be ({n},), got {getattr(self, name).shape}")
+        if not (np.isfinite(self.regressors).all() and np.isfinite(self.offset_m).all()):
+            raise ValueError("regressors and offset_m must be finite: leave out segments without features")
+        for name in ("distance_m", "n_steps"):
+            values: FloatArray = getattr(self, name)
+            bad = ~(values > 0)
+            if bad.any():
+                i = int(bad.argmax())
+                raise ValueError(
+                    f"{name} must be positive, but segment {i} has {values[i]}: leave out segments without steps or "
+                    "without length"
+                )
+        if not (self.anchor_std_m >= 0).all():
+            raise ValueError("anchor_std_m must not be negative")
+
+    def __len__(self) -> int:
+        return len(self.distance_m)
+
+    def rows(self, chosen: Any) -> SegmentSums:
+        """The segments of an index or mask, subjects and recordings numbered as before."""
+        arrays = {
+            f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("subjects", "recordings")
+        }
+        return replace(self, **arrays)
+
+
+def integrate(
+    segments: Sequence[Segment],
+    models: Mapping[str, StepLengthModel],
+    theta: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
+) -> SegmentSums:
+    """Sums of segments for a model of each context.
+
+    Parameters
+    ----------
+    segments : (N,) of Segment
+    models : mapping
+        Model of each context, in the order of the parameters; one with a `height_m` takes that of the person.
+    theta : mapping, or one for each segment
+        Parameters about which models that are not linear in theta are linearised.
+    """
+    slices, n_params = slices_of(models)
+    regressors, offset = np.zeros((len(segments), 2, n_params)), np.zeros((len(segments), 2))
+    context = np.zeros(len(segments), dtype=np.int64)
+    for i, segment in enumerate(segments):
+        about = theta if isinstance(theta, Mapping) else theta[i]
+        if segment.heading_rad is None:
+            along = np.stack([np.ones(len(segment.steps)), np.zeros(len(segment.steps))], axis=1)
+        else:
+            along = np.stack([np.sin(segment.heading_rad), np.cos(segment.heading_rad)], axis=1)
+        weight = segment.inside[:, None] * segment.context_prob
+        context[i] = int(weight.sum(axis=0).argmax())
+        for name, model in models.items():
+            own = of_height(model, segment.height_m)
+            w = weight[:, CONTEXTS.index(name)]
+            used = np.flatnonzero(w > _MIN_PROB)
+            if len(used) == 0:
+                continue
+            pairs = [length_and_jacobian(own, segment.steps[k], about[name]) for k in used]
+            jacobian = np.array([j for _, j in pairs])
+            length = np.array([float(x) for x, _ in pairs])
+            vectors = along[used] * w[used, None]  # (n, 2)
+            regressors[i, :, slices[name]] += vectors.T @ jacobian
+            offset[i] += vectors.T @ (length - jacobian @ about[name])
+    subjects, recordings = _names(s.subject for s in segments), _names(s.recording for s in segments)
+    return SegmentSums(
+        regressors=regressors,
+        offset_m=offset,
+        distance_m=np.array([s.distance_m for s in segments], dtype=float),
+        anchor_std_m=np.array([s.anchor_std_m for s in segments], dtype=float),
+        n_steps=np.array([float(s.inside.sum()) for s in segments]),
+        context=context,
+        subject=np.array([subjects.index(s.subject) for s in segments], dtype=np.int64),
+        recording=np.array([recordings.index(s.recording) for s in segments], dtype=np.int64),
+        subjects=subjects,
+        recordings=recordings,
+    )
+
+
+def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
+    """Where the parameters of each context are in theta (P,), and P."""
+    ends = np.cumsum([0, *(m.n_params for m in models.values())])
+    return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
+
+
+def of_height(model: StepLengthModel, height_m: float | None) -> StepLengthModel:
+    """The model for a person of this height; itself if it takes no height or none is known."""
+    if height_m is None or not hasattr(model, "height_m"):
+        return model
+    return replace(model, height_m=float(height_m))  # pyright: ignore[reportArgumentType, reportCallIssue, reportUnknownVariableType, reportGeneralTypeIssues, reportTypeVar]
+
+
+def _names(found: Any) -> tuple[str, ...]:
+    return tuple(dict.fromkeys(found))
+
+
+# --- from recordings ------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, slots=True)
+class _Stretch:
+    start_s: float
+    end_s: float
+    distance_m: float
+    anchor_std_m: float
+    walked: bool = False  # the distance is known along the way, not from end to end
+
+
+def segments_of(
+    recording: Recording, track: Track, anchor_std_m: float | None = None, measure: str = "displacement"
+) -> tuple[list[Segment], list[str]]:
+    """Segments of a recording, and in words what was left out or taken otherwise.
+
+    From its truth: `segments` of known distance, else `strides`, else pairs of `waypoints` on one floor, else fixes of
+    `location`.
+
+    Parameters
+    ----------
+    recording : Recording
+    track : Track
+        Its track: steps, headings, contexts.
+    anchor_std_m : float, optional
+        Standard deviation of the distances of `segments` and `waypoints`; else `ANCHOR_STD_M` and `WAYPOINT_STD_M`.
+    measure : {"displacement", "length"}
+        Sum the step vectors, or the step lengths against the same distance. Without gyroscope, and in segments of known
+        walked distance that have a turn in them, lengths are summed in any case.
+    """
+    if measure not in ("displacement", "length"):
+        raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
+    stretches, notes = _stretches(recording, anchor_std_m)
+    if recording.gyroscope is None and stretches and measure == "displacement":
+        measure = "length"
+        notes.append("no gyroscope, so no headings: summed step lengths instead of displacement")
+    names = track.steps.dtype.names or ()
+    steps = tuple(Step(**dict(zip(names, row, strict=True))) for row in cast(Any, track.steps).tolist())
+    prob = step_contexts(track)
+    end = track.time_s
+    duration = np.array([s.duration_s for s in steps])
+    subject = recording.subject
+    who = subject.id or recording.name
+    segments: list[Segment] = []
+    empty: list[str] = []
+    bent: list[str] = []
+    for stretch in stretches:
+        part = (np.minimum(end, stretch.end_s) - np.maximum(end - duration, stretch.start_s)) / np.maximum(
+            duration, 1e-9
+        )
+        part = np.clip(part, 0.0, 1.0)
+        used = np.flatnonzero(part > 0)
+        where = f"{stretch.start_s:.1f}-{stretch.end_s:.1f} s"
+        if part.sum() < MIN_STEPS:
+            empty.append(where)
+            continue
+        heading: FloatArray | None = track.walking_heading_rad[used]
+        if measure == "length":
+            heading = None
+        elif stretch.walked:
+            vector = np.exp(1j * heading) * part[used] * np.maximum(track.step_length_m[used], 1e-3)
+            if abs(vector.sum()) < STRAIGHT * np.abs(vector).sum():
+                bent.append(where)
+                heading = None
+        segments.append(
+            Segment(
+                subject=who,
+                recording=recording.name,
+                distance_m=stretch.distance_m,
+                steps=tuple(steps[k] for k in used),
+                inside=part[used],
+                heading_rad=heading,
+                context_prob=prob[used],
+                anchor_std_m=stretch.anchor_std_m,
+                height_m=subject.height_m,
+                start_s=stretch.start_s,
+                end_s=stretch.end_s,
+            )
+        )
+    if empty:
+        notes.append(f"no steps in {_some(empty)}: left out")
+    if bent:
+        notes.append(f"turns in {_some(bent)}: summed step lengths instead of displacement")
+    return segments, [f"{recording.name}: {note}" for note in notes]
+
+
+def step_contexts(track: Track) -> FloatArray:
+    """Probabilities of `CONTEXTS` of each step (K, C): the filter's by mode, else the windows'."""
+    prob = np.zeros((track.n_steps, len(CONTEXTS)))
+    for m, mode in enumerate(track.modes):
+        context = mode.split(" ")[0]
+        if context not in CONTEXTS:
+            return track.context_prob
+        prob[:, CONTEXTS.index(context)] += track.mode_prob[:, m]
+    return prob
+
+
+def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
+    truth = recording.truth
+    notes: list[str] = []
+    found: list[_Stretch] = []
+    if truth.segments is not None and np.isfinite(truth.segments.distance_m).any():
+        known = truth.segments[np.isfinite(truth.segments.distance_m)]
+        clicked_m = ANCHOR_STD_M if anchor_std_m is None else anchor_std_m
+        for row in known:
+            distance_m = float(row["distance_m"])
+            std_m = min(clicked_m, STRIDE_STD_M) if distance_m < SINGLE_STEP_M else clicked_m
+            found.append(_Stretch(float(row["start_s"]), float(row["end_s"]), distance_m, std_m, True))
+    elif truth.strides is not None and len(truth.strides):
+        found = [
+            _Stretch(float(s["start_s"]), float(s["end_s"]), float(s["length_m"]), STRIDE_STD_M, True)
+            for s in truth.strides
+        ]
+    elif truth.waypoints is not None and len(truth.waypoints) > 1:
+        found = _between_waypoints(truth.waypoints, WAYPOINT_STD_M if anchor_std_m is None else anchor_std_m)
+    elif recording.location is not None and len(recording.location) > 1:
+        found = _between_fixes(recording.location.time_s, recording.location.values)
+    else:
+        return [], ["no truth of known length, no waypoints, no position fixes: nothing to calibrate with"]
+    good: list[_Stretch] = []
+    bad: dict[str, list[str]] = {}
+    for s in found:
+        where = f"{s.start_s:.1f}-{s.end_s:.1f} s"
+        if not (np.isfinite([s.start_s, s.end_s, s.distance_m]).all()):
+            bad.setdefault("time or distance is not a number", []).append(where)
+        elif s.end_s <= s.start_s:
+            bad.setdefault("the end is not after the start (anchors out of time order)", []).append(where)
+        elif s.distance_m <= 0:
+            bad.setdefault("the distance is not positive", []).append(f"{where} ({s.distance_m:g} m)")
+        else:
+            good.append(s)
+    notes += [f"{why} in {_some(which)}: left out" for why, which in bad.items()]
+    return good, notes
+
+
+def _between_waypoints(points: Any, anchor_std_m: float) -> list[_Stretch]:
+    """Stretches between neighbouring waypoints on one floor that are far enough apart; those out of order stay in."""
+    names = points.dtype.names or ()
+    floor = np.asarray(points.floor, dtype=float) if "floor" in names else np.zeros(len(points))
+    level = np.where(np.isfinite(floor), floor, 0.0)
+    distance = np.hypot(np.diff(points.east_m), np.diff(points.north_m))
+    return [
+        _Stretch(float(a), float(b), float(d), anchor_std_m)
+        for a, b, d, same in zip(points.time_s[:-1], points.time_s[1:], distance, np.diff(level) == 0, strict=True)
+        if same and (not d <= MIN_WAYPOINT_DISTANCE_M)
+    ]
+
+
+def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
+    """Stretches between GNSS fixes, thinned until the distance stands out from their errors."""
+    lat_deg, lon_deg, _, accuracy_m = values.T
+    earth_m = 6371008.8  # on 100 m a sphere is as good as the ellipsoid to 0.3 %, less than the fixes' own error
+    north = np.radians(lat_deg) * earth_m
+    east = np.radians(lon_deg) * earth_m * np.cos(np.radians(np.nanmean(lat_deg)))
+    std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / _RADIUS_68
+    usable = np.flatnonzero(np.isfinite(east) & np.isfinite(north) & np.isfinite(time_s))
+    found: list[_Stretch] = []
+    last = -1
+    for i in usable:
+        if last < 0:
+            last = int(i)
+            continue
+        distance = float(np.hypot(east[i] - east[last], north[i] - north[last]))
+        std = float(np.hypot(std_m[i], std_m[last]))
+        if distance > max(MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS * std):
+            # the error across the way makes the distance longer: E d^2 = D^2 + std^2 but for the error along it
+            length = float(np.sqrt(distance**2 - std**2))
+            found.append(_Stretch(float(time_s[last]), float(time_s[i]), length, std))
+            last = int(i)
+    return found
+
+
+def _some(names: Sequence[str], most: int = 4) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,313 @@
+"""Steps between two anchors, summed before a solver sees them: one relative factor instead of one for each step.
+
+The state is that of the filter (`pdr_filter.filter.motion`): east, north, heading offset, log step scale. In the frame
+of the heading offset and the scale at the start of an interval, its steps add up to one displacement D that does not
+depend on either; only the result is turned and scaled,
+
+    p_b = p_a + e^s_a R(theta_a) D,  theta_b = theta_a,  s_b = s_a,  and noise of covariance T Q T',
+    T = diag(e^s_a R(theta_a), 1, 1),
+
+so that D and Q are computed once however often the solver linearises (the idea of C. Forster et al., "On-manifold
+preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017, for steps in place of inertial samples).
+Between the ends, the steps are a Gaussian bridge: `bridge`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.filter.motion import (
+    EAST,
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    N_STATES,
+    Directions,
+    Mode,
+    MotionNoise,
+)
+from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.values.arrays import FloatArray, IntArray, Table, read_only
+from pdr_filter.values.step import Step
+
+# d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
+TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
+_POSITION = slice(EAST, EAST + 2)
+# Variances below these count as these: a tenth of a millimetre, a thousandth of a milliradian. Without them a step
+# whose length is exactly known has no covariance that could be inverted.
+_MIN_POSITION_VAR_M2 = 1e-8
+MIN_STATE_VAR = 1e-12
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Increments:
+    """What each of K steps adds, before the person's scale and heading offset.
+
+    A step comes about in this order: the gap and the change of the heading offset before it, the displacement, the
+    drifts of heading offset and scale after it (`pdr_filter.filter.motion.linearise` has the same order).
+    """
+
+    time_s: FloatArray  # (K,) contacts
+    duration_s: FloatArray  # (K,)
+    displacement_m: FloatArray  # (K, 2) east, north, of the device heading and the modes
+    cov_m2: FloatArray  # (K, 2, 2) independent from step to step
+    drift_var_rad2: FloatArray  # (K,) of the heading offset, after the step
+    unknown_var_rad2: FloatArray  # (K,) the same for the time without angular rate
+    scale_drift_var: FloatArray  # (K,) of the log scale, after the step
+    jump_var_rad2: FloatArray  # (K,) before the step: the phone was moved, or samples are missing
+    gap_var_m2: FloatArray  # (K,) before the step: walked while samples are missing
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def part(self, first: int, end: int) -> Increments:
+        """Steps first to end - 1."""
+        return Increments(*(getattr(self, name)[first:end] for name in self.__slots__))
+
+
+def increments(
+    steps: Table,
+    mode_prob: FloatArray,
+    modes: Sequence[Mode],
+    noise: MotionNoise,
+    gap_before_s: FloatArray,
+    previous_s: float | None = None,
+) -> tuple[Increments, float]:
+    """Increments of detected steps, and the variance of the log scale that the fits of the modes leave.
+
+    The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture:
+    residual of the length along the step, heading of the step across it, and how the modes differ. The covariance of a
+    fit's parameters is an error that all steps share, not one of each step: it is returned as the mean of
+    J cov J' / L^2, to be added to the variance of the log scale (deviation: with several parameters the shared error is
+    not one factor).
+
+    Parameters
+    ----------
+    steps : Table
+        K rows of `Step`.
+    mode_prob : (K, M)
+        Probability of each mode at each step.
+    modes : sequence of Mode
+        Step lengths, heading offsets, and the scatter of headings.
+    noise : MotionNoise
+        Drifts.
+    gap_before_s : (K,)
+        Time without samples before each step, 0 for none.
+    previous_s : float, optional
+        Contact of the step before the first one, if there was one.
+    """
+    n = len(steps)
+    lengths = StepLengths(tuple(m.step_length for m in modes))
+    names = steps.dtype.names or ()
+    found = [lengths.predict(Step(**dict(zip(names, row, strict=True)))) for row in steps.tolist()]
+    moves = np.array([m.moves for m in modes])
+    length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
+    variance = np.array([f[1] for f in found]).reshape(n, len(modes))
+    residual_var = np.array([m.step_length.residual_std_m**2 for m in modes])
+    directions = Directions.of(modes)
+    shared_var = mode_prob * moves * (variance - residual_var) / np.maximum(length_m, 0.1) ** 2
+
+    psi = np.asarray(steps.device_heading_rad)[:, None] + directions.heading_offset_rad
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    across = along @ TURN.T
+    vectors = length_m[..., None] * along
+    displacement = np.einsum("km,kma->ka", mode_prob, vectors)
+    apart = vectors - displacement[:, None]
+    cov = (
+        np.einsum("km,kma,kmb->kab", mode_prob * residual_var, along, along)
+        + np.einsum("km,kma,kmb->kab", mode_prob * length_m**2 * directions.heading_var_rad2, across, across)
+        + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
+        + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
+    )
+    time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
+    first_s = duration_s[:1] if previous_s is None else time_s[:1] - previous_s
+    elapsed_s = np.concatenate([first_s, np.diff(time_s)])
+    elapsed_s = np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)
+    unknown_s = np.minimum(np.asarray(steps.heading_unknown_s), elapsed_s)
+    bias_var = 2 * noise.bias_correlation_s * np.asarray(steps.yaw_bias_std_radps) ** 2
+    walking = Increments(
+        time_s=time_s,
+        duration_s=duration_s,
+        displacement_m=displacement,
+        cov_m2=cov,
+        drift_var_rad2=(noise.heading_drift_rad_per_sqrt_s**2 + bias_var + mode_prob @ directions.drift_rad2_per_s)
+        * (elapsed_s - unknown_s),
+        unknown_var_rad2=noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s,
+        scale_drift_var=np.full(n, noise.log_scale_drift_var),
+        jump_var_rad2=np.minimum(
+            np.asarray(steps.offset_change_std_rad) ** 2 + noise.unknown_heading_rad_per_sqrt_s**2 * gap_before_s,
+            MAX_HEADING_VARIANCE,
+        ),
+        gap_var_m2=(noise.gap_speed_mps * gap_before_s) ** 2,
+    )
+    return walking, float(shared_var.sum(axis=1).mean()) if n else 0.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Intervals:
+    """Steps summed between anchors. `sum_m` and `cov` of a step are from the start of its interval to its contact."""
+
+    nodes: IntArray  # (n + 1,) steps before each anchor: the first is 0, the last K
+    index: IntArray  # (K,) the interval of each step
+    sum_m: FloatArray  # (K, 2) D after each step, in the frame of the interval's start
+    cov: FloatArray  # (K, 4, 4) Q after each step, without what happens before the next one
+    total_m: FloatArray  # (n, 2) D of each interval
+    total_cov: FloatArray  # (n, 4, 4) Q of each interval, with gap and change of the heading offset at its end
+    whiten: FloatArray  # (n, 4, 4) inverse of the lower Cholesky factor of `total_cov`
+
+    def __len__(self) -> int:
+        return len(self.total_m)
+
+
+def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
+    """The steps between each anchor and the next, in time that grows with the number of steps.
+
+    With q_i the drift variance after step i, r_i that of the log scale and C_i the covariance of a step,
+
+        Q_pp = sum C_i + sum q_i J d_i (J d_i)' + sum r_i d_i d_i',  d_i = D - D_i,
+        Q_pt = sum q_i J d_i,  Q_tt = sum q_i,  Q_ps = sum r_i d_i,  Q_ss = sum r_i,
+
+    J = d R / d theta at 0. The sums over i are differences of cumulative ones, for all steps at once.
+    """
+    if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
+        raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")
+    count = np.diff(nodes)
+    index = np.repeat(np.arange(len(count)), count)
+    first = nodes[:-1][index]
+
+    def within(values: FloatArray) -> FloatArray:
+        """Sums from the start of each step's interval to the step itself."""
+        total = np.concatenate([np.zeros((1, *values.shape[1:])), np.cumsum(values, axis=0)])
+        return total[1:] - total[first]
+
+    displacement, cov = _moments(steps, first)
+    certain = np.linalg.eigvalsh(cov)[:, 0] < _MIN_POSITION_VAR_M2
+    cov = np.where(certain[:, None, None], cov + _MIN_POSITION_VAR_M2 * np.eye(2), cov)
+    D = within(displacement)
+    Q = np.zeros((len(steps), N_STATES, N_STATES))
+    Q[:, _POSITION, _POSITION] = within(cov)
+    for state, variance, lever in (
+        (HEADING_OFFSET, steps.drift_var_rad2, D @ TURN.T),
+        (LOG_SCALE, steps.scale_drift_var, D),
+    ):
+        v = np.maximum(variance, MIN_STATE_VAR)
+        s0, s1 = within(v), within(v[:, None] * lever)
+        s2 = within(v[:, None, None] * lever[:, :, None] * lever[:, None, :])
+        cross = lever[:, :, None] * s1[:, None, :]
+        Q[:, _POSITION, _POSITION] += s0[:, None, None] * lever[:, :, None] * lever[:, None, :] + s2
+        Q[:, _POSITION, _POSITION] -= cross + cross.swapaxes(-1, -2)
+        Q[:, _POSITION, state] = s0[:, None] * lever - s1
+        Q[:, state, _POSITION] = Q[:, _POSITION, state]
+        Q[:, state, state] = s0
+
+    last = nodes[1:] - 1
+    end = np.zeros((len(count), N_STATES, N_STATES))
+    inner = nodes[1:-1]  # what comes before a step belongs to the interval that ends there
+    end[:-1, _POSITION, _POSITION] = steps.gap_var_m2[inner][:, None, None] * np.eye(2)
+    end[:-1, HEADING_OFFSET, HEADING_OFFSET] = steps.jump_var_rad2[inner]
+    end[:, HEADING_OFFSET, HEADING_OFFSET] += within(steps.unknown_var_rad2)[last]
+    turned = end[:, HEADING_OFFSET, HEADING_OFFSET]
+    end[:, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(turned, MAX_HEADING_VARIANCE)
+    total_cov = Q[last] + end
+    return Intervals(nodes, index, D, Q, D[last], total_cov, read_only(np.linalg.inv(np.linalg.cholesky(total_cov))))
+
+
+def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray]:
+    """Mean displacement (K, 2) and covariance (K, 2, 2) of each step, given the heading at its interval's start.
+
+    Where no angular rate was measured, the heading of a step is that of the start with a variance V that grows: its
+    mean displacement is shortened by exp(-V / 2), and what is missing from the mean square of the sum,
+    E |S|^2 = sum_ij d_i . d_j exp(-|V_i - V_j| / 2), is put into an isotropic covariance.
+    """
+    if not steps.unknown_var_rad2.any():
+        return steps.displacement_m, steps.cov_m2
+    displacement, cov = steps.displacement_m.copy(), steps.cov_m2.copy()
+    variance = 0.0
+    mean, ahead = np.zeros(2), np.zeros(2)  # E S, and E S seen from the present heading
+    square = 0.0  # E |S|^2
+    spread = 0.0
+    for k, (d, grown) in enumerate(zip(steps.displacement_m, steps.unknown_var_rad2, strict=True)):
+        if k == first[k]:
+            variance, square, spread = 0.0, 0.0, 0.0
+            mean, ahead = np.zeros(2), np.zeros(2)
+        displacement[k] = np.exp(-variance / 2) * d
+        mean = mean + displacement[k]
+        square += float(d @ d + 2 * ahead @ d)
+        ahead = np.exp(-grown / 2) * (ahead + d)
+        variance += grown
+        grown_spread = max(square - float(mean @ mean), spread)
+        cov[k] += 0.5 * (grown_spread - spread) * np.eye(2)
+        spread = grown_spread
+    return displacement, cov
+
+
+def turned(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
+    """e^s R(theta), (..., 2, 2)."""
+    c, s = np.exp(log_scale) * np.cos(heading_rad), np.exp(log_scale) * np.sin(heading_rad)
+    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+
+
+def advance(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """States (n, 4) at the end of sums of steps (n, 2) that begin at states (n, 4), and their derivative (n, 4, 4).
+
+    F = d x_b / d x_a: the position follows the heading offset by J e^s R D and the log scale by e^s R D.
+    """
+    rotation = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    moved = np.einsum("nab,nb->na", rotation, sum_m)
+    ahead = start.copy()
+    ahead[:, _POSITION] += moved
+    F = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
+    F[:, _POSITION, HEADING_OFFSET] = moved @ TURN.T
+    F[:, _POSITION, LOG_SCALE] = moved
+    return ahead, F
+
+
+def frame(start: FloatArray) -> FloatArray:
+    """T of states (n, 4): what turns and scales the covariance of an interval, (n, 4, 4)."""
+    T = np.broadcast_to(np.eye(N_STATES), (len(start), N_STATES, N_STATES)).copy()
+    T[:, _POSITION, _POSITION] = turned(start[:, HEADING_OFFSET], start[:, LOG_SCALE])
+    return T
+
+
+def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Means (K, 4) and covariances (K, 4, 4) after each step, from what is known at the anchors.
+
+    Given both ends a and b, a step k in between depends on nothing else. With F and Q from a to k, Phi from k to b,
+    f the predictions, everything turned into the frame of the map,
+
+        G = Q_ak Phi' Q_ab^-1,  x_k = f_k(x_a) + G (x_b - f(x_a)),
+        P_k = [F_ak - G F_ab, G] P_(a,b) [F_ak - G F_ab, G]' + Q_ak - G Phi Q_ak,
+
+    exact for the linearised steps: the same numbers as a smoother with every step as a state.
+
+    Parameters
+    ----------
+    intervals : Intervals
+        n of them.
+    node_mean : (n + 1, 4)
+        Smoothed states at the anchors.
+    joint_cov : (n, 8, 8)
+        Smoothed covariance of both ends of each interval.
+    """
+    i = intervals.index
+    start = node_mean[:-1]
+    ahead, F_ab = advance(start, intervals.total_m)
+    f_k, F_ak = advance(start[i], intervals.sum_m)
+    T = frame(start)
+    Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
+    whiten = intervals.whiten @ np.linalg.inv(T)
+    remaining = intervals.total_m[i] - intervals.sum_m
+    Phi = advance(start[i], remaining)[1]
+    G = Q_ak @ Phi.swapaxes(-1, -2) @ (whiten.swapaxes(-1, -2) @ whiten)[i]
+    mean = f_k + np.einsum("kab,kb->ka", G, (node_mean[1:] - ahead)[i])
+    ends = np.concatenate([F_ak - G @ F_ab[i], G], axis=-1)
+    cov = ends @ joint_cov[i] @ ends.swapaxes(-1, -2) + Q_ak - G @ Phi @ Q_ak
+    return mean, 0.5 * (cov + cov.swapaxes(-1, -2))
+
+
+def joined(parts: Sequence[Increments]) -> Increments:
+    """Increments of several stretches in a row."""
+    return Increments(*(read_only(np.concatenate([getattr(p, n) for p in parts])) for n in Increments.__slots__))

@@ -1,0 +1,1 @@
+"""What only one published system uses, a folder for each."""

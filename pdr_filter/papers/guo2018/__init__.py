@@ -1,0 +1,1 @@
+"""Parts of Guo et al. 2018."""

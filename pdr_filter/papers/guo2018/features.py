@@ -1,0 +1,232 @@
+"""What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
+
+Deviations, where the text is silent or cannot be meant:
+
+- It calls roll the rotation about the z-axis (section 2.1.2). Of a phone held flat that is the heading, which gravity
+  does not show; roll is about the y-axis here, as Android has it.
+- It does not say how the angles are computed: here from the direction of up in the sensor frame, in radians.
+- Roll jumps by a full turn when the phone passes face down, and a mean over such a jump points nowhere. Within a
+  window roll is therefore made continuous, and the whole window moved by full turns until its mean is in [-pi, pi).
+- A phone without light or proximity sensor has the first 12 features only (`WITHOUT_LIGHT_AND_PROXIMITY`).
+- Windows of the pose follow each other without overlap: it is detected every 0.6 s (section 2).
+- The level of motion is computed at every sample, as the step detector's pseudocode has it (Table 2). It adds m2/s4 and
+  rad2/s2 with a factor of 9.8 between them, and without a gyroscope it is the first half alone.
+
+Roll is undefined where the y-axis is vertical, and noisy near it, as in a trouser pocket. That is in the paper too.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.features.sliding import check_window, take_windows
+from pdr_filter.values.arrays import BoolArray, FloatArray
+
+_ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
+_AMBIENT_STATISTICS = ("mean", "median", "rms")
+# Table 1 from top to bottom. Angles are in radians, light in lux, proximity in centimetres.
+NAMES: tuple[str, ...] = (
+    *(f"{s}_pitch" for s in _ANGLE_STATISTICS),
+    *(f"{s}_roll" for s in _ANGLE_STATISTICS),
+    *(f"{s}_light" for s in _AMBIENT_STATISTICS),
+    *(f"{s}_proximity" for s in _AMBIENT_STATISTICS),
+)
+WITHOUT_LIGHT_AND_PROXIMITY: tuple[str, ...] = NAMES[:12]
+
+
+def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
+
+    The device turns from flat, face up and y north, by yaw about z, then pitch about x, then roll about y, each by the
+    right-hand rule: R = R_z(yaw) R_x(pitch) R_y(roll), sensor to world. Then up = [-sin(roll) cos(pitch), sin(pitch),
+    cos(roll) cos(pitch)]. Pitch is positive with the top edge up, roll with the right edge down. (Android's
+    `getOrientation` has the same roll and the opposite pitch.)
+    """
+    x, y, z = up_sensor.T
+    return np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, z)
+
+
+def pose_features(window: FloatArray) -> FloatArray:
+    """Features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
+
+    Parameters
+    ----------
+    window : (2, N) or (4, N)
+        Rows: pitch and roll in radians, and, where the phone has both sensors, light in lux and proximity in cm.
+    """
+    if window.ndim != 2 or window.shape[0] not in (2, 4) or window.shape[1] == 0:
+        raise ValueError(
+            f"a window has 2 rows (pitch, roll) or 4 (and light, proximity) and at least one sample, got {window.shape}"
+        )
+    angles = [_angle_statistics(window[0]), _angle_statistics(_continuous(window[1]))]
+    return np.concatenate([*angles, *(_ambient_statistics(row) for row in window[2:])])
+
+
+def _angle_statistics(angle_rad: FloatArray) -> FloatArray:
+    highest, lowest = angle_rad.max(), angle_rad.min()
+    return np.array([angle_rad.mean(), np.median(angle_rad), highest, lowest, _rms(angle_rad), highest - lowest])
+
+
+def _ambient_statistics(values: FloatArray) -> FloatArray:
+    return np.array([values.mean(), np.median(values), _rms(values)])
+
+
+def _rms(values: FloatArray) -> float:
+    return float(np.sqrt((values * values).mean()))
+
+
+def _continuous(angle_rad: FloatArray) -> FloatArray:
+    """The angle without jumps, its mean in [-pi, pi)."""
+    continuous = np.unwrap(angle_rad)
+    turns = np.floor((continuous.mean() + np.pi) / (2 * np.pi))
+    return continuous - 2 * np.pi * turns
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindow:
+    """Features of one window."""
+
+    time_s: float  # end of the window
+    features: FloatArray  # (18,), or (12,) where light or proximity is missing anywhere in the window
+
+    @property
+    def has_light_and_proximity(self) -> bool:
+        """False if only pitch and roll are described."""
+        return len(self.features) == len(NAMES)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindowState:
+    """Samples that later windows still need."""
+
+    first: int  # index of the first sample in the buffer
+    buffer: FloatArray  # (5, B): time, pitch, roll, light, proximity
+
+
+@dataclass(frozen=True)
+class PoseWindows:
+    """Windows of pitch, roll, light and proximity, and their features; causal.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the samples.
+    window_s, hop_s : float
+        Length and advance; the hop is at most the window.
+    """
+
+    rate_hz: float = 100.0
+    window_s: float = 0.6
+    hop_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_window(self.window_samples, self.hop_samples)
+
+    @property
+    def window_samples(self) -> int:
+        """Length in samples."""
+        return round(self.window_s * self.rate_hz)
+
+    @property
+    def hop_samples(self) -> int:
+        """Advance in samples."""
+        return round(self.hop_s * self.rate_hz)
+
+    def init(self) -> PoseWindowState:
+        """State at the start of a segment."""
+        return PoseWindowState(0, np.empty((5, 0)))
+
+    def step(
+        self,
+        state: PoseWindowState,
+        time_s: FloatArray,
+        up_sensor: FloatArray,
+        light_lux: FloatArray | None = None,
+        proximity_cm: FloatArray | None = None,
+    ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
+        """New state and the windows that became complete, each with the index of its last sample.
+
+        Parameters
+        ----------
+        state : PoseWindowState
+            What the step before returned.
+        time_s : (N,)
+            Middle of each sample's interval.
+        up_sensor : (N, 3)
+            Unit vector up in the sensor frame (`AttitudeBlock.up_sensor`).
+        light_lux, proximity_cm : (N,), optional
+            NaN, or not given, where unknown.
+        """
+        unknown = np.full(len(time_s), np.nan)
+        light = unknown if light_lux is None else light_lux
+        proximity = unknown if proximity_cm is None else proximity_cm
+        new = np.stack([time_s, *pitch_and_roll(up_sensor), light, proximity])
+        buffer = np.concatenate([state.buffer, new], axis=1)
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        windows = [(last, self._describe(samples)) for last, samples in cut]
+        return PoseWindowState(first, buffer), windows
+
+    def _describe(self, samples: FloatArray) -> PoseWindow:
+        n_rows = 5 if np.isfinite(samples[3:]).all() else 3
+        return PoseWindow(float(samples[0, -1]) + 0.5 / self.rate_hz, pose_features(samples[1:n_rows]))
+
+
+# alpha of eq. 1
+RATE_SCALE = 9.8
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MotionLevelState:
+    """The samples that later windows still need."""
+
+    n_samples: int  # seen so far in this segment
+    delay_line: FloatArray  # (6, L - 1) specific force, its square, squared angular rate, samples without angular rate
+
+
+@dataclass(frozen=True)
+class MotionLevel:
+    """How much a phone moves: eq. 1, causal, at every sample.
+
+    T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
+    start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    window_s : float
+        Length of the window.
+    """
+
+    rate_hz: float = 100.0
+    window_s: float = 0.6
+
+    @property
+    def window_samples(self) -> int:
+        """Length in samples."""
+        return round(self.window_s * self.rate_hz)
+
+    def init(self) -> MotionLevelState:
+        """State at the start of a segment."""
+        return MotionLevelState(0, np.zeros((6, self.window_samples - 1)))
+
+    def step(self, state: MotionLevelState, block: UniformBlock) -> tuple[MotionLevelState, FloatArray, BoolArray]:
+        """New state, the level at each sample (N,), and whether its whole window has an angular rate (N,)."""
+        x, y, z = block.specific_force_mps2.T
+        u, v, w = block.angular_rate_radps.T
+        known = block.angular_rate_known
+        new = np.stack(
+            [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
+        )
+        line = np.concatenate([state.delay_line, new], axis=1)
+        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
+        sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
+        seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
+        x, y, z, force, rate, missing = sums / seen
+        has_rate = missing == 0.0
+        # The difference of two numbers near g squared: nothing but rounding is negative.
+        level = np.maximum(force - (x * x + y * y + z * z), 0.0) + np.where(has_rate, RATE_SCALE * rate, 0.0)
+        return MotionLevelState(state.n_samples + len(known), line[:, len(known) :]), level, has_rate

@@ -1,0 +1,1 @@
+"""Parts of Martinelli et al. 2018."""

@@ -1,0 +1,1 @@
+"""Parts of Susi et al. 2013."""

@@ -1,0 +1,1 @@
+"""Parts of Tian et al. 2016."""

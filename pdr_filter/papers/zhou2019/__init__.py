@@ -1,0 +1,1 @@
+"""Parts of Zhou et al. 2019."""

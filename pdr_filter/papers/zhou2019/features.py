@@ -1,0 +1,191 @@
+"""Behaviour features of a foot-mounted accelerometer: Zhou et al. 2019, section III.
+
+Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) is low-passed by a linear-phase FIR
+filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) tell standing, walking, running
+and irregular swing apart.
+
+Deviations, where the text is silent or would not hold on another device:
+
+- Eq. 3 needs the sensor horizontal, z up: whatever gravity shows across its z-axis counts as bias, 0.85 m/s2 for a
+  tilt of 5 degrees. Sensors on shoes are tilted by more, or upside down. Up is taken along the mean specific force of
+  the start unless it is given, so that b lies along it: the part of the bias that the start can show.
+- The filter of the features is not printed; those of the step detection are for a behaviour already known. Here: 10 Hz,
+  the pass band of running, in 0.5 s of taps. (Its printed transition of 0.5 Hz would need 6.6 s of them.)
+- f_0 is the coefficient at zero frequency divided by n, the mean of a in m/s2, with its sign.
+- The energy is the mean absolute Fourier coefficient, as printed; its reference (Bao and Intille 2004) squares them.
+  The coefficients are those of the plain two-sided transform: a sinusoid has its amplitude as energy, white noise grows
+  with the root of n.
+- Windows follow each other without overlap: the time resolution of the behaviour is two seconds (section IV).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import firwin
+
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.features.sliding import check_window, take_windows
+from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+
+NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
+
+
+def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
+    """Bias b of the accelerometer in m/s2, sensor frame, shape (3,), from samples of a sensor at rest (eq. 3).
+
+    b = mean(f) - g up.
+
+    Parameters
+    ----------
+    static_mps2 : (N, 3)
+        Specific force at rest.
+    up_sensor : (3,), optional
+        Unit vector up, sensor frame; [0, 0, 1] is eq. 3 as printed. If not given, the direction of the mean.
+    """
+    mean = static_mps2.mean(axis=0)
+    up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
+    return mean - STANDARD_GRAVITY_MPS2 * up
+
+
+def acceleration(specific_force_mps2: FloatArray, bias_mps2: FloatArray) -> FloatArray:
+    """Acceleration a = |f - b| - g in m/s2, shape (N,), of specific force (N, 3) with bias (3,) (eq. 2)."""
+    return specific_force_magnitude(specific_force_mps2 - bias_mps2) - STANDARD_GRAVITY_MPS2
+
+
+def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
+    """Variance (m2/s4), DC component f_0 and energy (m/s2; eq. 4) of a window (N,) of filtered acceleration, (3,)."""
+    n = len(acceleration_mps2)
+    dc_component = acceleration_mps2.mean()
+    centred = acceleration_mps2 - dc_component
+    coefficients = np.fft.fft(centred)  # the DC component is removed
+    return np.array([(centred * centred).mean(), dc_component, np.abs(coefficients[1:]).sum() / n])
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BehaviourWindow:
+    """Features of one window."""
+
+    time_s: float  # end of the motion that it describes: the filter's delay before its last sample arrived
+    features: FloatArray  # (3,)
+    max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BehaviourState:
+    """The bias, or the samples that it waits for; the filter's delay line; samples that later windows still need."""
+
+    waiting: FloatArray  # (B, 4): time, specific force; empty once the bias is known
+    bias_mps2: FloatArray | None  # (3,); None before it is known
+    delay_line: FloatArray  # (L - 1,) acceleration; empty before the first sample
+    first: int  # index of the first sample in the buffer
+    buffer: FloatArray  # (2, B): time, filtered acceleration
+
+
+@dataclass(frozen=True)
+class BehaviourWindows:
+    """Filtered acceleration, windows of it and their features; causal.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    window_s, hop_s : float
+        Length and advance; the hop is at most the window.
+    static_s : float
+        Length of the static start, at most the window, so that no window is late for it.
+    static_std_mps2 : float
+        If |f| spreads more than this over the start, or is not gravity, nobody stood still: the bias is taken as zero.
+        Over a second a standing foot stays below 0.05 m/s2 (pyshoe), a walking one above 1 m/s2.
+    low_pass_hz : float
+        Cutoff (-6 dB) of the FIR filter.
+    low_pass_s : float
+        Its length; it delays by half of this. 0.5 s of Hamming window roll off within 6.6 Hz.
+    """
+
+    rate_hz: float = 100.0
+    window_s: float = 2.0
+    hop_s: float = 2.0
+    static_s: float = 1.0
+    static_std_mps2: float = 0.3
+    low_pass_hz: float = 10.0
+    low_pass_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_window(self.window_samples, self.hop_samples)
+        if not 1 <= self.static_samples <= self.window_samples:
+            raise ValueError(f"static_s must be positive and at most window_s, got {self.static_s} and {self.window_s}")
+        if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
+            raise ValueError(f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz")
+
+    @property
+    def window_samples(self) -> int:
+        """Length in samples."""
+        return round(self.window_s * self.rate_hz)
+
+    @property
+    def hop_samples(self) -> int:
+        """Advance in samples."""
+        return round(self.hop_s * self.rate_hz)
+
+    @property
+    def static_samples(self) -> int:
+        """Length of the static start in samples."""
+        return round(self.static_s * self.rate_hz)
+
+    @property
+    def latency_s(self) -> float:
+        """Delay of the filter."""
+        return (len(self._taps) // 2) / self.rate_hz
+
+    @cached_property
+    def _taps(self) -> FloatArray:
+        n_taps = 2 * round(0.5 * self.low_pass_s * self.rate_hz) + 1
+        return np.asarray(firwin(n_taps, self.low_pass_hz, window="hamming", fs=self.rate_hz), dtype=float)
+
+    def init(self) -> BehaviourState:
+        """State at the start of a recording."""
+        return BehaviourState(np.empty((0, 4)), None, np.empty(0), 0, np.empty((2, 0)))
+
+    def after_gap(self, state: BehaviourState) -> BehaviourState:
+        """State at the start of a segment that keeps the bias: nobody stands still after every gap."""
+        return replace(self.init(), bias_mps2=state.bias_mps2)
+
+    def step(
+        self, state: BehaviourState, block: UniformBlock
+    ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
+        """New state and the windows that became complete, each with the index of the sample that completed it."""
+        rows = np.concatenate([state.waiting, np.column_stack([block.time_s, block.specific_force_mps2])])
+        bias = state.bias_mps2
+        if bias is None:
+            if len(rows) < self.static_samples:
+                return replace(state, waiting=rows), []
+            bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
+        a = acceleration(rows[:, 1:], bias)
+        # What was before the first sample is taken to be like it: a zero there would look like a blow.
+        before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
+        line = np.concatenate([before, a])
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        new = np.stack([rows[:, 0], np.convolve(line, self._taps, mode="valid")])
+        buffer = np.concatenate([state.buffer, new], axis=1)
+        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
+        windows = [(last, self._describe(samples)) for last, samples in cut]
+        return BehaviourState(np.empty((0, 4)), bias, line[len(a) :], first, buffer), windows
+
+    def _bias(self, start_mps2: FloatArray) -> FloatArray:
+        magnitude = specific_force_magnitude(start_mps2)
+        is_static = magnitude.std() <= self.static_std_mps2 and magnitude.mean() > 0.5 * STANDARD_GRAVITY_MPS2
+        return static_bias(start_mps2) if is_static else np.zeros(3)
+
+    def _describe(self, samples: FloatArray) -> BehaviourWindow:
+        # contiguous, so that reductions take the same path for every window
+        filtered = np.ascontiguousarray(samples[1])
+        return BehaviourWindow(
+            time_s=float(samples[0, -1]) + 0.5 / self.rate_hz - self.latency_s,
+            features=behaviour_features(filtered),
+            max_mps2=float(filtered.max()),
+        )

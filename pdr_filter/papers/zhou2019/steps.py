@@ -1,0 +1,392 @@
+"""Steps between crossings of adaptive reference lines: Zhou et al. 2019, section IV.
+
+Acceleration a = |f| - g is low-passed as the behaviour asks for (stage 1), its dominant frequency f_D sets a window of
+one period (eq. 5, stage 2), the extrema in the window (eq. 6, stage 3) place the lines R_L, R_M, R_S (Table 2), and an
+event reaches from the first rise through R_M to the next fall through R_S (stage 4). Standing and irregular swing are
+not counted; what happens there waits until the behaviour is known to have been walking or running.
+
+An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
+and an event is a step. `steps_per_event` says which; `FOOT` and `CARRIED` are the detectors for either.
+
+Deviations, where the text is silent or would not hold, with figures in docs/methods/zhou2019.md:
+
+- Filter: a transition of 0.5 Hz needs 6.6 s of Hamming window, 3.3 s of delay. Here 0.5 s, rolling off within 6.6 Hz.
+- Eq. 6 prints > for minima too: they are below T_S. T_L follows R_L, T_S is the mean of the last seconds.
+- R_S = 2 min (rule 2) lies beyond a negative minimum, below -g for one under -4.9 m/s2: nothing falls through it. A
+  negative minimum is halved instead, and R_S is kept a part of the range above the minimum, for a foot on the ground.
+- An END sooner than a part of a dominant period after the last is no event: a foot swings with two humps.
+- The bias of eq. 3 is not removed: the lines follow the signal, whatever its mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from scipy.signal import firwin
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.detector import ModeBlock, StepLog, StepLogState, specific_force_magnitude
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.step import Step
+
+_STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
+# Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
+_LINE_SPACING_HZ = 0.1
+# A second of a foot on the ground or a phone on a table stays below; there is no dominant frequency in noise.
+_QUIET_STD_MPS2 = 0.05
+
+
+@dataclass(frozen=True)
+class EventSearch:
+    """What differs between walking and running, and with the place of the sensor.
+
+    Parameters
+    ----------
+    cutoff_hz : float
+        Cutoff (-6 dB) of the FIR filter: the middle of the printed transition, 4 to 4.5 Hz or 10 to 10.5 Hz.
+    min_frequency_hz, max_frequency_hz : float
+        Where the dominant frequency is looked for: strides of a foot, steps elsewhere.
+    harmonic_part : float
+        f_D is the lowest line of the spectrum that stands out and has this part of the highest: the empirical
+        threshold against harmonics.
+    min_maximum_mps2 : float
+        Smallest T_L.
+    """
+
+    cutoff_hz: float
+    min_frequency_hz: float
+    max_frequency_hz: float
+    harmonic_part: float
+    min_maximum_mps2: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceLines:
+    """The lines of a window, and the event that is under way."""
+
+    large_mps2: float | None  # R_L; None while there was no maximum
+    small_mps2: float | None  # R_S
+    start: int | None  # filtered sample of START; None before it
+    last_end: float  # filtered sample of the END of the last event
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ReferenceLineState:
+    """Filter memories, the window that is being filled, its lines, and events of which the behaviour is not known."""
+
+    log: StepLogState
+    n_samples: int  # that were filtered
+    delay_line: FloatArray  # (L - 1,) acceleration; empty at the start
+    buffer: FloatArray  # (3, B) filtered for walking, for running, context
+    window_start: int  # filtered sample
+    period_s: float  # 1 / f_D, the length of the window
+    is_running: bool  # in this window
+    lines: ReferenceLines
+    last_event: float  # sample of the last event that was given
+    waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
+
+
+@dataclass(frozen=True)
+class ReferenceLineStepDetector:
+    """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
+
+    A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of
+    an event that stands for several steps divide the time since the last event evenly, or the dominant period if it is
+    the first of a bout.
+
+    Parameters
+    ----------
+    walking, running : EventSearch
+        By behaviour; what is not known to be running is taken for walking.
+    steps_per_event : int
+        2 for a sensor on the foot, 1 elsewhere on the body.
+    relative_maximum : float
+        T_L is at least this part of R_L.
+    min_line_part : float
+        R_S is at least this part of the way from the minimum to R_L.
+    min_period_part : float
+        Least time between ENDs as a part of the dominant period.
+    rate_hz : float
+        Sampling rate of the blocks.
+    low_pass_s : float
+        Length of the FIR filters; they delay by half of this.
+    spectrum_s : float
+        Time before a window from which its dominant frequency comes.
+    hold_s : float
+        How long an event waits for walking or running, which is known only after a window of mostly that.
+    max_interval_s : float
+        Between contacts; after a longer pause a new bout begins.
+    first_step_s : float
+        Duration given to the first step of a bout, whose start no contact marks.
+    """
+
+    walking: EventSearch
+    running: EventSearch
+    steps_per_event: int
+    relative_maximum: float
+    min_line_part: float
+    min_period_part: float
+    rate_hz: float = 100.0
+    low_pass_s: float = 0.5
+    spectrum_s: float = 4.0
+    hold_s: float = 2.75
+    max_interval_s: float = 2.0
+    first_step_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        if self.steps_per_event < 1:
+            raise ValueError(f"steps_per_event must be at least 1, got {self.steps_per_event}")
+        for search in (self.walking, self.running):
+            if not 0 < search.min_frequency_hz < search.max_frequency_hz < search.cutoff_hz < 0.5 * self.rate_hz:
+                raise ValueError(
+                    "min_frequency_hz, max_frequency_hz, cutoff_hz, half the rate must be positive and increase, got "
+                    f"{search.min_frequency_hz}, {search.max_frequency_hz}, {search.cutoff_hz}, {0.5 * self.rate_hz}"
+                )
+
+    @cached_property
+    def _taps(self) -> tuple[FloatArray, FloatArray]:
+        n_taps = 2 * round(0.5 * self.low_pass_s * self.rate_hz) + 1
+        walking, running = (
+            np.asarray(firwin(n_taps, search.cutoff_hz, window="hamming", fs=self.rate_hz), dtype=float)
+            for search in (self.walking, self.running)
+        )
+        return walking, running
+
+    @property
+    def _delay_samples(self) -> int:
+        return len(self._taps[0]) // 2
+
+    @property
+    def _spectrum_samples(self) -> int:
+        return round(self.spectrum_s * self.rate_hz)
+
+    @property
+    def _bout_samples(self) -> float:
+        """Events further apart belong to different bouts."""
+        return self.steps_per_event * self.max_interval_s * self.rate_hz
+
+    @property
+    def latency_s(self) -> float:
+        """Longest time from a contact to its detection: an event that waits for its behaviour until it is dropped."""
+        longest_window_s = 1.0 / min(self.walking.min_frequency_hz, self.running.min_frequency_hz)
+        within_event_s = (self.steps_per_event - 1) * self.max_interval_s
+        return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
+
+    @cached_property
+    def _log(self) -> StepLog:
+        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
+
+    def init(self) -> ReferenceLineState:
+        """State before the first sample of a segment."""
+        return ReferenceLineState(
+            log=self._log.init(),
+            n_samples=0,
+            delay_line=np.empty(0),
+            buffer=np.empty((3, 0)),
+            window_start=0,
+            period_s=2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz),
+            is_running=False,
+            lines=ReferenceLines(None, None, None, -np.inf),
+            last_event=-np.inf,
+            waiting=np.empty((0, 2)),
+        )
+
+    def step(
+        self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
+    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """New state and the steps that became known, each with the number of the sample that revealed it."""
+        a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
+        state = replace(state, log=self._log.extend(state.log, block, attitude))
+        if state.n_samples == 0:
+            # What was before the first sample is taken to be like it: a zero there would look like a blow.
+            state = replace(state, delay_line=np.full(len(self._taps[0]) - 1, a[0]))
+        state, steps = self._detect(state, a, modes.context)
+        return replace(state, log=self._log.trim(state.log)), steps
+
+    def finish(self, state: ReferenceLineState) -> list[tuple[int, Step]]:
+        """Steps of the window that a gap or the end cuts short; the last value is taken to stay."""
+        if state.n_samples == 0:
+            return []
+        last = state.n_samples - 1
+        last_s = self._log.time_s(state.log, last)
+        n_more = self._delay_samples + _window_samples(state.period_s, self.rate_hz)
+        context = np.full(n_more, round(state.buffer[2, -1]))
+        _, steps = self._detect(state, np.full(n_more, state.delay_line[-1]), context)
+        return [(last, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+
+    def _detect(
+        self, state: ReferenceLineState, acceleration: FloatArray, context: IntArray
+    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """Detect in further samples."""
+        line = np.concatenate([state.delay_line, acceleration])
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+        new = np.stack([*(np.convolve(line, taps, mode="valid") for taps in self._taps), context])
+        state = replace(
+            state,
+            n_samples=state.n_samples + len(acceleration),
+            delay_line=line[len(acceleration) :],
+            buffer=np.concatenate([state.buffer, new], axis=1),
+        )
+        steps: list[tuple[int, Step]] = []
+        while state.window_start + _window_samples(state.period_s, self.rate_hz) <= state.n_samples:
+            state, found = self._window(state)
+            steps += found
+        n_kept = state.n_samples - state.window_start + self._spectrum_samples
+        return replace(state, buffer=state.buffer[:, -n_kept:]), steps
+
+    def _window(self, state: ReferenceLineState) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """A complete window: its lines, the events that end in it, and the length of the next."""
+        first = state.n_samples - state.buffer.shape[1]
+        window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
+        begin, end = state.window_start - first, window_end - first
+        search = self.running if state.is_running else self.walking
+        past = np.ascontiguousarray(state.buffer[int(state.is_running), max(end - self._spectrum_samples, 0) : end])
+        # one sample more than the window, so that no extremum falls between two of them
+        samples = state.buffer[int(state.is_running), max(begin - 2, 0) : end]
+        lines = self._place(state.lines, samples, float(past.mean()), search)
+        lines, ends = self._cross(lines, state.buffer[int(state.is_running), begin:end], state)
+        events = np.array([[e - self._delay_samples, state.period_s] for e in ends]).reshape(-1, 2)
+        state = replace(state, lines=lines, waiting=np.concatenate([state.waiting, events]))
+        context = round(state.buffer[2, end - 1])
+        state, steps = self._release(state, context == _STATIONARY, window_end - 1)
+        is_running = context == _RUNNING
+        before = np.ascontiguousarray(state.buffer[int(is_running), max(end - self._spectrum_samples, 0) : end])
+        period_s = dominant_period_s(before, self.running if is_running else self.walking, self.rate_hz)
+        return (
+            replace(state, window_start=window_end, period_s=period_s or state.period_s, is_running=is_running),
+            steps,
+        )
+
+    def _place(
+        self, lines: ReferenceLines, samples: FloatArray, mean_mps2: float, search: EventSearch
+    ) -> ReferenceLines:
+        """R_L and R_S after the extrema in the samples (eq. 6; rules 1 to 3)."""
+        before, middle, after = samples[:-2], samples[1:-1], samples[2:]
+        large, small = lines.large_mps2, lines.small_mps2
+        threshold = max(search.min_maximum_mps2, self.relative_maximum * (large or 0.0))  # T_L
+        maxima = middle[(before < middle) & (middle >= after) & (middle > threshold)]
+        minima = middle[(before > middle) & (middle <= after) & (middle < mean_mps2)]  # T_S
+        if len(maxima):
+            large = float(maxima.max())
+        if len(minima) and large is not None:
+            new = small_line_mps2(float(minima.min()), large, self.min_line_part)
+            small = 0.5 * (new + small) if small is not None and new < small else new
+        return replace(lines, large_mps2=large, small_mps2=small)
+
+    def _cross(
+        self, lines: ReferenceLines, window: FloatArray, state: ReferenceLineState
+    ) -> tuple[ReferenceLines, list[float]]:
+        """Lines after a window, and the ENDs of events in it, in filtered samples and parts of them."""
+        large, small, start, last_end = lines.large_mps2, lines.small_mps2, lines.start, lines.last_end
+        ends: list[float] = []
+        if large is not None and small is not None:
+            median = median_line_mps2(large, small)
+            min_samples = self.min_period_part * state.period_s * self.rate_hz
+            previous = float(window[0])
+            for number, value in enumerate(window.tolist(), state.window_start):
+                if start is None:
+                    start = number if value >= median else None
+                elif value <= small:
+                    start = None
+                    # Between windows the line may have moved across the signal: then the END is at the sample.
+                    fraction = (previous - small) / (previous - value) if previous > small else 1.0
+                    at = number - 1 + fraction
+                    if at - last_end >= min_samples:
+                        ends.append(at)
+                        last_end = at
+                previous = value
+        window_end = state.window_start + len(window)
+        if window_end - max(last_end, -np.inf if start is None else start) > self._bout_samples:
+            large = small = start = None  # the next bout may be gentler than the last blow of this one
+        return ReferenceLines(large, small, start, last_end), ends
+
+    def _release(
+        self, state: ReferenceLineState, is_still: bool, known: int
+    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """Steps of the events that wait, if somebody walks or may; those that waited too long are dropped."""
+        if is_still:
+            oldest = known + 1 - self._delay_samples - self.hold_s * self.rate_hz
+            return replace(state, waiting=state.waiting[state.waiting[:, 0] >= oldest]), []
+        steps: list[tuple[int, Step]] = []
+        for event, period_s in state.waiting.tolist():
+            interval = event - state.last_event
+            if interval > self._bout_samples:
+                interval = period_s * self.rate_hz
+            for k in reversed(range(self.steps_per_event)):
+                state, step = self._contact(state, event - k * interval / self.steps_per_event, known)
+                steps += [] if step is None else [(known, step)]
+            state = replace(state, last_event=event)
+        return replace(state, waiting=np.empty((0, 2))), steps
+
+    def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
+        """The step that a contact ends; None if there is no signal of it."""
+        contact = int(np.floor(sample))
+        oldest = max(self._log.first_sample(state.log), 0, state.log.last_contact)
+        if contact <= oldest or contact >= state.log.n_samples:
+            return state, None
+        log, step = self._log.add(state.log, contact, known, sample - contact)
+        return replace(state, log=log), step
+
+
+def small_line_mps2(minimum_mps2: float, large_mps2: float, min_line_part: float = 0.0) -> float:
+    """R_S of a window: twice a positive minimum (rule 2), half of a negative one, at least a part above it."""
+    factor = 2.0 if minimum_mps2 > 0 else 0.5
+    return max(factor * minimum_mps2, minimum_mps2 + min_line_part * (large_mps2 - minimum_mps2))
+
+
+def median_line_mps2(large_mps2: float, small_mps2: float) -> float:
+    """R_M = (R_L + R_S) / 4 (rule 4), between the lines where that is not (R_L < 3 R_S)."""
+    return max(0.25 * (large_mps2 + small_mps2), small_mps2 + 0.1 * (large_mps2 - small_mps2))
+
+
+def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_hz: float) -> float | None:
+    """1 / f_D of filtered acceleration (N,); None if it is shorter than a second, quiet, or no line stands out."""
+    if len(acceleration_mps2) < rate_hz or acceleration_mps2.std() < _QUIET_STD_MPS2:
+        return None
+    centred = (acceleration_mps2 - acceleration_mps2.mean()) * np.hanning(len(acceleration_mps2))
+    amplitude = np.abs(np.fft.rfft(centred, max(round(rate_hz / _LINE_SPACING_HZ), len(centred))))
+    spacing_hz = rate_hz / max(round(rate_hz / _LINE_SPACING_HZ), len(centred))
+    low, high = int(np.ceil(search.min_frequency_hz / spacing_hz)), int(search.max_frequency_hz / spacing_hz)
+    stands_out = (amplitude[1:-1] >= amplitude[:-2]) & (amplitude[1:-1] > amplitude[2:])
+    strong = amplitude[1:-1] >= search.harmonic_part * amplitude[low:].max()
+    found = np.flatnonzero((stands_out & strong)[low - 1 : high]) + low
+    return 1.0 / (found[0] * spacing_hz) if len(found) else None
+
+
+def _window_samples(period_s: float, rate_hz: float) -> int:
+    """Length of a window, w = f_A / f_D (eq. 5)."""
+    return round(period_s * rate_hz)
+
+
+# Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.
+FOOT = ReferenceLineStepDetector(
+    walking=EventSearch(
+        cutoff_hz=4.25, min_frequency_hz=0.45, max_frequency_hz=1.25, harmonic_part=0.2, min_maximum_mps2=1.5
+    ),
+    running=EventSearch(
+        cutoff_hz=10.25, min_frequency_hz=0.9, max_frequency_hz=2.0, harmonic_part=0.2, min_maximum_mps2=4.0
+    ),
+    steps_per_event=2,
+    relative_maximum=0.25,
+    min_line_part=0.2,
+    min_period_part=0.7,
+)
+
+# Chosen on persons 1 to 6 of ubicomp13, who carry phones in seven places; running has no recordings with known steps.
+CARRIED = ReferenceLineStepDetector(
+    walking=EventSearch(
+        cutoff_hz=4.25, min_frequency_hz=1.2, max_frequency_hz=2.6, harmonic_part=0.4, min_maximum_mps2=0.5
+    ),
+    running=EventSearch(
+        cutoff_hz=10.25, min_frequency_hz=2.0, max_frequency_hz=4.0, harmonic_part=0.4, min_maximum_mps2=3.0
+    ),
+    steps_per_event=1,
+    relative_maximum=0.35,
+    min_line_part=0.15,
+    min_period_part=0.55,
+)

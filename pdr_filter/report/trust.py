@@ -1,0 +1,115 @@
+"""Where a track should not be trusted, in plain words: what `Track.report` prints."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.contexts import CONTEXTS
+
+_STATIONARY = CONTEXTS.index("stationary")
+# Shorter doubts are ordinary: a turn, a door.
+_MIN_DOUBT_S = 5.0
+# So long a movement without a step is no walk: people take one every two seconds.
+_MIN_RIDE_S = 20.0
+# Two modes that are as probable as each other count as doubt.
+_DOUBTFUL_MODES = 1.9
+
+
+def doubts(track: Track) -> list[str]:
+    """Sentences about the stretches of a track that mean little, each with its times; empty if there are none."""
+    windows = track.windows
+    told: list[str] = []
+    if len(windows):
+        moves = windows.context_prob[:, _STATIONARY] < 0.5
+        stepless = moves & ~_has_step(track)
+        if track.n_steps == 0 and not moves.any():
+            told.append("The phone did not move: there is no walk to reckon.")
+        rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
+        told += [
+            f"From {a:.0f} to {b:.0f} s the phone moved without steps, as in a vehicle or a lift: dead reckoning does "
+            "not apply, and the track stands still there."
+            for a, b in rides
+        ]
+        told += [
+            f"From {a:.0f} to {b:.0f} s the phone was handled, not carried: steps there may be false or lost."
+            for a, b in _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
+        ]
+        told += [
+            f"From {a:.0f} to {b:.0f} s the motion is unlike all that the classifier was trained on: its contexts, and "
+            "the step lengths that follow from them, are guesses."
+            for a, b in _long(windows.time_s, windows.unknown_share > 0.5)
+        ]
+    if track.n_steps:
+        undecided = track.effective_modes > _DOUBTFUL_MODES
+        told += [
+            f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
+            for a, b in _long(track.time_s, undecided)
+        ]
+        blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
+        told += [
+            f"From {a:.0f} to {b:.0f} s there is no angular rate: the direction of the walk is unknown."
+            for a, b in _long(track.time_s, blind)
+        ]
+        told += [
+            f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
+            "track goes on where it was."
+            for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
+            if b - a > 60.0
+        ]
+    rejected = [fix for fix in track.fixes if not fix.accepted]
+    if rejected:
+        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
+        told.append(
+            f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
+            f"at {times} s."
+        )
+    return told
+
+
+def report(track: Track) -> str:
+    """The track in a few lines: what it is, how sure it is, and where not to trust it."""
+    lines = [
+        f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
+    ]
+    if track.n_steps:
+        std_m = float(np.sqrt(np.trace(track.position_cov_m2[-1])))
+        east_m, north_m = track.position_m[-1]
+        lines.append(f"end: {east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m")
+    seconds = {name: s for name, s in track.context_seconds().items() if s >= 0.5}
+    if seconds:
+        lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
+    used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
+    if used:
+        mean = f"mean squared innovation {np.mean(used):.1f}, about 2 for positions that fit"
+        lines.append(f"fixes: {len(used)} used ({mean})")
+    problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
+    lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
+    return "\n".join(lines)
+
+
+def _has_step(track: Track) -> BoolArray:
+    """Whether a step ended within three seconds of the middle of each window."""
+    middle = track.windows.time_s - 1.0
+    first, last = np.searchsorted(track.time_s, middle - 3.0), np.searchsorted(track.time_s, middle + 3.0)
+    return last > first
+
+
+def _stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
+    """Begin and end of the stretches in which a condition holds; one miss does not end a stretch."""
+    if len(holds) > 2:
+        holds = holds | (np.concatenate([[False], holds[:-1]]) & np.concatenate([holds[1:], [False]]))
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], holds, [0]]).astype(int)))
+    return [(float(time_s[a]), float(time_s[b - 1])) for a, b in edges.reshape(-1, 2)]
+
+
+def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
+    return [(a, b) for a, b in _stretches(time_s, holds) if b - a >= _MIN_DOUBT_S]
+
+
+def _names(track: Track, start_s: float, end_s: float) -> str:
+    inside = (track.time_s >= start_s) & (track.time_s <= end_s)
+    prob = track.mode_prob[inside].mean(axis=0)
+    best = np.argsort(prob)[::-1][:2]
+    return " and ".join(track.modes[i] for i in best)

@@ -1,0 +1,497 @@
+"""What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
+
+An error of 0.003 rad/s is 10 degrees a minute. Four things tell of it, each weakly, so each enters a Kalman filter as a
+measurement with its own variance, and each may be wrong, so that an outlier hardly moves the estimate:
+
+1. Still windows. The mean angular rate of a window in which nothing moves is the bias. A standing hand turns: its means
+   scatter by about half the deviation within the window, and it may turn evenly, as if it were a bias.
+2. Straight walking. Somebody who walks from corner to corner turned little in between, by 0.16 rad perhaps. That is
+   vague: it finds a phone that is off by 0.02 rad/s in a few corridors and hardly moves one that is off by 0.003. A
+   long curve counts as one walk, or the bias would follow it.
+3. Right angles. Where walks before and after corners differ by whole right angles, time after time, there are
+   corridors or streets with two axes, and what is missing to the right angle is drift. Whether a place is like that is
+   not known: one half of the filters says so, the other half not, and they are weighted like the rest. Only walks in
+   new directions count, so that a place without corners proves nothing.
+4. The magnetic field. Where it stands still it should not turn in the attitude's frame. Only its drift counts, never
+   where it points, and how far it is trusted follows from the scatter of its horizontal and vertical parts: iron and
+   currents that change these by so much turn it by as much again. A jump begins it anew.
+
+The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
+goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the
+prior is a mixture of normal distributions, each carried by a Kalman filter of its own and weighted by how well it
+predicts (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control
+10(4), 1965, doi:10.1109/TAC.1965.1098191). Outliers: each measurement is one of the bias or one of something else, and
+enters with the probability of the former, and the doubt that leaves is added to the covariance (Y. Bar-Shalom,
+F. Daum, J. Huang, "The probabilistic data association filter", IEEE Control Systems 29(6), 2009, for a single
+measurement, doi:10.1109/MCS.2009.934469). Walking as a measurement: J. Borenstein, L. Ojeda,
+"Heuristic drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010, who steer towards the
+axes of a building with a fixed gain; here a walk has a variance, and there is doubt whether there are axes. Figures:
+tests/benchmarks/heading_drift.py.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.values.arrays import BoolArray, FloatArray
+
+# State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
+# attitude's frame, and of the building's axes in uncorrected headings, in rad, clockwise.
+_BIAS, _FIELD, _AXIS = slice(0, 3), 3, 4
+_N_STATES = 5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class BiasWindow:
+    """What one window says of the bias: means over its samples, and standard deviations summed over the axes."""
+
+    angular_rate_radps: FloatArray  # (3,) as measured
+    angular_rate_std_radps: float
+    specific_force_std_mps2: float
+    up_sensor: FloatArray  # (3,) unit vector
+    heading_rad: float  # as corrected, not wrapped
+    angular_rate_known: bool  # in all samples
+    magnetic_field_ut: FloatArray  # (3,) east, north, up of the attitude's frame
+    magnetic_field_known: bool  # in all samples
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StraightWalk:
+    """Windows of somebody who walks and has not turned a corner, newest last."""
+
+    heading_rad: tuple[float, ...]  # corrected, of the last two: to see a corner
+    measured_rad: tuple[float, ...]  # uncorrected, of those to measure: its slope is the bias
+    up_sensor: FloatArray  # (3,) in the first window
+    n_measured: int  # how often this walk has been measured
+    n_to_skip: int  # windows until it is measured again
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class FieldScatter:
+    """Magnetic field of late."""
+
+    n_windows: int
+    mean_ut: FloatArray  # (2,) horizontal, up
+    variance_ut2: float  # of one of them
+    direction_rad: float  # in the last window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GyroBiasState:
+    """A bank of Kalman filters, and what the measurements need of the windows before."""
+
+    mean: FloatArray  # (M, 5); the first half of the filters walks where they like, the other along axes
+    cov: FloatArray  # (M, 5, 5)
+    log_weight: FloatArray  # (M,) largest is 0
+    bias_radps: FloatArray  # (3,) mean of the mixture
+    bias_cov_radps2: FloatArray  # (3, 3) of the mixture
+    corrected_rad: float  # what the estimates so far have turned the heading by
+    n_still: int  # still windows in a row
+    walk: StraightWalk | None
+    field: FieldScatter | None
+    field_tracked: bool
+    n_field_outliers: int  # in a row
+    axis_tracked: bool
+    axis_heading_rad: float  # corrected, of the last walk that was compared with the axes
+    n_axis_outliers: int  # in a row
+
+
+@dataclass(frozen=True)
+class GyroBias:
+    """Gyroscope bias from still windows, straight walking, right angles and the drift of the magnetic field.
+
+    Parameters
+    ----------
+    window_s : float
+        Length of the windows. One second averages a step or two, and the turning that each brings.
+    prior_std_radps, prior_prob : tuple of float
+        The mixture the bias comes from: phones that calibrate themselves well (the drifts of known walks here are 0.001
+        to 0.003 rad/s), less well (0.01), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
+        seen elsewhere).
+    prior_radps : tuple of float
+        What it is scattered about, x, y, z: zero, or what an earlier recording of the same phone ended with.
+    walk_radps_per_sqrt_s : float
+        Random walk of the bias: 0.002 rad/s in five minutes of warming up.
+    still_gyr_radps, still_acc_mps2 : float
+        A window is still below both deviations, and used if the one before was too.
+    still_max_radps : float
+        No bias is above this; what is still and faster turns evenly.
+    still_std_radps, still_std_share : float
+        Standard deviation of the mean of a still window: the sum of a constant and a share of the deviation within. On
+        people who stand with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their
+        correlation over time.
+    still_outlier_prob, turning_radps : float
+        How often a still phone turns evenly, and how fast.
+    walking_acc_mps2 : float
+        Above this deviation somebody walks.
+    corner_rad, tilted_rad : float
+        A change of direction from the last two windows, and of gravity since the first, that ends a straight walk.
+    straight_s : tuple of float
+        Shortest and longest straight walk that is one measurement. A window at each end is left out: corners are round.
+    straight_again_s : float
+        A walk that goes on without a corner is measured again only so much later: a curve looks the same all along.
+    straight_turn_rad : float
+        How far somebody turns (standard deviation) in a straight walk, whatever its length.
+    straight_outlier_prob, curve_radps : float
+        How often a walk is curved, and how much.
+    rectangular_prob : float
+        How often corridors, or streets, meet at right angles only.
+    axis_corner_rad : float
+        A walk less than this off the last one that was compared with the axes is the same one, or the same curve.
+    axis_std_rad : float
+        How far a straight walk there is off their axes.
+    axis_outlier_prob : float
+        How often it has nothing to do with them, even there.
+    field_memory_s : float
+        Time constant of the mean and the scatter of the field.
+    field_correlation_s : float
+        How long a disturbance lasts while somebody walks past it: windows closer than that tell nothing new.
+    field_scatter_weight : float
+        Variance of the direction for the variance of the field's parts, relative to the horizontal field.
+    field_std_rad : float
+        Of the direction in an undisturbed field: attitude and calibration.
+    field_walk_rad_per_sqrt_s : float
+        Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
+        a corridor of a minute, smoothly and with hardly a change of its size.
+    field_jump_rad : float
+        A direction that changed by more since the last window begins anew: no bias does that.
+    field_outlier_prob : float
+        How often the direction is anything.
+    """
+
+    window_s: float = 1.0
+    prior_std_radps: tuple[float, ...] = (0.002, 0.01, 0.05)
+    prior_prob: tuple[float, ...] = (0.8, 0.08, 0.12)
+    prior_radps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    walk_radps_per_sqrt_s: float = 1e-4
+    still_gyr_radps: float = 0.1
+    still_acc_mps2: float = 0.8
+    still_max_radps: float = 0.15
+    still_std_radps: float = 0.001
+    still_std_share: float = 0.8
+    still_outlier_prob: float = 0.2
+    turning_radps: float = 0.3
+    walking_acc_mps2: float = 1.0
+    corner_rad: float = 0.17
+    tilted_rad: float = 0.35
+    straight_s: tuple[float, float] = (4.0, 15.0)
+    straight_again_s: float = 60.0
+    straight_turn_rad: float = 0.16
+    straight_outlier_prob: float = 0.2
+    curve_radps: float = 0.06
+    rectangular_prob: float = 0.1
+    axis_corner_rad: float = 0.6
+    axis_std_rad: float = 0.07
+    axis_outlier_prob: float = 0.2
+    field_memory_s: float = 20.0
+    field_correlation_s: float = 5.0
+    field_scatter_weight: float = 4.0
+    field_std_rad: float = 0.05
+    field_walk_rad_per_sqrt_s: float = 0.03
+    field_jump_rad: float = 0.5
+    field_outlier_prob: float = 0.1
+
+    def __post_init__(self) -> None:
+        if len(self.prior_std_radps) != len(self.prior_prob) or not self.prior_prob:
+            raise ValueError(
+                f"prior_std_radps and prior_prob must be equally long, got {len(self.prior_std_radps)} and "
+                f"{len(self.prior_prob)}"
+            )
+        if min(self.prior_std_radps) <= 0 or min(self.prior_prob) <= 0:
+            raise ValueError("prior_std_radps and prior_prob must be positive")
+        if self.window_s <= 0 or not 0 < self.straight_s[0] <= self.straight_s[1]:
+            raise ValueError(f"window_s and straight_s must be positive, got {self.window_s} and {self.straight_s}")
+
+    def init(self) -> GyroBiasState:
+        """State before the first window: the prior."""
+        n = len(self.prior_std_radps)
+        mean, cov = np.zeros((2 * n, _N_STATES)), np.zeros((2 * n, _N_STATES, _N_STATES))
+        mean[:, _BIAS] = self.prior_radps
+        cov[:, _BIAS, _BIAS] = np.tile(np.square(self.prior_std_radps), 2)[:, None, None] * np.eye(3)
+        log_weight = np.log(np.outer([1.0 - self.rectangular_prob, self.rectangular_prob], self.prior_prob).ravel())
+        bias, bias_cov = _mixture(mean, cov, log_weight)
+        return GyroBiasState(
+            mean=mean,
+            cov=cov,
+            log_weight=log_weight - log_weight.max(),
+            bias_radps=bias,
+            bias_cov_radps2=bias_cov,
+            corrected_rad=0.0,
+            n_still=0,
+            walk=None,
+            field=None,
+            field_tracked=False,
+            n_field_outliers=0,
+            axis_tracked=False,
+            axis_heading_rad=0.0,
+            n_axis_outliers=0,
+        )
+
+    def after_gap(self, state: GyroBiasState) -> GyroBiasState:
+        """State that keeps the bias and forgets what the windows before a time without samples were."""
+        return replace(
+            state,
+            n_still=0,
+            walk=None,
+            field=None,
+            field_tracked=False,
+            n_field_outliers=0,
+            axis_tracked=False,
+            n_axis_outliers=0,
+        )
+
+    def step(self, state: GyroBiasState, window: BiasWindow) -> GyroBiasState:
+        """State after one more window, whose heading was corrected with the bias of the state before."""
+        if not window.angular_rate_known:
+            return self.after_gap(state)
+        bank = _predict(self, state, window.up_sensor)
+        correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
+        # an angular rate about up lowers the heading, and so does its bias: without the correction it was so much less
+        measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
+        bank, n_still = self._see_still(bank, state.n_still, window)
+        state = replace(state, corrected_rad=state.corrected_rad + correction_rad, n_still=n_still)
+        bank, state = self._see_walk(bank, state, window, measured_rad)
+        bank, state = self._see_field(bank, state, window)
+        bias, bias_cov = _mixture(*bank)
+        mean, cov, log_weight = bank
+        return replace(state, mean=mean, cov=cov, log_weight=log_weight, bias_radps=bias, bias_cov_radps2=bias_cov)
+
+    # --- the three measurements -----------------------------------------------------------------------------------
+
+    def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
+        is_still = (
+            window.angular_rate_std_radps < self.still_gyr_radps
+            and _dot(window.angular_rate_radps, window.angular_rate_radps) < self.still_max_radps**2
+            and window.specific_force_std_mps2 < self.still_acc_mps2
+        )
+        if not is_still:
+            return bank, 0
+        if n_still >= 1:
+            std = self.still_std_radps + self.still_std_share * window.angular_rate_std_radps
+            rate = window.angular_rate_radps
+            rows = np.eye(3, _N_STATES)
+            otherwise = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
+            bank, _ = _update(bank, rows, rate - bank[0][:, _BIAS], std**2, self.still_outlier_prob, otherwise)
+        return bank, n_still + 1
+
+    def _see_walk(
+        self, bank: _Bank, state: GyroBiasState, window: BiasWindow, measured_rad: float
+    ) -> tuple[_Bank, GyroBiasState]:
+        walk = state.walk
+        if window.specific_force_std_mps2 < self.walking_acc_mps2:
+            bank, state = self._measure_walk(bank, state)
+            return bank, replace(state, walk=None)
+        if walk is not None:
+            late = walk.heading_rad
+            if abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad:
+                bank, state = self._measure_walk(bank, state)
+                walk = None
+        if walk is not None and _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
+            # held in another way, the phone points somewhere else
+            bank, state = self._measure_walk(bank, state)
+            state, walk = replace(state, axis_tracked=False, n_axis_outliers=0), None
+        if walk is None:
+            first = StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0, 0)
+            return bank, replace(state, walk=first)
+        walk = replace(walk, heading_rad=(*walk.heading_rad, window.heading_rad)[-2:])
+        if walk.n_to_skip > 0:
+            return bank, replace(state, walk=replace(walk, n_to_skip=walk.n_to_skip - 1))
+        walk = replace(walk, measured_rad=(*walk.measured_rad, measured_rad))
+        state = replace(state, walk=walk)
+        if len(walk.measured_rad) >= round(self.straight_s[1] / self.window_s) + 2:
+            bank, state = self._measure_walk(bank, state)
+            n_to_skip = round(self.straight_again_s / self.window_s)
+            walk = replace(walk, measured_rad=(), n_measured=walk.n_measured + 1, n_to_skip=n_to_skip)
+            state = replace(state, walk=walk)
+        return bank, state
+
+    def _measure_walk(self, bank: _Bank, state: GyroBiasState) -> tuple[_Bank, GyroBiasState]:
+        """Slope and direction of the uncorrected heading, without the first and the last window."""
+        walk = state.walk
+        n = 0 if walk is None else len(walk.measured_rad) - 2
+        if walk is None or n * self.window_s < self.straight_s[0]:
+            return bank, state
+        measured_rad, up = np.array(walk.measured_rad[1:-1]), walk.up_sensor
+        from_centre_s = (np.arange(n) - 0.5 * (n - 1)) * self.window_s
+        rate_radps = -float((from_centre_s * measured_rad).sum() / (from_centre_s * from_centre_s).sum())
+        variance = (self.straight_turn_rad / (n * self.window_s)) ** 2
+        rows = np.array([[*up, 0.0, 0.0]])
+        otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
+        seen = (rate_radps - _along(bank[0], up))[:, None]
+        bank, _ = _update(bank, rows, seen, variance, self.straight_outlier_prob, otherwise)
+        heading_rad = sum(walk.heading_rad) / len(walk.heading_rad)
+        same = state.axis_tracked and abs(heading_rad - state.axis_heading_rad) < self.axis_corner_rad
+        if walk.n_measured > 0 or same:
+            return bank, state
+        # from the middle of the walk to the end of its last window
+        row = np.array([*((0.5 * n + 1.0) * self.window_s * up), 0.0, 1.0])
+        bank, state = self._see_axis(bank, state, float(measured_rad.mean()), row)
+        return bank, replace(state, axis_heading_rad=heading_rad)
+
+    def _see_axis(
+        self, bank: _Bank, state: GyroBiasState, direction_rad: float, row: FloatArray
+    ) -> tuple[_Bank, GyroBiasState]:
+        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be.
+
+        Where the axes are not known to a sixth of that, a walk tells nothing of the bias, only where they may be.
+        """
+        mean, cov, _ = bank
+        n_outliers, lost = 0, np.full(len(mean), True)
+        if state.axis_tracked:
+            spread = ((cov * row).sum(axis=2) * row).sum(axis=1)
+            lost = spread > (math.pi / 12) ** 2
+            seen = _wrapped(direction_rad - (mean * row).sum(axis=1), 0.5 * math.pi)
+            outlier_prob = np.where(lost, _NEVER, np.repeat([_NEVER, self.axis_outlier_prob], len(mean) // 2))
+            otherwise = _uniform_log_density(0.5 * math.pi)
+            bank, _ = _update(bank, row[None, :], seen[:, None], self.axis_std_rad**2, outlier_prob, otherwise)
+            likely = len(mean) // 2 + int(np.argmax(bank[2][len(mean) // 2 :]))
+            is_far = abs(seen[likely]) > 3.0 * math.sqrt(spread[likely] + self.axis_std_rad**2)
+            n_outliers = state.n_axis_outliers + 1 if is_far else 0
+            if n_outliers >= _MAX_AXIS_OUTLIERS:
+                n_outliers, lost = 0, np.full(len(mean), True)
+        start = direction_rad - (bank[0][:, _BIAS] * row[_BIAS]).sum(axis=1)
+        bank = _restart(bank, _AXIS, start, self.axis_std_rad**2, lost)
+        return bank, replace(state, axis_tracked=True, n_axis_outliers=n_outliers)
+
+    def _see_field(self, bank: _Bank, state: GyroBiasState, window: BiasWindow) -> tuple[_Bank, GyroBiasState]:
+        if not window.magnetic_field_known:
+            return bank, replace(state, field=None, field_tracked=False, n_field_outliers=0)
+        east, north, up = window.magnetic_field_ut.tolist()
+        direction_rad = math.atan2(east, north)
+        before = state.field
+        field, variance_ut2 = self._scatter(before, np.array([math.hypot(east, north), up]), direction_rad)
+        state = replace(state, field=field)
+        if field.n_windows * self.window_s < self.field_correlation_s:
+            return bank, state
+        # the variance of a mean of correlated samples
+        independent = 2 * self.field_correlation_s / self.window_s
+        horizontal_ut = max(float(field.mean_ut[0]), 1.0)
+        scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
+        variance = independent * (scatter + self.field_std_rad**2)
+        mean, _, _ = bank
+        change_rad = 0.0 if before is None else float(_wrapped(direction_rad - before.direction_rad, 2 * math.pi))
+        if state.field_tracked and abs(change_rad) < self.field_jump_rad:
+            seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)[:, None]
+            rows, otherwise = np.eye(1, _N_STATES, _FIELD), _uniform_log_density(2 * math.pi)
+            bank, inlier_prob = _update(bank, rows, seen, variance, self.field_outlier_prob, otherwise)
+            n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
+            if n_outliers * self.window_s < 2 * self.field_correlation_s:
+                return bank, replace(state, n_field_outliers=n_outliers)
+            # another place, another field: begin anew
+        start = np.full(len(mean), direction_rad)
+        bank = _restart(bank, _FIELD, start, variance, np.full(len(mean), True))
+        return bank, replace(state, field_tracked=True, n_field_outliers=0)
+
+    def _scatter(self, field: FieldScatter | None, now: FloatArray, direction_rad: float) -> tuple[FieldScatter, float]:
+        """Mean and scatter with this window, and the variance to assume for it."""
+        if field is None:
+            return FieldScatter(1, now, 0.0, direction_rad), 0.0
+        n = field.n_windows + 1
+        gain = max(1.0 / n, self.window_s / self.field_memory_s)
+        away = now - field.mean_ut
+        own_ut2 = 0.5 * float(away[0] * away[0] + away[1] * away[1])
+        variance_ut2 = (1.0 - gain) * (field.variance_ut2 + gain * own_ut2)
+        return FieldScatter(n, field.mean_ut + gain * away, variance_ut2, direction_rad), variance_ut2 + own_ut2
+
+
+# --- the bank of Kalman filters ------------------------------------------------------------------------------------
+
+_Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
+# A filter is not written off for good: later measurements may speak for it.
+_MIN_LOG_WEIGHT = -12.0
+_NEVER = 1.0 - 1e-9  # probability of an outlier where no measurement is to be believed
+# So many straight walks in a row that follow no axis: the phone is held in another way, or the building has others.
+_MAX_AXIS_OUTLIERS = 3
+
+
+def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
+    """The bank one window later.
+
+    A bias b about up that is corrected by b' turns the attitude's frame counter-clockwise by b - b', so that the field
+    turns clockwise by b' - b in it; a straight line turns by -b in uncorrected headings.
+    """
+    dt = bias.window_s
+    transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
+    transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = -dt * up_sensor
+    noise[_BIAS] = bias.walk_radps_per_sqrt_s**2 * dt
+    noise[_FIELD] = bias.field_walk_rad_per_sqrt_s**2 * dt
+    mean = state.mean @ transition.T
+    mean[:, _FIELD] += dt * _dot(up_sensor, state.bias_radps)
+    return mean, transition @ state.cov @ transition.T + np.diag(noise), state.log_weight
+
+
+def _update(
+    bank: _Bank,
+    rows: FloatArray,
+    innovation: FloatArray,
+    variance: float,
+    outlier_prob: float | FloatArray,
+    outlier_log_density: float,
+) -> tuple[_Bank, float]:
+    """The bank after a measurement with innovations (M, k), and the probability that it was no outlier.
+
+    H is `rows` (k, 5), S = H P H' + variance I, K = P H' inv(S). With the probability w that the measurement is no
+    outlier, m += w K nu and P += -w K H P + w (1 - w) K nu nu' K'.
+    """
+    mean, cov, log_weight = bank
+    hp = rows @ cov
+    inverse = np.asarray(np.linalg.inv(hp @ rows.T + variance * np.eye(len(rows))), dtype=np.float64)
+    square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
+    log_in = np.log1p(-np.asarray(outlier_prob)) + 0.5 * (np.log(np.linalg.det(inverse)) - square)
+    log_both = np.logaddexp(log_in, np.log(outlier_prob) + outlier_log_density)
+    inlier = np.exp(log_in - log_both)
+    gain = np.swapaxes(hp, 1, 2) @ inverse
+    shift = (gain @ innovation[:, :, None])[:, :, 0]
+    mean = mean + inlier[:, None] * shift
+    doubt = (inlier * (1.0 - inlier))[:, None, None] * shift[:, :, None] * shift[:, None, :]
+    cov = cov - inlier[:, None, None] * (gain @ hp) + doubt
+    cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
+    log_weight = log_weight + log_both
+    log_weight = np.maximum(log_weight - log_weight.max(), _MIN_LOG_WEIGHT)
+    weight = np.exp(log_weight)
+    return (mean, cov, log_weight), float((weight * inlier).sum() / weight.sum())
+
+
+def _restart(bank: _Bank, index: int, start: FloatArray, variance: float, which: BoolArray) -> _Bank:
+    """The bank with one state of some filters as just measured, independent of the others."""
+    mean, cov = bank[0].copy(), bank[1].copy()
+    mean[which, index] = start[which]
+    cov[which, index, :] = 0.0
+    cov[which, :, index] = 0.0
+    cov[which, index, index] = variance
+    return mean, cov, bank[2]
+
+
+def _outlier_log_density(square: float, n: int, std: float) -> float:
+    """Logarithm of a normal density in n dimensions, with the constant left out that `_update` leaves out."""
+    return -0.5 * square / std**2 - n * math.log(std)
+
+
+def _uniform_log_density(width: float) -> float:
+    return 0.5 * math.log(2 * math.pi) - math.log(width)
+
+
+def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
+    return angle_rad - period_rad * np.round(angle_rad / period_rad)
+
+
+def _mixture(mean: FloatArray, cov: FloatArray, log_weight: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean (3,) and covariance (3, 3) of the bias over the bank."""
+    weight = np.exp(log_weight)
+    weight = weight / weight.sum()
+    bias = (weight[:, None] * mean[:, _BIAS]).sum(axis=0)
+    away = mean[:, _BIAS] - bias
+    within = (weight[:, None, None] * cov[:, _BIAS, _BIAS]).sum(axis=0)
+    return bias, within + (weight[:, None, None] * away[:, :, None] * away[:, None, :]).sum(axis=0)
+
+
+def _along(rows: FloatArray, up: FloatArray) -> FloatArray:
+    """Sum over the bias axes, axis 1 of (M, 4) or (M, 4, 4)."""
+    return rows[:, 0] * up[0] + rows[:, 1] * up[1] + rows[:, 2] * up[2]
+
+
+def _dot(a: FloatArray, b: FloatArray) -> float:
+    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])

@@ -1,0 +1,372 @@
+"""Samples as they come in, uniform samples out: one time base, fixed rate, gaps kept as gaps.
+
+Everything after this stage may assume a constant rate. The conditioner is causal and its output depends only on the
+samples, never on how they were cut into blocks: a uniform sample is the mean of the linearly interpolated signal over
+its own interval, so only the samples of that interval enter, whatever arrived with them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.io.recording import Recording
+from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.samples import ImuBlock, Samples
+
+# Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
+# last finite angular rate and magnetic field.
+_FORCE, _RATE, _FIELD = slice(1, 4), slice(4, 7), slice(7, 10)
+_RATE_AGE, _FIELD_AGE = 10, 11
+_N_COLUMNS = 12
+
+# Phones saturate at 16 g and 2000 deg/s (157 m/s2, 35 rad/s), foot-mounted units at about twice that.
+MAX_FORCE_MPS2, MAX_RATE_RADPS = 400.0, 100.0
+# So many samples in a row behind the clock are no stragglers: the clock was set back.
+_CLOCK_RESET_SAMPLES = 50
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class UniformBlock:
+    """Consecutive samples at a constant rate, a whole number of hops.
+
+    Where a sensor is missing for longer than the longest bridged gap its values are zero and `*_known` is False.
+    """
+
+    time_s: FloatArray  # (N,) middle of each sample's interval
+    specific_force_mps2: FloatArray  # (N, 3)
+    angular_rate_radps: FloatArray  # (N, 3)
+    angular_rate_known: BoolArray  # (N,)
+    magnetic_field_ut: FloatArray  # (N, 3)
+    magnetic_field_known: BoolArray  # (N,)
+    gap_before_s: float  # 0 if it continues the block before; inf for the very first
+
+
+@dataclass(frozen=True, slots=True)
+class IntakeReport:
+    """What the conditioner did to the samples it received."""
+
+    n_received: int = 0
+    n_not_finite: int = 0  # rows without a finite time or specific force: bridged, or part of a gap
+    n_implausible: int = 0  # rows beyond what any phone measures: left out
+    n_not_increasing: int = 0  # duplicate or backward timestamps: dropped
+    n_clock_jumps: int = 0  # single times far ahead, dropped, and clocks set back, followed
+    n_like_gravity: int = 0  # rows whose |specific force| is between 7 and 13 m/s2
+    n_gaps: int = 0
+    longest_gap_s: float = 0.0
+    lost_s: float = 0.0  # time inside gaps
+    n_emitted: int = 0  # uniform samples
+    n_without_rate: int = 0  # uniform samples whose angular rate is unknown
+    rate_hz: float = 100.0
+    first_time_s: float = np.nan
+    last_time_s: float = np.nan
+
+    def notes(self) -> tuple[str, ...]:
+        """In plain words, empty if there was nothing to repair."""
+        found: list[str] = []
+        if self.n_not_finite:
+            found.append(f"{self.n_not_finite} of {self.n_received} samples had no finite value and were left out")
+        if self.n_implausible:
+            found.append(
+                f"{self.n_implausible} samples were beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s and "
+                "were left out"
+            )
+        if self.n_clock_jumps:
+            found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
+        if self.n_emitted > 500 and self.n_like_gravity < 0.05 * self.n_received:
+            found.append(
+                "the specific force is hardly ever near 9.8 m/s2: it must be in m/s2 with gravity, not in g or without"
+            )
+        if self.n_not_increasing:
+            found.append(
+                f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
+            )
+        if self.n_gaps:
+            found.append(
+                f"{self.n_gaps} gap{'s' if self.n_gaps > 1 else ''} ({self.lost_s:.1f} s in all, longest "
+                f"{self.longest_gap_s:.1f} s): steps in there are unknown and the covariance was grown"
+            )
+        missing_s = self.n_without_rate / self.rate_hz
+        if self.n_emitted and self.n_without_rate == self.n_emitted:
+            found.append("no gyroscope: the heading is unknown, only steps, contexts and distance can be trusted")
+        elif missing_s > 1.0:
+            found.append(f"no angular rate for {missing_s:.1f} s: the heading is unknown there")
+        return tuple(found)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClockState:
+    """Whether to believe the next time."""
+
+    last_s: float = -np.inf  # of the last accepted row, on the track's time base
+    offset_s: float = 0.0  # track time less sample time; changes when the sample clock is set back
+    held: FloatArray = field(default_factory=lambda: np.empty((0, 10)))  # row after a gap, until the next confirms it
+    behind_s: float = -np.inf  # of the last row that was behind
+    n_behind: int = 0  # rows in a row that were behind and increasing
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ConditionerState:
+    """Rows not yet used up, where the uniform grid is, and the report so far."""
+
+    rows: FloatArray  # (R, 12)
+    segment_start_s: float
+    n_emitted: int  # uniform samples of this segment already emitted
+    gap_before_s: float  # of this segment; handed to its first block
+    last_rate: FloatArray  # (4,) time and value of the last finite angular rate
+    last_field: FloatArray  # (4,)
+    clock: ClockState
+    report: IntakeReport
+
+
+@dataclass(frozen=True)
+class Conditioner:
+    """Uniform rate, causal.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Rate of the output. Faster input is averaged over each interval (which is its anti-alias filter), slower input
+        is interpolated linearly.
+    max_gap_s : float
+        A longer time without samples is a gap: no sample is invented there, and later stages start afresh.
+    hop_samples : int
+        Output comes in whole hops of this many samples; at a gap up to one hop is dropped.
+    """
+
+    rate_hz: float = 100.0
+    max_gap_s: float = 0.3
+    hop_samples: int = 10
+
+    def __post_init__(self) -> None:
+        if not (self.rate_hz > 0 and self.max_gap_s > 0 and self.hop_samples >= 1):
+            raise ValueError(
+                f"rate_hz, max_gap_s and hop_samples must be positive, got {self.rate_hz}, {self.max_gap_s}, "
+                f"{self.hop_samples}"
+            )
+
+    def init(self) -> ConditionerState:
+        """State before the first sample."""
+        nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
+        report = IntakeReport(rate_hz=self.rate_hz)
+        return ConditionerState(np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), report)
+
+    def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+        """New state and the whole hops that became complete, split at gaps."""
+        state, rows = self._accept(state, block)
+        if len(rows) == 0:
+            return state, []
+        times = np.concatenate([state.rows[-1:, 0], rows[:, 0]])
+        after_gap = np.flatnonzero(np.diff(times) > self.max_gap_s) + (0 if len(state.rows) else 1)
+        outputs: list[UniformBlock] = []
+        for part in np.split(rows, after_gap):
+            if len(part) == 0:
+                continue
+            if len(state.rows) == 0:
+                state = replace(state, segment_start_s=part[0, 0])
+            elif part[0, 0] - state.rows[-1, 0] > self.max_gap_s:
+                state = self._start_segment(state, part)
+            state, output = self._resample(state, np.concatenate([state.rows, part]))
+            outputs += output
+        return state, outputs
+
+    def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
+        """Rows with finite specific force and increasing time; missing rate and field held, with their age."""
+        raw = np.column_stack(
+            [block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut]
+        )
+        finite = np.isfinite(raw[:, :4]).all(axis=1)
+        with np.errstate(invalid="ignore"):  # comparing NaN rates
+            wild = finite & (
+                (np.abs(raw[:, _FORCE]) > MAX_FORCE_MPS2).any(axis=1)
+                | (np.abs(raw[:, _RATE]) > MAX_RATE_RADPS).any(axis=1)
+            )
+        usable = raw[finite & ~wild]
+        clock, kept, n_dropped, n_jumps = self._follow_clock(state.clock, usable)
+        rows = np.empty((len(kept), _N_COLUMNS))
+        rows[:, :4] = kept[:, :4]
+        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], kept[:, _FIELD], state.last_field)
+        size = np.sqrt((usable[:, _FORCE] ** 2).sum(axis=1))
+        old = state.report
+        report = replace(
+            old,
+            n_received=old.n_received + len(raw),
+            n_not_finite=old.n_not_finite + int((~finite).sum()),
+            n_implausible=old.n_implausible + int(wild.sum()),
+            n_not_increasing=old.n_not_increasing + n_dropped,
+            n_clock_jumps=old.n_clock_jumps + n_jumps,
+            n_like_gravity=old.n_like_gravity + int(((size > 7) & (size < 13)).sum()),
+        )
+        if len(rows):
+            first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
+            report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
+        return replace(state, last_rate=last_rate, last_field=last_field, clock=clock, report=report), rows
+
+    def _follow_clock(self, clock: ClockState, rows: FloatArray) -> tuple[ClockState, FloatArray, int, int]:
+        """Rows (N, 10) with believable increasing times, how many were dropped, and how often the clock jumped.
+
+        Most blocks are in order and pass at once; the others go row by row.
+        """
+        time_s = rows[:, 0] + clock.offset_s
+        steps_s = np.diff(np.concatenate([[clock.last_s], time_s]))
+        settled = len(clock.held) == 0 and clock.n_behind == 0
+        # The very first sample has nothing to be far ahead of.
+        in_order = (steps_s > 0) & ((steps_s <= self.max_gap_s) | np.isinf(steps_s))
+        if settled and in_order.all():
+            moved = np.column_stack([time_s, rows[:, 1:]])
+            return (replace(clock, last_s=float(time_s[-1])) if len(rows) else clock), moved, 0, 0
+        accepted: list[FloatArray] = []
+        n_dropped = n_jumps = 0
+        for row in rows:
+            clock, out, dropped, jumps = self._believe(clock, row)
+            accepted += out
+            n_dropped, n_jumps = n_dropped + dropped, n_jumps + jumps
+        return clock, np.array(accepted).reshape(-1, rows.shape[1]), n_dropped, n_jumps
+
+    def _believe(self, clock: ClockState, row: FloatArray) -> tuple[ClockState, list[FloatArray], int, int]:
+        """One row: accepted, dropped, or held until the next tells whether its time is a jump or a gap."""
+        moved = row.copy()
+        moved[0] += clock.offset_s
+        out: list[FloatArray] = []
+        n_dropped = n_jumps = 0
+        if len(clock.held):
+            if moved[0] > clock.held[0, 0]:
+                out, clock = [clock.held[0]], replace(clock, last_s=float(clock.held[0, 0]))
+            else:
+                n_dropped, n_jumps = 1, 1
+            clock = replace(clock, held=np.empty((0, len(row))))
+        ahead_s = float(moved[0]) - clock.last_s
+        if ahead_s <= 0:
+            n_behind = clock.n_behind + 1 if moved[0] > clock.behind_s else 1
+            clock = replace(clock, behind_s=float(moved[0]), n_behind=n_behind)
+            n_dropped += 1
+            if n_behind >= _CLOCK_RESET_SAMPLES:
+                # what comes next follows after a gap of unknown length, of which the dropped samples are a part
+                offset_s = clock.offset_s + clock.last_s - float(moved[0]) + 2 * self.max_gap_s
+                clock = replace(clock, offset_s=offset_s, behind_s=-np.inf, n_behind=0)
+                n_jumps += 1
+        elif self.max_gap_s < ahead_s < np.inf:
+            clock = replace(clock, held=moved[None, :], n_behind=0, behind_s=-np.inf)
+        else:
+            out.append(moved)
+            clock = replace(clock, last_s=float(moved[0]), n_behind=0, behind_s=-np.inf)
+        return clock, out, n_dropped, n_jumps
+
+    def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
+        # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
+        # the old segment was emitted, the gap before it is still open and adds up.
+        emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
+        gap_s = float(part[0, 0] - emitted_until_s)
+        unreported = state.gap_before_s if state.n_emitted == 0 else 0.0
+        report = replace(
+            state.report,
+            n_gaps=state.report.n_gaps + 1,
+            longest_gap_s=max(state.report.longest_gap_s, gap_s),
+            lost_s=state.report.lost_s + gap_s,
+        )
+        return replace(
+            state,
+            rows=np.empty((0, _N_COLUMNS)),
+            segment_start_s=float(part[0, 0]),
+            n_emitted=0,
+            gap_before_s=gap_s + unreported,
+            report=report,
+        )
+
+    def _resample(self, state: ConditionerState, rows: FloatArray) -> tuple[ConditionerState, list[UniformBlock]]:
+        """Mean of the linear interpolant over each interval of the grid that the rows cover."""
+        # A grid point needs a sample after it: interpolated from the left alone it would have other last bits.
+        last = int(np.ceil((rows[-1, 0] - state.segment_start_s) * self.rate_hz)) + 1
+        while last > 0 and state.segment_start_s + last / self.rate_hz >= rows[-1, 0]:
+            last -= 1
+        n_complete = last // self.hop_samples * self.hop_samples
+        if n_complete <= state.n_emitted:
+            return replace(state, rows=rows), []
+        index = np.arange(state.n_emitted, n_complete + 1)
+        grid = state.segment_start_s + index / self.rate_hz
+        means = _interval_means(rows[:, 0], rows[:, 1:10], grid)
+        # A sample counts as known if the last finite value before it is not older than a bridged gap.
+        at = np.minimum(np.searchsorted(rows[:, 0], grid[1:]), len(rows) - 1)
+        rate_known = rows[at, _RATE_AGE] <= self.max_gap_s
+        field_known = rows[at, _FIELD_AGE] <= self.max_gap_s
+        output = UniformBlock(
+            time_s=grid[1:] - 0.5 / self.rate_hz,
+            specific_force_mps2=np.ascontiguousarray(means[:, 0:3]),
+            angular_rate_radps=np.where(rate_known[:, None], means[:, 3:6], 0.0),
+            angular_rate_known=rate_known,
+            magnetic_field_ut=np.where(field_known[:, None], means[:, 6:9], 0.0),
+            magnetic_field_known=field_known,
+            gap_before_s=state.gap_before_s if state.n_emitted == 0 else 0.0,
+        )
+        first_needed = max(int(np.searchsorted(rows[:, 0], grid[-1], side="right")) - 1, 0)
+        report = replace(
+            state.report,
+            n_emitted=state.report.n_emitted + len(rate_known),
+            n_without_rate=state.report.n_without_rate + int((~rate_known).sum()),
+        )
+        new = replace(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
+        return new, [output]
+
+
+def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Values with missing rows replaced by the last finite one, the age of each (0 if measured), and the new last."""
+    stack = np.vstack([last, np.column_stack([time_s, values])])
+    finite = np.isfinite(stack[:, 1:]).all(axis=1)
+    index = np.maximum.accumulate(np.where(finite, np.arange(len(stack)), 0))
+    held = stack[index]
+    return held[1:, 1:], time_s - held[1:, 0], held[-1]
+
+
+def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) -> FloatArray:
+    """Mean over each interval of the grid of the linear interpolant through (time, value), shape (len(grid) - 1, d)."""
+    right = np.clip(np.searchsorted(time_s, grid_s, side="right"), 1, len(time_s) - 1)
+    left = right - 1
+    fraction = ((grid_s - time_s[left]) / (time_s[right] - time_s[left]))[:, None]
+    at_grid = values[left] + (values[right] - values[left]) * fraction
+    # All knots inside the grid in order: grid points go in before the first sample at or after them.
+    inside = slice(int(np.searchsorted(time_s, grid_s[0])), int(np.searchsorted(time_s, grid_s[-1])))
+    position = np.searchsorted(time_s[inside], grid_s)
+    knots_s = np.insert(time_s[inside], position, grid_s)
+    knots = np.insert(values[inside], position, at_grid, axis=0)
+    width = np.diff(knots_s)[:, None]
+    areas = 0.5 * (knots[1:] + knots[:-1]) * width
+    first = position[:-1] + np.arange(len(grid_s) - 1)
+    # reduceat adds row by row within each interval: the same numbers in the same order however blocks were cut
+    return np.add.reduceat(areas, first, axis=0) / np.diff(grid_s)[:, None]
+
+
+def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
+    """All sensors of a recording at the times of its accelerometer, in recorded order.
+
+    Angular rate and magnetic field are interpolated linearly; they are NaN where the stream is missing or its samples
+    are further than `max_gap_s` apart.
+    """
+    time_s = recording.accelerometer.time_s
+    return ImuBlock(
+        time_s=time_s,
+        specific_force_mps2=recording.accelerometer.values,
+        angular_rate_radps=_at_times(recording.gyroscope, time_s, max_gap_s),
+        magnetic_field_ut=_at_times(recording.magnetometer, time_s, max_gap_s),
+    )
+
+
+def _at_times(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+    result = np.full((len(at_s), 3), np.nan)
+    if stream is None:
+        return result
+    good = np.isfinite(stream.time_s) & np.isfinite(stream.values).all(axis=1)
+    time_s, first = np.unique(stream.time_s[good], return_index=True)
+    values = stream.values[good][first]
+    if len(time_s) < 2:
+        return result
+    right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
+    left = right - 1
+    # A stream that starts or ends a few samples away from the accelerometer is held, not extrapolated.
+    covered = (at_s > time_s[0] - max_gap_s) & (at_s < time_s[-1] + max_gap_s)
+    measured = (at_s == time_s[left]) | (at_s == time_s[right])  # at the edge of a hole
+    near = covered & (measured | (time_s[right] - time_s[left] <= max_gap_s))
+    fraction = np.clip((at_s - time_s[left]) / (time_s[right] - time_s[left]), 0.0, 1.0)[:, None]
+    result[near] = (values[left] + (values[right] - values[left]) * fraction)[near]
+    return result

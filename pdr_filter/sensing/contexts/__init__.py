@@ -1,0 +1,1 @@
+"""Context and carrying-mode probabilities of windows, behind one interface."""

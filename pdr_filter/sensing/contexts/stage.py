@@ -1,0 +1,202 @@
+"""Feature windows in, context and carrying-mode probabilities out: which model classifies what, and what is unknown."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+from typing import Any, Protocol
+
+import numpy as np
+
+from pdr_filter.classifiers.model import ContextModel
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
+from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
+from pdr_filter.sensing.features.windows import FeatureWindow
+from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+
+# A window of the barometer is twice as long as one of features, at the same hop: its seconds would vote twice as often.
+CLIMB_EXPONENT = 0.5
+# Half a minute to a minute between changes of the carrying mode, at a window a second.
+CARRYING_STAY_PROB = 0.98
+# Hop over window: overlapping windows repeat the same second of data.
+CARRYING_EXPONENT = 0.5
+_STATIONARY = CONTEXTS.index("stationary")
+_EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowContext:
+    """What the classifiers say of a window."""
+
+    time_s: float  # end of the window
+    prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
+    training_prior: FloatArray  # (C,) of the classifier that gave them
+    carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
+    unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
+    irregular_prob: float = 0.0  # that its motion moves nobody
+    model: str = ""  # name of the context model
+    climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
+    has_gyroscope: bool = True  # that angular rate was measured all through the window
+
+
+class ContextStage(Protocol):
+    """A causal stage that says of each window what the person does and where the phone is.
+
+    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
+    into blocks.
+    """
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the blocks."""
+        ...
+
+    def init(self) -> Any:
+        """State before the first sample."""
+        ...
+
+    def after_gap(self, state: Any) -> Any:
+        """State at the start of a new segment: what lasts over a time without samples, and nothing else."""
+        ...
+
+    def step(
+        self, state: Any, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[Any, list[tuple[int, WindowContext]]]:
+        """New state and the windows that became known, each with the number of its last sample."""
+        ...
+
+
+def known_context(
+    time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
+) -> WindowContext:
+    """What a rule says of a window: probabilities by name, those not named zero.
+
+    `contexts` are all those that the rule can tell apart, alike before it has seen anything. Where the carrying mode
+    is unknown (an empty mapping) all modes are alike.
+    """
+    prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
+    carrying = np.array([carrying_mode.get(c, 0.0) for c in CARRYING_MODES]) if carrying_mode else _EVEN
+    prior = np.array([float(c in contexts) for c in CONTEXTS])
+    return WindowContext(time_s, read_only(prob), read_only(prior / prior.sum()), read_only(carrying), model=name)
+
+
+@dataclass(frozen=True, eq=False)
+class ContextModels:
+    """The models of a filter: which ones classify a window depends on the sensors that it has.
+
+    Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
+    of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
+    in which a window counts by how much of it is motion.
+
+    Parameters
+    ----------
+    with_gyroscope, without_gyroscope : ContextModel
+        Of the context.
+    carrying_with_gyroscope, carrying_without_gyroscope : ContextModel, optional
+        Of the carrying mode; without them all modes stay equally probable.
+    carrying_stay_prob : float
+        That the mode is the same a window later.
+    carrying_exponent : float
+        Of a window's evidence.
+    """
+
+    with_gyroscope: ContextModel
+    without_gyroscope: ContextModel
+    carrying_with_gyroscope: ContextModel | None = None
+    carrying_without_gyroscope: ContextModel | None = None
+    carrying_stay_prob: float = CARRYING_STAY_PROB
+    carrying_exponent: float = CARRYING_EXPONENT
+
+    def __post_init__(self) -> None:
+        carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
+        heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
+        for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:
+            if model.head != head:
+                raise ValueError(f"model {model.name!r} tells the {model.head} apart, not the {head}; give another one")
+
+    @property
+    def models(self) -> tuple[ContextModel, ...]:
+        """All models that there are."""
+        carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
+        return (self.with_gyroscope, self.without_gyroscope, *(model for model in carrying if model is not None))
+
+    def init(self) -> FloatArray:
+        """Carrying-mode probabilities (5,) before the first window: all modes that are known, alike."""
+        model = self.carrying_with_gyroscope or self.carrying_without_gyroscope
+        known = np.ones(len(CARRYING_MODES)) if model is None else (model.training_prior > 0).astype(float)
+        return read_only(known / known.sum())
+
+    def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
+        """New carrying-mode probabilities (5,), and what is said of the window."""
+        model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
+        prob, unknown = model.assess(_features(model, window))
+        prob = (1 - unknown) * prob + unknown * model.training_prior
+        irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
+        carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
+        return carrying_prob, WindowContext(
+            window.time_s,
+            prob,
+            model.training_prior,
+            carrying_prob,
+            unknown,
+            irregular,
+            model.name,
+            has_gyroscope=window.has_gyroscope,
+        )
+
+    def _follow(self, carrying_prob: FloatArray, window: FeatureWindow, moving: float) -> FloatArray:
+        """Carrying-mode probabilities after one window more; a window counts by how much of it is known motion."""
+        model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
+        if model is None:
+            return carrying_prob
+        prob, unknown = model.assess(_features(model, window))
+        exponent = self.carrying_exponent * moving * (1 - unknown)
+        return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
+
+
+def follow_mode(
+    before: FloatArray, window_prob: FloatArray, prior: FloatArray, stay_prob: float, exponent: float
+) -> FloatArray:
+    """p_k ~ (sum_j p_j t_jk) (w_k / prior_k)^exponent, (D,), over the modes that the classifier knows (prior > 0).
+
+    t has `stay_prob` on its diagonal and shares the rest alike.
+    """
+    known = prior > 0
+    leave = (1 - stay_prob) / max(int(known.sum()) - 1, 1)
+    predicted = np.where(known, before * (stay_prob - leave) + leave, 0.0)
+    predicted[known] *= (np.maximum(window_prob[known], 1e-9) / prior[known]) ** exponent
+    return read_only(predicted / predicted.sum())
+
+
+def with_climb(window: WindowContext, climb: Climb | None) -> WindowContext:
+    """The window with the climb rate of a barometer, if there is one, as evidence for stairs."""
+    if climb is None:
+        return window
+    evidence = climb_log_evidence(climb.climb_rate_mps, climb.std_mps)
+    prob = update_prob(window.prob, CLIMB_EXPONENT * evidence)
+    return replace(window, prob=prob, climb_rate_mps=climb.climb_rate_mps)
+
+
+def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
+    """p_k ~ p_k exp(e_k); what is impossible stays impossible."""
+    relative = prob * np.exp(log_evidence - log_evidence.max())
+    return relative / relative.sum()
+
+
+@lru_cache
+def _gated(names: tuple[str, ...]) -> bool:
+    """Whether a feature set has what the gate for irregular motion needs."""
+    return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
+
+
+def _features(model: ContextModel, window: FeatureWindow) -> FloatArray:
+    return window.features[_columns(model.feature_names, window.names)]
+
+
+@lru_cache
+def _columns(wanted: tuple[str, ...], names: tuple[str, ...]) -> IntArray:
+    return np.array([names.index(name) for name in wanted])

@@ -1,0 +1,209 @@
+"""The climb rate from a barometer, and what it says about stairs.
+
+Height differences come from the hydrostatic relation, dh = -(R T / (g M)) dp / p: air of 15 degrees has a scale height
+of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. An absolute height is not needed and never formed: weather moves the
+pressure by a few hPa an hour at most, which is less than 0.01 m/s.
+
+No recording with barometer and labels is at hand. What `climb_log_evidence` takes for stairs comes from building codes,
+what it takes for lifts and draughts from judgement, the noise of the sensor from data sheets. None of it has been
+measured, and how much the barometer helps is not known.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+
+GAS_CONSTANT_J_PER_MOL_K = 8.314462618
+MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
+ZERO_CELSIUS_K = 273.15
+
+# The range of phones' sensors (Bosch BMP280, data sheet BST-BMP280-DS001: 300 to 1100 hPa). What is outside is a failed
+# reading, unless it is inside in another unit.
+_MIN_HPA, _MAX_HPA = 300.0, 1100.0
+_OTHER_UNITS = {"Pa": (0.01, "divide by 100"), "kPa": (10.0, "multiply by 10")}
+# Times of recordings have six decimals: a sample this little outside a window is not.
+_ROUNDING_S = 1e-6
+# So many samples in a row behind the clock, in order, are no stragglers: the clock was set back.
+_CLOCK_RESET_SAMPLES = 10
+
+
+@dataclass(frozen=True, slots=True)
+class Climb:
+    """Climb rate over one window."""
+
+    time_s: float  # last sample of the window: the rate is the mean over the window before, half a window old
+    climb_rate_mps: float  # up positive
+    std_mps: float
+    n_samples: int
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ClimbState:
+    """Samples that later windows still need, when the next is due, and whether the clock was set back."""
+
+    samples: FloatArray  # (2, B): time, pressure
+    due_s: float  # the sample nearest to this ends a window
+    behind_s: float = -np.inf  # time of the last sample that was behind
+    n_behind: int = 0  # samples in a row that were behind, and increasing
+
+
+@dataclass(frozen=True)
+class ClimbRate:
+    """Least-squares slope of the height over a trailing window; causal, samples at any rate.
+
+    A window ends with the sample nearest to each hop, as far as the spacing of the last two tells, and has at least
+    three samples. It never spans a gap: after one, windows start afresh, the first when it is full. Duplicate and
+    backward times are dropped, NaN and failed readings left out.
+
+    Parameters
+    ----------
+    window_s, hop_s : float
+        Length and advance. At 1 Hz, the slowest that phones deliver, 4 s are five samples: a standard deviation of
+        0.026 m/s with the noise below, a tenth of what stairs climb.
+    max_gap_s : float
+        A longer time without samples is a gap.
+    noise_hpa : float
+        Least standard deviation of a sample: few samples may lie on a line by chance, and a coarse sensor repeats
+        itself. 0.01 hPa (0.08 m) is the noise of the ST LPS25HB; the Bosch BMP280 has 0.005 hPa in the setting that its
+        data sheet suggests for Android.
+    temperature_c : float
+        Of the air; 10 degrees more make the rate 3.5 % larger.
+    """
+
+    window_s: float = 4.0
+    hop_s: float = 1.0
+    max_gap_s: float = 2.0
+    noise_hpa: float = 0.01
+    temperature_c: float = 15.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.hop_s <= self.window_s < np.inf:
+            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
+        if not (self.max_gap_s > 0 and self.noise_hpa > 0):
+            raise ValueError(f"max_gap_s and noise_hpa must be positive, got {self.max_gap_s} and {self.noise_hpa}")
+        if not -60 <= self.temperature_c <= 60:
+            raise ValueError(f"temperature_c must be in degrees Celsius, -60 to 60, got {self.temperature_c}")
+
+    @property
+    def scale_height_m(self) -> float:
+        """R T / (g M): the height over which the pressure falls by a factor e."""
+        temperature_k = self.temperature_c + ZERO_CELSIUS_K
+        return GAS_CONSTANT_J_PER_MOL_K * temperature_k / (STANDARD_GRAVITY_MPS2 * MOLAR_MASS_OF_AIR_KG_PER_MOL)
+
+    def init(self) -> ClimbState:
+        """State before the first sample."""
+        return ClimbState(np.empty((2, 0)), np.nan)
+
+    def step(self, state: ClimbState, time_s: FloatArray, pressure_hpa: FloatArray) -> tuple[ClimbState, list[Climb]]:
+        """New state and the windows that became complete.
+
+        Parameters
+        ----------
+        time_s, pressure_hpa : (N,)
+            Samples as they come, N may be zero. Raises ValueError for pressures in Pa or kPa.
+        """
+        samples = _checked(time_s, pressure_hpa)
+        kept: list[tuple[float, float]] = [(t, p) for t, p in state.samples.T.tolist()]
+        due_s, behind_s, n_behind = state.due_s, state.behind_s, state.n_behind
+        climbs: list[Climb] = []
+        for t, p in samples.T.tolist():
+            if kept and t <= kept[-1][0]:
+                n_behind = n_behind + 1 if t > behind_s else 1
+                behind_s = t
+                if n_behind < _CLOCK_RESET_SAMPLES:
+                    continue
+                kept = []
+            n_behind, behind_s = 0, -np.inf
+            if not kept or t - kept[-1][0] > self.max_gap_s:
+                kept, due_s = [(t, p)], t + self.window_s
+                continue
+            nearest_s = t + 0.5 * (t - kept[-1][0])  # until when no later sample is expected to be nearer
+            kept.append((t, p))
+            if nearest_s >= due_s:
+                due_s += self.hop_s * (np.floor((nearest_s - due_s) / self.hop_s) + 1)
+                kept = self._of_window(kept)
+                if len(kept) >= 3:
+                    climbs.append(self._fit(np.array(kept).T))
+        kept = self._of_window(kept)
+        return ClimbState(np.array(kept).reshape(-1, 2).T, float(due_s), behind_s, n_behind), climbs
+
+    def _of_window(self, samples: list[tuple[float, float]]) -> list[tuple[float, float]]:
+        """The samples of the window that ends with the last of them."""
+        return [s for s in samples if s[0] >= samples[-1][0] - self.window_s - _ROUNDING_S]
+
+    def _fit(self, samples: FloatArray) -> Climb:
+        time_s, pressure_hpa = np.ascontiguousarray(samples)
+        mean_hpa = pressure_hpa.mean()
+        height_m = -self.scale_height_m * (pressure_hpa - mean_hpa) / mean_hpa
+        from_middle_s = time_s - time_s.mean()
+        spread_s2 = (from_middle_s * from_middle_s).sum()
+        rate_mps = (from_middle_s * height_m).sum() / spread_s2
+        residual_m = height_m - rate_mps * from_middle_s
+        noise_m = self.scale_height_m * self.noise_hpa / mean_hpa
+        variance_m2 = max((residual_m * residual_m).sum() / (len(time_s) - 2), noise_m**2)
+        return Climb(float(time_s[-1]), float(rate_mps), float(np.sqrt(variance_m2 / spread_s2)), len(time_s))
+
+
+def _checked(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
+    """Time and pressure (2, N) without what cannot be used."""
+    if time_s.ndim != 1 or time_s.shape != pressure_hpa.shape:
+        raise ValueError(
+            f"time_s and pressure_hpa must both be (N,), got {time_s.shape} and {pressure_hpa.shape}: of a recording, "
+            "give barometer.time_s and barometer.values[:, 0]"
+        )
+    for unit, (factor, remedy) in _OTHER_UNITS.items():
+        other = _is_plausible(factor * pressure_hpa)
+        if other.any():
+            raise ValueError(f"a pressure of {pressure_hpa[other][0]:g} must be {unit}, not hPa: {remedy}")
+    good = np.isfinite(time_s) & _is_plausible(pressure_hpa)
+    return np.stack([time_s[good], pressure_hpa[good]])
+
+
+def _is_plausible(hpa: FloatArray) -> BoolArray:
+    return (hpa >= _MIN_HPA) & (hpa <= _MAX_HPA)  # NaN is not
+
+
+# Stairs: the riser times the steps a second. A riser is 0.14 to 0.19 m in buildings in general (DIN 18065), mostly
+# about 0.17 m; people take 1.6 +- 0.3 steps a second, up or down.
+RISER_M, RISER_STD_M = 0.17, 0.01
+STAIR_CADENCE_HZ, STAIR_CADENCE_STD_HZ = 1.6, 0.3
+# Elsewhere: ramps (1.3 m/s on 4 % are 0.05 m/s; 6 % is the steepest that DIN 18040 allows) and draughts: 0.05 m/s over
+# 4 s are 0.024 hPa, which a door or a gust does.
+OTHER_STD_MPS = 0.05
+# Lifts (0.5 to 2.5 m/s), doors that slam, a sensor that heats up: the share of windows of any context whose rate says
+# nothing about it, even over what lifts do. It bounds the evidence: between two contexts a window says at most
+# log(1 + (1 - 0.1) / 0.1 * 5 m/s / (sqrt(2 pi) 0.05 m/s)) = 5.9 nats.
+OUTLIER_SHARE = 0.1
+LIFT_MAX_MPS = 2.5
+
+_STAIRS_MPS = RISER_M * STAIR_CADENCE_HZ  # 0.27
+# 0.07: cadence 0.051, riser 0.016, and draughts on stairs too
+_STAIRS_STD_MPS = float(
+    np.sqrt((RISER_M * STAIR_CADENCE_STD_HZ) ** 2 + (STAIR_CADENCE_HZ * RISER_STD_M) ** 2 + OTHER_STD_MPS**2)
+)
+_OF_STAIRS = {"upstairs": (_STAIRS_MPS, _STAIRS_STD_MPS), "downstairs": (-_STAIRS_MPS, _STAIRS_STD_MPS)}
+_MEAN_MPS, _STD_MPS = np.array([_OF_STAIRS.get(c, (0.0, OTHER_STD_MPS)) for c in CONTEXTS]).T
+
+
+def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
+    """Log likelihood of a climb rate in each of `CONTEXTS`, (6,), up to a constant common to all.
+
+    log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.07 m/s, downstairs -0.27 +- 0.07 m/s, the
+    others 0 +- 0.05 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
+    are equally likely, and the other sensors tell standing from stairs. A slow lift (0.5 m/s) still says 1 nat for
+    stairs, each lift passes their rate on the way to its own, and an escalator keeps it: so the evidence is bounded,
+    and must not be the only one. A rate with a large `std_mps` says nothing.
+
+    Windows overlap: of windows of 4 s every second, each should count a quarter (multiply by hop over window).
+    """
+    if not (np.isfinite(climb_rate_mps) and std_mps >= 0):
+        raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
+    std = np.sqrt(_STD_MPS**2 + std_mps**2)
+    density = np.exp(-0.5 * ((climb_rate_mps - _MEAN_MPS) / std) ** 2) / (np.sqrt(2 * np.pi) * std)
+    return np.log((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * LIFT_MAX_MPS))

@@ -1,0 +1,388 @@
+"""Features that do not change when the phone is turned over, put in the other pocket or carried by somebody else.
+
+Of one window: statistics and band powers of vertical and horizontal acceleration, of the turning about the vertical and
+of the tilting, of the device's own main axes of rotation, how regular the steps are, and how the parts of the motion
+follow each other. No feature depends on the device's attitude, on its handedness or on north: signed angles and axes
+memorise a person's habit and fail on the next one (docs/benchmarks.md).
+
+What tells stairs from walking is when in the step things happen: the swing of the limb that carries the phone against
+the bounce of the body. The limb swings about a horizontal axis that is found as the main axis of the angular rate. The
+sign of that axis is arbitrary, so it is either squared away (the limb swings once a stride, its square once a step,
+like the bounce), or both the swing and the acceleration across the axis are taken, whose product has no sign, or the
+sign is the one for which the acceleration across the axis points forward: where it follows minus the vertical velocity
+(the body is pushed forward while it sinks), weighted by how clearly it does.
+
+Amplitudes and powers enter as logarithms: people differ by factors, and a classifier that is linear in the features
+then needs no interactions for it.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from pdr_filter.values.arrays import FloatArray, IntArray
+
+# Rows of a window, as `FeatureWindows` keeps them.
+SIGNALS: tuple[str, ...] = (
+    "vertical",  # specific force along up less gravity, m/s2
+    "east",  # horizontal specific force in the attitude's frame, m/s2
+    "north",
+    "rate_x",  # angular rate, sensor frame, rad/s
+    "rate_y",
+    "rate_z",
+    "up_x",  # unit vector up, sensor frame
+    "up_y",
+    "up_z",
+    "force_x",  # specific force, sensor frame, m/s2
+    "force_y",
+    "force_z",
+)
+# Sub-harmonics to harmonics of a step: stride 0.6 to 1.2 Hz, step 1.2 to 3 Hz, and the blow of the heel above.
+BANDS_HZ: tuple[tuple[float, float], ...] = (
+    (0.4, 1.2),
+    (1.2, 1.7),
+    (1.7, 2.2),
+    (2.2, 3.2),
+    (3.2, 4.7),
+    (4.7, 7.0),
+    (7.0, 11.0),
+    (11.0, 18.0),
+)
+QUANTILES: tuple[float, ...] = (0.05, 0.25, 0.5, 0.75, 0.95)
+LAGS_S: tuple[float, ...] = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)
+# Timing within a step: a step takes 0.35 to 0.8 s, half of it on each side.
+STEP_LAGS_S: tuple[float, ...] = (-0.4, -0.32, -0.24, -0.16, -0.08, 0.0, 0.08, 0.16, 0.24, 0.32, 0.4)
+# A swing repeats after a stride of 0.7 to 1.4 s and is opposite after half of it.
+SWING_LAGS_S: tuple[float, ...] = (0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.92)
+# Windows that are computed together: their lines fit the processor's cache. It changes no result.
+_WINDOWS_AT_ONCE = 32
+# Floor of amplitudes before the logarithm: the noise of a phone's accelerometer and gyroscope.
+_FLOOR_MPS2, _FLOOR_RADPS = 0.02, 0.005
+
+_LINES = ("vertical", "forward", "lateral", "horizontal", "yaw_rate", "tilt_rate", "main_rate")
+_FORCES = _LINES[:4]
+_RATES = _LINES[4:]
+
+
+def _band_names(line: str) -> list[str]:
+    return [f"log_band_{line}_{low:g}_{high:g}_hz" for low, high in BANDS_HZ]
+
+
+def _timing_names(line: str) -> list[str]:
+    return [f"{line}_follows_vertical_{lag:+g}_s" for lag in STEP_LAGS_S]
+
+
+_FORCE_NAMES: tuple[str, ...] = (
+    *(f"log_std_{s}" for s in _FORCES),
+    *(f"q{round(100 * q):02d}_{s}" for s in ("vertical", "horizontal") for q in QUANTILES),
+    *(f"{m}_{s}" for s in ("vertical", "horizontal") for m in ("skewness", "kurtosis")),
+    *(n for s in ("vertical", "forward", "lateral") for n in _band_names(s)),
+    "peak_frequency_vertical_hz",
+    "step_regularity",
+    "step_lag_s",
+    "stride_regularity",
+    *(f"horizontal_follows_vertical_{lag:+g}_s" for lag in LAGS_S),
+    "log_step_asymmetry",
+    *_timing_names("squared_vertical_velocity"),
+    *_timing_names("squared_vertical"),
+)
+_RATE_NAMES: tuple[str, ...] = (
+    *(f"log_std_{s}" for s in _RATES),
+    "log_second_rate",
+    "log_third_rate",
+    *(f"log_mean_abs_{s}" for s in _RATES),
+    *(f"q{round(100 * q):02d}_tilt_rate" for q in QUANTILES),
+    *(n for s in ("yaw_rate", "tilt_rate", "main_rate") for n in _band_names(s)),
+    "peak_frequency_main_rate_hz",
+    "main_axis_tilt",
+    "log_swing",
+    "main_rate_skewness",
+    *_timing_names("squared_swing_rate"),
+    *_timing_names("squared_swing_angle"),
+    *_timing_names("forward_swing_rate"),
+    *_timing_names("forward_force"),
+    *_timing_names("side_force"),
+    *(f"across_force_follows_swing_rate_{lag:+g}_s" for lag in STEP_LAGS_S),
+    *(f"swing_repeats_after_{lag:g}_s" for lag in SWING_LAGS_S),
+    *(f"q{round(100 * q):02d}_forward_swing_angle" for q in QUANTILES),
+)
+NAMES: tuple[str, ...] = (*_FORCE_NAMES, *_RATE_NAMES)
+WITHOUT_GYROSCOPE: tuple[str, ...] = _FORCE_NAMES
+# Of the vertical force alone: what every way of carrying shares.
+VERTICAL: tuple[str, ...] = tuple(
+    n for n in _FORCE_NAMES if not any(other in n for other in ("horizontal", "forward", "lateral"))
+)
+
+
+@cache
+def _bands(n: int, rate_hz: float) -> FloatArray:
+    """Matrix (n // 2 + 1, B) that sums the bins of each band, each bin shared by the bands that it touches."""
+    frequency = np.arange(n // 2 + 1) * rate_hz / n
+    width = rate_hz / n
+    low, high = np.array(BANDS_HZ).T
+    overlap = np.minimum(frequency[:, None] + width / 2, high) - np.maximum(frequency[:, None] - width / 2, low)
+    return np.maximum(overlap, 0.0) / width
+
+
+@cache
+def _taper(n: int) -> FloatArray:
+    taper = np.hanning(n + 2)[1:-1]
+    return np.asarray(taper / np.sqrt((taper**2).mean()))
+
+
+def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
+    """Features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
+
+    A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
+    the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
+    transforms are made window by window.
+    """
+    groups = [windows[i : i + _WINDOWS_AT_ONCE] for i in range(0, len(windows), _WINDOWS_AT_ONCE)]
+    return np.concatenate([np.empty((0, len(NAMES))), *(_of_group(group, rate_hz) for group in groups)])
+
+
+def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+    n = windows.shape[2]
+    vertical = _centred(windows[:, 0])
+    horizontal = _centred(windows[:, 1:3])
+    rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
+
+    forward, lateral = _main_axes(horizontal)
+    yaw_rate = -(rate * up).sum(axis=1)
+    tilt_rate = _norm(rate + up * yaw_rate[:, None])
+    centred_rate = _centred(rate)
+    axes, spread = _principal(centred_rate)
+    main_axis = axes[:, :, 2]
+    main_rate = _along(main_axis, centred_rate)
+
+    lines = np.stack([vertical, forward, lateral, _norm(horizontal), yaw_rate, tilt_rate, main_rate], axis=1)
+    centred = _centred(lines)
+    std = np.sqrt((centred * centred).mean(axis=2))
+    power = _power(centred)
+    bands = power[:, [0, 1, 2, 4, 5, 6]] @ _bands(n, rate_hz)
+    order = np.sort(lines[:, [0, 3, 5]], axis=2)
+    quantiles = order[:, :, _quantile_places(n)]
+    regularity, lag_s, stride = _regularity(power[:, 0], n, rate_hz)
+    velocity = _centred(np.cumsum(vertical, axis=1) / rate_hz)
+    lagged = _lagged(vertical, STEP_LAGS_S, rate_hz)
+
+    squares = np.stack([velocity * velocity, vertical * vertical], axis=1)
+    force = [
+        np.log(std[:, :4] + _FLOOR_MPS2),
+        quantiles[:, 0],
+        quantiles[:, 1],
+        _moments(centred[:, 0], std[:, 0], _FLOOR_MPS2),
+        _moments(centred[:, 3], std[:, 3], _FLOOR_MPS2),
+        _rows(0.5 * np.log(bands[:, :3] + _FLOOR_MPS2**2)),
+        _peak_hz(power[:, 0], n, rate_hz),
+        regularity,
+        lag_s,
+        stride,
+        _follows(vertical, horizontal, rate_hz),
+        _asymmetry(power[:, 0], lag_s, n, rate_hz),
+        _rows(_timing(squares, _SQUARED_FLOORS, lagged, std[:, 0])),
+    ]
+    turning = [
+        np.log(std[:, 4:] + _FLOOR_RADPS),
+        np.log(np.sqrt(np.maximum(spread[:, 1::-1], 0.0)) + _FLOOR_RADPS),
+        np.log(np.abs(lines[:, 4:]).mean(axis=2) + _FLOOR_RADPS),
+        quantiles[:, 2],
+        _rows(0.5 * np.log(bands[:, 3:] + _FLOOR_RADPS**2)),
+        _peak_hz(power[:, 6], n, rate_hz),
+        np.abs((main_axis * up.mean(axis=2)).sum(axis=1)),
+        np.log(_swing(up) + 0.01),
+        np.abs(_moments(centred[:, 6], std[:, 6], _FLOOR_RADPS)[:, 0]),
+        *_swing_timing(rate, up, sensor_force, lagged, std[:, 0], velocity, rate_hz),
+    ]
+    return np.column_stack([*force, *turning])
+
+
+def _centred(lines: FloatArray) -> FloatArray:
+    return lines - lines.mean(axis=-1, keepdims=True)
+
+
+def _norm(vectors: FloatArray) -> FloatArray:
+    """Lengths (W, N) of vectors (W, d, N)."""
+    return np.sqrt((vectors * vectors).sum(axis=1))
+
+
+def _along(axis: FloatArray, vectors: FloatArray) -> FloatArray:
+    """Components (W, N) of vectors (W, 3, N) along axes (W, 3)."""
+    return (axis[:, :, None] * vectors).sum(axis=1)
+
+
+def _rows(features: FloatArray) -> FloatArray:
+    return features.reshape(len(features), -1)
+
+
+@cache
+def _quantile_places(n: int) -> IntArray:
+    return np.array([min(int(q * n), n - 1) for q in QUANTILES])
+
+
+def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it.
+
+    Whether that axis is the walking direction does not matter here; which way it points is not used.
+    """
+    east, north = horizontal[:, 0], horizontal[:, 1]
+    difference, mixed = (east * east - north * north).sum(axis=1), 2 * (east * north).sum(axis=1)
+    # half of the angle whose cosine is difference / size: without trigonometry, whose bits depend on the processor
+    size = np.sqrt(difference * difference + mixed * mixed)
+    cosine = np.divide(difference, size, out=np.ones_like(size), where=size > 0)
+    c = np.sqrt(0.5 * (1 + cosine))[:, None]
+    s = (np.where(mixed < 0, -1.0, 1.0) * np.sqrt(np.maximum(0.5 * (1 - cosine), 0.0)))[:, None]
+    return c * east + s * north, c * north - s * east
+
+
+def _principal(centred: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Principal axes (W, 3, 3) in columns and variances (W, 3), smallest first."""
+    variance, axes = np.linalg.eigh(centred @ centred.transpose(0, 2, 1) / centred.shape[2])
+    return axes, variance
+
+
+def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
+    """Skewness and kurtosis (W, 2), those of a constant being zero."""
+    scaled = centred / np.maximum(std, floor)[:, None]
+    squared = scaled * scaled
+    return np.column_stack([(squared * scaled).mean(axis=1), (squared * squared).mean(axis=1)])
+
+
+def _power(centred: FloatArray) -> FloatArray:
+    """Power of each bin (..., N // 2 + 1) of tapered lines (..., N)."""
+    n = centred.shape[-1]
+    spectrum = np.fft.rfft(centred * _taper(n))
+    return (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
+
+
+def _peak_hz(power: FloatArray, n: int, rate_hz: float) -> FloatArray:
+    return (power[:, 1 : n // 4].argmax(axis=1) + 1) * (rate_hz / n)
+
+
+@cache
+def _taper_correlation(n: int) -> FloatArray:
+    """Share of the taper's overlap at each lag, at least 0.05."""
+    overlap = np.fft.irfft(np.abs(np.fft.rfft(_taper(n))) ** 2, n)
+    return np.maximum(overlap / overlap[0], 0.05)
+
+
+def _regularity(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it.
+
+    From the power spectrum (Wiener-Khinchin), divided by the overlap's share of the taper at each lag.
+    """
+    correlation = np.fft.irfft(power, n)
+    correlation = correlation / np.maximum(correlation[:, :1], 1e-12) / _taper_correlation(n)
+    first, last = round(0.28 * rate_hz), min(round(1.0 * rate_hz), n // 2)
+    lag = first + correlation[:, first:last].argmax(axis=1)
+    each = np.arange(len(power))
+    return correlation[each, lag], lag / rate_hz, correlation[each, np.minimum(2 * lag, n // 2)]
+
+
+_SQUARED_FLOORS = np.array([_FLOOR_MPS2**2, _FLOOR_MPS2**2])
+_SWING_FLOORS = np.array([_FLOOR_RADPS**2, _FLOOR_RADPS**2, _FLOOR_RADPS, _FLOOR_MPS2, _FLOOR_MPS2])
+
+
+def _swing_timing(
+    rate: FloatArray,
+    up: FloatArray,
+    sensor_force: FloatArray,
+    lagged_vertical: FloatArray,
+    vertical_std: FloatArray,
+    velocity: FloatArray,
+    rate_hz: float,
+) -> list[FloatArray]:
+    """How the limb's swing, and the force along and across its axis, follow the vertical within a step."""
+    n = rate.shape[2]
+    mean_up = up.mean(axis=2)
+    mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
+    level_rate = _centred(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
+    axis = _principal(level_rate)[0][:, :, 2]
+    swing_rate = _along(axis, level_rate)
+    centred_force = _centred(sensor_force)
+    across = np.asarray(np.cross(mean_up, axis), dtype=np.float64)
+    across_force, along_force = _along(across, centred_force), _along(axis, centred_force)
+    angle = np.cumsum(swing_rate, axis=1) / rate_hz
+    # from its first to its last value a straight line is taken away: what a window cannot tell from drift
+    angle = _centred(angle - (angle[:, -1:] - angle[:, :1]) * np.linspace(0.0, 1.0, n))
+
+    swing_std = np.sqrt((swing_rate * swing_rate).mean(axis=1)) + _FLOOR_RADPS
+    across_std = np.sqrt((across_force * across_force).mean(axis=1)) + _FLOOR_MPS2
+    velocity_std = np.sqrt((velocity * velocity).mean(axis=1)) + _FLOOR_MPS2
+    # -1 to 1: whether the axis across points forward, and how clearly
+    forward = -(across_force * velocity).mean(axis=1) / (across_std * velocity_std)
+    lines = np.stack([swing_rate * swing_rate, angle * angle, swing_rate, across_force, along_force], axis=1)
+    timing = _timing(lines, _SWING_FLOORS, lagged_vertical, vertical_std)
+    timing[:, 2:4] *= forward[:, None, None]
+    timing[:, 4] = np.abs(timing[:, 4])  # to the left or to the right
+    follows = _product(swing_rate, _lagged(across_force, STEP_LAGS_S, rate_hz))
+    repeats = _product(swing_rate, _lagged(swing_rate, SWING_LAGS_S, rate_hz))
+    order = np.sort(np.where(forward > 0, 1.0, -1.0)[:, None] * angle, axis=1)
+    return [
+        _rows(timing),
+        follows / (n * swing_std * across_std)[:, None],
+        repeats / (n * swing_std * swing_std)[:, None],
+        order[:, _quantile_places(n)] * np.abs(forward)[:, None],
+    ]
+
+
+def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
+    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`.
+
+    Standard deviations are taken larger by a floor: of a phone that lies still the correlation is near zero.
+    """
+    centred = _centred(lines)
+    std = np.sqrt((centred * centred).mean(axis=2)) + floor
+    product = centred @ lagged_vertical.transpose(0, 2, 1)
+    return product / (lines.shape[2] * (vertical_std + _FLOOR_MPS2)[:, None] * std)[:, :, None]
+
+
+def _product(line: FloatArray, lagged: FloatArray) -> FloatArray:
+    """Sums (W, L) of a line (W, N) times another at each lag, (W, L, N)."""
+    return (lagged @ line[:, :, None])[:, :, 0]
+
+
+def _lagged(line: FloatArray, lags_s: tuple[float, ...], rate_hz: float) -> FloatArray:
+    """The line later by each lag, (W, L, N): row l holds line(t + lag_l), zero outside the window."""
+    n_windows, n = line.shape
+    starts, margin = _lag_samples(lags_s, rate_hz)
+    padded = np.zeros((n_windows, n + 2 * margin))
+    padded[:, margin : margin + n] = line
+    result = np.empty((n_windows, len(lags_s), n))
+    for i, start in enumerate(starts):
+        result[:, i] = padded[:, start : start + n]
+    return result
+
+
+@cache
+def _lag_samples(lags_s: tuple[float, ...], rate_hz: float) -> tuple[tuple[int, ...], int]:
+    """First sample of each lag in a line with margins, and the margin."""
+    lags = [round(lag * rate_hz) for lag in lags_s]
+    margin = max(abs(lag) for lag in lags)
+    return tuple(lag + margin for lag in lags), margin
+
+
+def _follows(vertical: FloatArray, horizontal: FloatArray, rate_hz: float) -> FloatArray:
+    """Size (W, L) of the correlation of the horizontal with the vertical at each lag, 0 to 1, whatever its axes."""
+    scale = np.sqrt((vertical * vertical).sum(axis=1) * (horizontal * horizontal).sum(axis=(1, 2))) + 1e-9
+    product = _lagged(vertical, LAGS_S[::-1], rate_hz) @ horizontal.transpose(0, 2, 1)
+    return np.sqrt((product * product).sum(axis=2)) / scale[:, None]
+
+
+def _asymmetry(power: FloatArray, step_lag_s: FloatArray, n: int, rate_hz: float) -> FloatArray:
+    """Log ratio of the vertical's power at stride frequency to that at step frequency: a limp, or one pocket."""
+    step = n / (step_lag_s * rate_hz)  # bin of the step frequency
+    each, around = np.arange(len(power))[:, None], np.arange(-1, 2)
+    stride_power, step_power = (
+        power[each, np.maximum(np.rint(bin_)[:, None].astype(int) + around, 1)].max(axis=1)
+        for bin_ in (0.5 * step, step)
+    )
+    return 0.5 * np.log((stride_power + _FLOOR_MPS2**2) / (step_power + _FLOOR_MPS2**2))
+
+
+def _swing(up: FloatArray) -> FloatArray:
+    """Root mean square angle of the up vector about its mean direction, rad (small angles)."""
+    centred = _centred(up)
+    return np.sqrt((centred * centred).sum(axis=1).mean(axis=1))

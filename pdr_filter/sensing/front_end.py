@@ -1,0 +1,201 @@
+"""Samples in, steps and contexts out: everything before the filter, as one causal stage."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
+from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext
+from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.heading.stage import HeadingStage
+from pdr_filter.sensing.steps.detector import ModeBlock, StepDetector
+from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.samples import ImuBlock
+from pdr_filter.values.step import Step
+
+
+@dataclass(frozen=True, slots=True)
+class Gap:
+    """A time without samples."""
+
+    duration_s: float
+
+
+Event = Step | WindowContext | Gap
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SensingState:
+    """States of the stages, and the time up to which events are out."""
+
+    conditioner: ConditionerState
+    attitude: AttitudeState
+    contexts: Any
+    steps: Any
+    heading: Any
+    gate: Any
+    n_samples: int  # of this segment
+    context: int  # of the last window: index into `CONTEXTS`, -1 where none has half of the probability
+    carrying_mode: int  # likewise into `CARRYING_MODES`
+    processed_s: float
+
+
+@dataclass(frozen=True, eq=False)
+class Sensing:
+    """The front end.
+
+    All stages run at `conditioner.rate_hz`. Events come in the order in which they became known; at a gap, and at the
+    end, the steps whose detection would have needed more samples come first.
+
+    Parameters
+    ----------
+    conditioner, attitude
+        Uniform samples, and which way is up.
+    steps : StepDetector
+        Finds steps; it is told what `contexts` says of each sample.
+    contexts : ContextStage, optional
+        What the person does and where the phone is; nothing is known without.
+    heading : HeadingStage, optional
+        Where the person walked; without it, in the direction in which the device points.
+    gate : StepGate, optional
+        Holds back steps that nobody walked.
+    """
+
+    conditioner: Conditioner = field(default_factory=Conditioner)
+    attitude: AttitudeEstimator = field(default_factory=AttitudeEstimator)
+    steps: StepDetector = field(default_factory=WaveletStepDetector)
+    contexts: ContextStage | None = None
+    heading: HeadingStage | None = None
+    gate: StepGate | None = None
+
+    def __post_init__(self) -> None:
+        stages = [self.conditioner, self.attitude, self.steps, *([self.contexts] if self.contexts else [])]
+        rates = {stage.rate_hz for stage in stages}
+        if len(rates) > 1:
+            raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
+
+    @property
+    def step_latency_s(self) -> float:
+        """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
+        return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)
+
+    def init(self) -> SensingState:
+        """State before the first sample."""
+        return SensingState(
+            conditioner=self.conditioner.init(),
+            attitude=self.attitude.init(),
+            contexts=self.contexts.init() if self.contexts else None,
+            steps=self.steps.init(),
+            heading=self.heading.init() if self.heading else None,
+            gate=self.gate.init() if self.gate else None,
+            n_samples=0,
+            context=-1,
+            carrying_mode=-1,
+            processed_s=float("-inf"),
+        )
+
+    def step(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """New state, and the events with the time at which each became known."""
+        conditioner, uniform = self.conditioner.step(state.conditioner, block)
+        state = replace(state, conditioner=conditioner)
+        events: list[tuple[float, Event]] = []
+        for part in uniform:
+            if part.gap_before_s > 0 and state.n_samples > 0:
+                state, last = self._close_segment(state, part.gap_before_s)
+                events += [*last, (state.processed_s, Gap(part.gap_before_s))]
+                state = self._after_gap(state)
+            state, found = self._sense(state, part)
+            events += found
+        return state, events
+
+    def finish(self, state: SensingState) -> list[tuple[float, Event]]:
+        """The steps that were still waiting for samples when the recording ended."""
+        return self._close_segment(state, float("inf"))[1]
+
+    def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
+        n_before = state.n_samples
+        attitude_state, attitude = self.attitude.step(state.attitude, part)
+        context_state, windows = None, list[tuple[int, WindowContext]]()
+        if self.contexts:
+            context_state, windows = self.contexts.step(state.contexts, part, attitude)
+        n = len(part.time_s)
+        context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
+        carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
+        modes = ModeBlock(context, carrying_mode)
+        step_state, steps = self.steps.step(state.steps, part, attitude, modes)
+        heading_state, gate_state = None, None
+        if self.gate:
+            gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
+        if self.heading:
+            heading_state, steps = self.heading.step(state.heading, part, attitude, modes, steps)
+        # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
+        in_order = sorted([*windows, *steps], key=lambda e: e[0])
+        state = SensingState(
+            conditioner=state.conditioner,
+            attitude=attitude_state,
+            contexts=context_state,
+            steps=step_state,
+            heading=heading_state,
+            gate=gate_state,
+            n_samples=n_before + n,
+            context=int(context[-1]),
+            carrying_mode=int(carrying_mode[-1]),
+            processed_s=float(part.time_s[-1]),
+        )
+        return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
+
+    def _close_segment(self, state: SensingState, gap_s: float) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """The steps that wait for samples which a gap or the end keeps away."""
+        steps = self.steps.finish(state.steps)
+        if self.gate:
+            gate, steps = self.gate.close(state.gate, steps, gap_s)
+            state = replace(state, gate=gate)
+        if self.heading:
+            heading, steps = self.heading.finish(state.heading, steps)
+            state = replace(state, heading=heading)
+        return state, [(state.processed_s, step) for _, step in steps]
+
+    def _after_gap(self, state: SensingState) -> SensingState:
+        return replace(
+            state,
+            attitude=self.attitude.after_gap(state.attitude),
+            contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
+            steps=self.steps.init(),
+            heading=self.heading.after_gap(state.heading) if self.heading else None,
+            n_samples=0,
+        )
+
+
+def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterator[FeatureWindow]:
+    """Feature windows of samples: what training learns from, the same that `LearnedContexts` classifies."""
+    conditioner, attitude_estimator = Conditioner(stage.rate_hz), AttitudeEstimator(stage.rate_hz)
+    intake, attitude_state, state = conditioner.init(), attitude_estimator.init(), stage.init()
+    for block in blocks:
+        intake, uniform = conditioner.step(intake, block)
+        for part in uniform:
+            if part.gap_before_s > 0:
+                attitude_state, state = attitude_estimator.after_gap(attitude_state), stage.init()
+            attitude_state, attitude = attitude_estimator.step(attitude_state, part)
+            state, found = stage.step(state, part, attitude)
+            yield from (window for _, window in found)
+
+
+def _likely(prob: FloatArray) -> int:
+    """The index that has at least half of the probability; -1 if none has."""
+    best = int(prob.argmax())
+    return best if prob[best] >= 0.5 else -1
+
+
+def _held(before: int, changes: list[tuple[int, int]], n: int) -> IntArray:
+    """Values (n,) of a quantity that changes at some samples and stays in between."""
+    values = np.full(n, before)
+    for i, value in changes:
+        values[i:] = value
+    return values

@@ -1,0 +1,1 @@
+"""Where the person walks, behind one interface."""

@@ -1,0 +1,36 @@
+"""The interface of a heading stage: it says of each step where the person walked, as far as the samples show it."""
+
+from __future__ import annotations
+
+from typing import Any, Protocol
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.values.step import Step
+
+
+class HeadingStage(Protocol):
+    """A causal stage that fills in `walking_direction_rad`, its deviation, and `offset_change_std_rad` of steps."""
+
+    def init(self) -> Any:
+        """State before the first sample."""
+        ...
+
+    def after_gap(self, state: Any) -> Any:
+        """State after a time without samples: nothing is known of how the phone was turned in it."""
+        ...
+
+    def step(
+        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock, steps: list[tuple[int, Step]]
+    ) -> tuple[Any, list[tuple[int, Step]]]:
+        """New state and the steps of a block with their walking directions.
+
+        `steps` are those that became known in this block, with the number (in the segment) of the sample that revealed
+        each, maybe seconds after its contact; what is said of a step depends on samples up to that one only.
+        """
+        ...
+
+    def finish(self, state: Any, steps: list[tuple[int, Step]]) -> tuple[Any, list[tuple[int, Step]]]:
+        """The same for steps that a gap or the end revealed."""
+        ...

@@ -1,0 +1,671 @@
+"""Where a person walks, from a phone carried anywhere: the body's push forward shows in every stride.
+
+A walking body speeds up and slows down once a step, a quarter of a step apart from its rise and fall. So the
+horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the vertical
+velocity), points where the person walks, sign included. Sideways sway has stride frequency and drops out over a whole
+stride. Two motions are different:
+
+- Running: the body flies between steps, and the phase is another one.
+- A swinging hand moves at stride frequency, far more than the body. It is higher in front than behind, so its
+  horizontal force in phase with its vertical one, both at stride frequency, points forward.
+
+What is learnt is the angle from the device to the walking direction, which stays while the phone stays in its place.
+Vectors of single strides, turned with the device, are summed with a memory of `memory_s`: each is a von Mises
+likelihood, and the product of such is the sum of their vectors (Mardia and Jupp, "Directional Statistics", 2000). The
+phone's own axis joins the sum where somebody reads on it; after the phone was moved to another place, the last walking
+direction does, and what was learnt in a former place that this looks like.
+
+The angle is learnt in the attitude's own frame, in which `AttitudeBlock.horizontal_mps2` is given, and said against
+`device_heading_rad`, both averaged over a stride: how the two relate does not matter, and swings cancel.
+
+Measurements for a filter. A memory makes errors of successive directions alike, and a Kalman filter would take them for
+independent. So each step says only what is new: the measurement and the variance which, by the Kalman update, take a
+filter from what all measurements before told it to what is known now. A filter that starts with the first measurement,
+lets the offset wander as `filter_drift_rad_per_sqrt_s` says and believes all it is told then has the learnt direction
+and its variance, systematic error included. One measurement alone has a large deviation: it is what one more step is
+worth. Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration
+brings it back: that variance stays in what is told.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.step import Step
+
+_TEXTING = CARRYING_MODES.index("texting")
+_SWINGING = CARRYING_MODES.index("swinging")
+_HELD = (_TEXTING, CARRYING_MODES.index("calling"))
+_SIDEWAYS = CONTEXTS.index("sideways")
+_RUNNING = CONTEXTS.index("running")
+_TELLS_SWINGING_APART = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
+
+# Rows of the remembered signals.
+_TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
+_N_ROWS = 12
+
+# Two steps between these are a stride: 0.9 to 4.5 steps a second, as the step detectors have it.
+_MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
+_MAX_LATENCY_S = 8.0
+# Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
+_TWO_STRIDES_S = 1.4
+# Horizontal amplitude at step frequency beyond that of slow steps: a swinging hand has it at stride frequency.
+_SLOW_STEP_MPS2 = 2.0
+# A step longer than this part of the stride is not one of two alike: one was missed, or the walk has just begun.
+_MAX_SHARE = 0.68
+# Strides over which the powers that tell a swinging hand are averaged.
+_POWER_STRIDES = 6.0
+# Before strides have shown their scatter: a vector is off by half its length across, worth four strides.
+_PRIOR_SCATTER, _PRIOR_STRIDES = 0.5, 4.0
+# A mean vector is off by so much, m/s2, and by this part of the motion at stride frequency, however many strides agree.
+_NOISE_MPS2, _LEAK = 0.05, 0.06
+# Sway looks like a slow change to a single stride, by 6 / (2 pi^2) of its amplitude; the next stride takes it back.
+_SWAY_LEAK = 0.3
+# Strides after which a direction is good enough to be kept when the phone is moved.
+_SETTLED_STRIDES = 4
+# Former places that are remembered: a look at the phone may be two.
+_N_FORMERS = 3
+# Strides over which the up direction of a place is averaged.
+_UP_STRIDES = 8.0
+# Classifiers of carrying modes look at some seconds, and follow slowly.
+_LABEL_LAG_S = 10.0
+# A hand that is said to swing may have more at step frequency than one that nobody speaks of, and need not lift.
+_TOLD_STEP_SHARE = 1.3
+# People turn while nothing is known of it: 3 degrees in a second, as a random walk.
+_TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
+# y is up rather than forward beyond 60 degrees.
+_UPRIGHT = math.sin(math.radians(60.0))
+# What was told is doubtful if its mean squared distance from what is known now is so many variances beyond its own.
+_DOUBT = 2.0
+# Less is not worth telling, and its measurement would be far from everything.
+_MIN_GAIN = 1e-3
+_MAX_INNOVATION_RAD = 2.5
+# An angle that could be anything is uniform on the circle.
+_UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
+_UNKNOWN_VAR_RAD2 = _UNKNOWN_STD_RAD**2
+# Where more is lost it is not told: the filter must still hear of a phone that is moved.
+_MAX_LOST_VAR_RAD2 = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """What was learnt since the phone came to where it is. Angles are clockwise from the reference axis."""
+
+    start_s: float
+    carrying_mode: int  # -1 unknown
+    old_mode: int  # of the place before, which is still said of this one for some seconds; -1 none
+    up: FloatArray  # (3,) mean up direction of its strides, sensor frame
+    n_strides: int = 0
+    # Sums over strides. Rows: motion at stride frequency in phase, at step frequency in phase and 90 degrees ahead.
+    vectors: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # forward and right of the axis
+    products: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))  # of the rows with each other
+    weight: float = 0.0  # strides
+    # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
+    powers: FloatArray = field(default_factory=lambda: np.zeros(3))
+    prior_rad: float = 0.0  # the last walking direction elsewhere
+    prior_var_rad2: float = math.inf
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Former:
+    """A place where the phone was, and where it may come back to."""
+
+    left_s: float
+    n_strides: int
+    up: FloatArray  # (3,) mean up direction of its last stride, sensor frame
+    direction: FloatArray  # (3,) of walking, across it
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Told:
+    """What a filter knows that believes all measurements so far: walking less device heading."""
+
+    offset_rad: float = 0.0
+    var_rad2: float = math.inf
+    lost_var_rad2: float = 0.0  # the part of it that the device's heading has lost
+    time_s: float = math.nan
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkingDirectionState:
+    """Signals of the last seconds, the last contacts, and what was learnt."""
+
+    n_samples: int  # of this segment
+    start_s: float  # its first sample
+    signals: FloatArray  # (12, H)
+    contacts_s: tuple[float, ...]  # the last two
+    up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
+    axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
+    place: Place | None
+    told: Told
+    walking_rad: float  # last walking direction that was learnt well, in the attitude's frame; NaN before
+    walking_s: float
+    direction: FloatArray  # (3,) the same in the sensor frame, across `direction_up`
+    direction_up: FloatArray  # (3,) mean up direction of that stride
+    formers: tuple[Former, ...]  # the last three
+
+
+@dataclass(frozen=True)
+class WalkingDirection:
+    """The heading stage for any carrying mode; it needs a gyroscope, and says nothing without.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    phase_rad : float
+        By which the vertical specific force is advanced to be in phase with the push forward. Phones in hands, at ears
+        and in pockets have 40 to 145 degrees.
+    running_phase_rad : float
+        The same for running: -60 to -180 degrees in the trouser pockets of twelve people, if they run with the phone
+        as they walk with it.
+    max_phase_rad : float
+        How far the phase of a person may be from these.
+    phase_strides : float
+        So many strides must show it to be believed by half.
+    running_mps2 : float
+        Amplitude of the vertical specific force at step frequency that is running. Walking has up to 6.5 m/s2,
+        jogging 11 to 16.
+    swinging_mps2, swinging_lift, swinging_step_share, swinging_agreement : float
+        A hand swings if its horizontal amplitude at stride frequency is at least the first, the vertical one at least
+        the second part of it (a back pocket has less), the horizontal one at step frequency at most the third (a pocket
+        has more), and its vectors from step frequency agree no better than the fourth, the squared length of their
+        mean over their mean squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. Of a hand
+        that is said to swing less is asked.
+    memory_s : float
+        How long a stride counts, in time of walking.
+    prior_memory_s : float
+        How long the last walking direction counts after the phone was moved.
+    systematic_std_rad : float
+        How far the push forward is from the walking direction after any number of strides.
+    held_systematic_std_rad : float
+        The same for texting and calling: the arm that holds the phone gives way to one side.
+    axis_std_rad : float
+        How far the phone's axis is from the walking direction where somebody reads.
+    guessed_axis_std_rad : float
+        The same for a phone that lies with its screen up, and nobody says how it is carried.
+    max_tilt_rad : float
+        If the mean up direction of a stride is further from that of the place, the phone was moved.
+    first_std_rad : float
+        Nothing is said before the direction is known as well as this.
+    change_std_rad : float
+        How far people turn while they move the phone.
+    away_s, return_std_rad : float
+        A phone that within this time is found tilted as in a former place is as it was there, this well.
+    filter_drift_rad_per_sqrt_s, unknown_rad_per_sqrt_s, bias_correlation_s : float
+        Of the filter behind: how fast its heading offset wanders, that and without angular rate, and how long an error
+        of the gyroscope's bias lasts. `MotionNoise` has them as `heading_drift_rad_per_sqrt_s`,
+        `unknown_heading_rad_per_sqrt_s` and `bias_correlation_s`.
+    """
+
+    rate_hz: float = 100.0
+    phase_rad: float = math.radians(85.0)
+    running_phase_rad: float = math.radians(-135.0)
+    max_phase_rad: float = math.radians(45.0)
+    phase_strides: float = 10.0
+    running_mps2: float = 8.5
+    swinging_mps2: float = 1.2
+    swinging_lift: float = 0.3
+    swinging_step_share: float = 0.85
+    swinging_agreement: float = 0.5
+    memory_s: float = 30.0
+    prior_memory_s: float = 10.0
+    systematic_std_rad: float = math.radians(6.0)
+    held_systematic_std_rad: float = math.radians(12.0)
+    axis_std_rad: float = math.radians(7.0)
+    guessed_axis_std_rad: float = math.radians(12.0)
+    max_tilt_rad: float = math.radians(35.0)
+    first_std_rad: float = math.radians(45.0)
+    change_std_rad: float = math.radians(35.0)
+    away_s: float = 30.0
+    return_std_rad: float = math.radians(20.0)
+    filter_drift_rad_per_sqrt_s: float = 0.008
+    unknown_rad_per_sqrt_s: float = 1.0
+    bias_correlation_s: float = 3.0
+
+    def init(self) -> WalkingDirectionState:
+        """State before the first sample."""
+        return WalkingDirectionState(
+            n_samples=0,
+            start_s=math.nan,
+            signals=np.empty((_N_ROWS, 0)),
+            contacts_s=(),
+            up=None,
+            axis=np.zeros(3),
+            place=None,
+            told=Told(),
+            walking_rad=math.nan,
+            walking_s=math.nan,
+            direction=np.zeros(3),
+            direction_up=np.zeros(3),
+            formers=(),
+        )
+
+    def after_gap(self, state: WalkingDirectionState) -> WalkingDirectionState:
+        """State after a time without samples: where the person turned in it is unknown, where the phone is may not be.
+
+        A phone that is found tilted as before is taken to be where it was.
+        """
+        signals = np.empty((_N_ROWS, 0))
+        return replace(
+            state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
+        )
+
+    def step(
+        self,
+        state: WalkingDirectionState,
+        block: UniformBlock,
+        attitude: AttitudeBlock,
+        modes: ModeBlock,
+        steps: list[tuple[int, Step]],
+    ) -> tuple[WalkingDirectionState, list[tuple[int, Step]]]:
+        """New state and the steps of a block with their walking directions."""
+        n_before = state.n_samples
+        if n_before == 0:
+            gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
+            told = _lose(state.told, self.unknown_rad_per_sqrt_s**2 * gap_s)
+            state = replace(state, start_s=float(block.time_s[0]), told=told)
+        new = np.empty((_N_ROWS, len(block.time_s)))
+        new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
+        new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
+        new[_VERTICAL], new[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
+        new[_KNOWN] = block.angular_rate_known
+        signals = np.concatenate([state.signals, new], axis=1)
+        state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
+        result: list[tuple[int, Step]] = []
+        for known, step in steps:
+            context, carrying_mode = int(modes.context[known - n_before]), int(modes.carrying_mode[known - n_before])
+            state, step = self._annotate(state, known, step, context, carrying_mode)
+            result.append((known, step))
+        return replace(state, signals=state.signals[:, -self._n_kept :]), result
+
+    def finish(
+        self, state: WalkingDirectionState, steps: list[tuple[int, Step]]
+    ) -> tuple[WalkingDirectionState, list[tuple[int, Step]]]:
+        """The same for steps that a gap or the end revealed; nothing new is said of modes."""
+        result: list[tuple[int, Step]] = []
+        for known, step in steps:
+            state, step = self._annotate(state, known, step, context=-1, carrying_mode=-1)
+            result.append((known, step))
+        return state, result
+
+    @property
+    def _n_kept(self) -> int:
+        # a stride, and the time that the slowest detector, or a gate behind it, takes to let its last step pass
+        return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
+
+    # --- one step -------------------------------------------------------------------------------------------------
+
+    def _annotate(
+        self, state: WalkingDirectionState, known: int, step: Step, context: int, carrying_mode: int
+    ) -> tuple[WalkingDirectionState, Step]:
+        contacts_s = (*state.contacts_s, step.time_s)[-3:]
+        state = replace(state, contacts_s=contacts_s[-2:], told=self._drift(state.told, step))
+        samples = self._stride_samples(state, contacts_s, known)
+        # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
+        if samples is None or context == _SIDEWAYS:
+            return state, step
+        stride = self._describe(state, samples, context)
+        state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
+        place = self._learn(place, stride, step.duration_s)
+        angle_rad, var_rad2 = self._estimate(place, stride)
+        if place.n_strides >= _SETTLED_STRIDES and var_rad2 < self.change_std_rad**2:
+            right = _cross(stride.axis, stride.up)
+            state = replace(
+                state,
+                walking_rad=stride.axis_heading_rad + angle_rad,
+                walking_s=step.time_s,
+                direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * right,
+                direction_up=stride.up,
+            )
+        offset_rad = stride.axis_heading_rad - stride.device_heading_rad + angle_rad
+        told, step = self._tell(state.told, step, offset_rad, var_rad2, change_std_rad)
+        return replace(state, place=place, told=told), step
+
+    def _stride_samples(
+        self, state: WalkingDirectionState, contacts_s: tuple[float, ...], known: int
+    ) -> FloatArray | None:
+        """Samples of the last two steps, or None if they are not two steps alike with angular rate."""
+        if len(contacts_s) < 3:
+            return None
+        start_s, middle_s, end_s = contacts_s
+        longer_s = max(middle_s - start_s, end_s - middle_s)
+        if not _MIN_STRIDE_S <= end_s - start_s <= _MAX_STRIDE_S or longer_s > _MAX_SHARE * (end_s - start_s):
+            return None
+        first, last = (round((t - state.start_s) * self.rate_hz) for t in (start_s, end_s))
+        # The same whatever else arrived in the block of the sample that revealed the step.
+        if first < max(known + 1 - self._n_kept, 0) or last > known + 1:
+            return None
+        oldest = state.n_samples - state.signals.shape[1]
+        samples = np.ascontiguousarray(state.signals[:, first - oldest : last - oldest])
+        return samples if samples[_KNOWN].all() else None
+
+    def _describe(self, state: WalkingDirectionState, samples: FloatArray, context: int) -> Stride:
+        """Reference frame and vectors of a stride."""
+        up = samples[_UP]
+        mean_up = up.mean(axis=1)
+        mean_up = mean_up / math.sqrt(float(mean_up @ mean_up))
+        axis = pointing_axis(mean_up) if state.up is None else carry_axis(state.axis, state.up, mean_up)
+        right = _cross(axis, mean_up)
+        # complex numbers: forward along the axis, and right of it
+        device = in_mean_frame(samples[_FORCE], up, np.stack([axis, right, mean_up]))
+        world = samples[_NORTH] + 1j * samples[_EAST]
+        # Both are one vector, so their angle is that of the axis, clockwise from north. Where there is no horizontal
+        # force, none is known, and the samples around decide.
+        size = np.maximum((device * device.conj()).real, 1e-12)
+        axis_heading_rad = float(np.angle((world * device.conj() / size).sum()))
+        pointing = pointing_axis(mean_up)
+        pointing_rad = math.atan2(float(pointing @ right), float(pointing @ axis))
+        once, twice = harmonics(
+            np.stack([device.real, device.imag, samples[_VERTICAL]]), samples.shape[1] / self.rate_hz
+        )
+        runs = context == _RUNNING or abs(twice[2]) > self.running_mps2
+        phase_rad = self.running_phase_rad if runs else self.phase_rad
+        return Stride(
+            up=mean_up,
+            axis=axis,
+            axis_heading_rad=axis_heading_rad,
+            device_heading_rad=float(samples[_HEADING].mean()),
+            pointing_rad=pointing_rad,
+            vectors=np.stack(
+                [in_phase(once, 0.0), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
+            ),
+            powers=np.array([_power(once[:2]), _power(twice[:2]), _power(once[2:])]),
+        )
+
+    # --- where the phone is ---------------------------------------------------------------------------------------
+
+    def _settle(
+        self, state: WalkingDirectionState, stride: Stride, time_s: float, carrying_mode: int
+    ) -> tuple[WalkingDirectionState, Place, float]:
+        """State with the frame of this stride, the place it is in, and by how much the offset may have changed."""
+        before = state.place
+        state = replace(state, up=stride.up, axis=stride.axis)
+        if before is None:
+            return state, Place(time_s, carrying_mode, -1, stride.up), 0.0
+        is_moved = math.acos(min(max(float(before.up @ stride.up), -1.0), 1.0)) > self.max_tilt_rad
+        is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
+        label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
+        is_relabelled = label != before.carrying_mode and before.carrying_mode >= 0
+        if not (is_moved or is_relabelled):
+            up = before.up + (stride.up - before.up) / _UP_STRIDES
+            return state, replace(before, up=up / math.sqrt(float(up @ up)), carrying_mode=label), 0.0
+        place = Place(time_s, label, -1, stride.up)
+        if is_moved:
+            # What is said of the mode is of windows that ended before the phone was moved.
+            place = replace(place, carrying_mode=-1, old_mode=carrying_mode)
+        prior = self._came_back(state.formers, stride, time_s)
+        if not math.isnan(state.walking_rad):
+            turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
+            prior += _von_mises(state.walking_rad - stride.axis_heading_rad, turned_var)
+        if prior != 0:
+            place = replace(place, prior_rad=math.atan2(prior.imag, prior.real), prior_var_rad2=1.0 / abs(prior))
+        if state.walking_s >= before.start_s:
+            former = Former(time_s, before.n_strides, state.direction_up, state.direction)
+            state = replace(state, formers=(*state.formers, former)[-_N_FORMERS:])
+        return state, place, _UNKNOWN_STD_RAD
+
+    def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> complex:
+        """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
+        alike = [
+            f
+            for f in formers
+            if time_s - f.left_s < self.away_s and float(f.up @ stride.up) > math.cos(self.max_tilt_rad)
+        ]
+        if not alike:
+            return 0j
+        former = max(alike, key=lambda f: f.n_strides)
+        direction = carry_axis(former.direction, former.up, stride.up)
+        right = _cross(stride.axis, stride.up)
+        angle_rad = math.atan2(float(direction @ right), float(direction @ stride.axis))
+        return _von_mises(angle_rad, self.return_std_rad**2)
+
+    # --- what is learnt -------------------------------------------------------------------------------------------
+
+    def _learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
+        """The place after one stride more."""
+        n_strides = place.n_strides + 1
+        stay = math.exp(-elapsed_s / self.memory_s)
+        return replace(
+            place,
+            n_strides=n_strides,
+            vectors=stay * place.vectors + stride.vectors,
+            products=stay * place.products + stride.vectors @ stride.vectors.T,
+            weight=stay * place.weight + 1.0,
+            powers=place.powers + (stride.powers - place.powers) / min(float(n_strides), _POWER_STRIDES),
+            prior_var_rad2=place.prior_var_rad2 * math.exp(elapsed_s / self.prior_memory_s),
+        )
+
+    def _swings(self, place: Place) -> bool:
+        """Whether the phone is in a hand that swings."""
+        stride_power, step_power, lift_power = place.powers
+        if place.carrying_mode not in _TELLS_SWINGING_APART or stride_power < self.swinging_mps2**2:
+            return False
+        # Steps that agree on a direction: the hand knows nothing of them, a pocket does.
+        in_phase_sum, length2 = place.vectors[1], place.products[1, 1]
+        agree = float(in_phase_sum @ in_phase_sum) > self.swinging_agreement * place.weight * float(length2)
+        if place.carrying_mode == _SWINGING:
+            is_pocket = agree and place.n_strides >= _SETTLED_STRIDES
+            return not is_pocket and bool(step_power <= _TOLD_STEP_SHARE**2 * stride_power)
+        lifts = lift_power >= self.swinging_lift**2 * stride_power
+        return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
+
+    def _estimate(self, place: Place, stride: Stride) -> tuple[float, float]:
+        """Walking direction, clockwise from the reference axis, and its variance."""
+        is_reading = place.carrying_mode == _TEXTING
+        is_like_reading = place.carrying_mode < 0 and stride.up[2] > 0.5
+        is_held = is_like_reading or place.carrying_mode in _HELD
+        systematic_rad = self.held_systematic_std_rad if is_held else self.systematic_std_rad
+        total = _von_mises(place.prior_rad, place.prior_var_rad2)
+        if place.weight > 0:
+            angle_rad, variance = self._direction(place)
+            total += _von_mises(angle_rad, variance + systematic_rad**2)
+        if is_reading or is_like_reading:
+            axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
+            total += _von_mises(stride.pointing_rad, axis_rad**2)
+        concentration = abs(total)
+        variance = _UNKNOWN_VAR_RAD2 if concentration == 0 else min(1.0 / concentration, _UNKNOWN_VAR_RAD2)
+        return math.atan2(total.imag, total.real), variance
+
+    def _direction(self, place: Place) -> tuple[float, float]:
+        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2.
+
+        With mean length m and scatter s2 of one component, each of n strides has s2 / m2; strides overlap by half, so
+        that n of them are worth half of n. What is off in every stride is not in it.
+        """
+        if self._swings(place):
+            mix = np.array([1.0, 0.0, 0.0])
+        else:
+            ahead_rad = self._phase_ahead(place)
+            mix = np.array([0.0, math.cos(ahead_rad), math.sin(ahead_rad)])
+        forward, right = (float(v) for v in mix @ place.vectors / place.weight)
+        mean2 = forward * forward + right * right
+        if mean2 == 0:
+            return 0.0, math.inf
+        length2 = float(mix @ place.products @ mix) / place.weight
+        scatter = place.weight * 0.5 * max(length2 - mean2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
+        variance = 2.0 * scatter / (place.weight + _PRIOR_STRIDES) / (place.weight * mean2)
+        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
+        return math.atan2(right, forward), variance + leak2 / mean2
+
+    def _phase_ahead(self, place: Place) -> float:
+        """By how much this person's phase is ahead of the usual one.
+
+        With a and b the sums in phase and 90 degrees ahead, |a cos x + b sin x| is largest at
+        tan 2x = 2 a . b / (a . a - b . b). What few strides say counts little.
+        """
+        a, b = place.vectors[1], place.vectors[2]
+        ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
+        limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
+        return min(max(ahead_rad, -limit_rad), limit_rad)
+
+    # --- what is told ---------------------------------------------------------------------------------------------
+
+    def _drift(self, told: Told, step: Step) -> Told:
+        """What a filter still knows at this step, before it is told more; `MotionNoise` does the same."""
+        elapsed_s = step.duration_s if math.isnan(told.time_s) else step.time_s - told.time_s
+        unknown_s = min(step.heading_unknown_s, elapsed_s)
+        bias_var = 2.0 * self.bias_correlation_s * step.yaw_bias_std_radps**2
+        lost_var = bias_var * (elapsed_s - unknown_s) + self.unknown_rad_per_sqrt_s**2 * unknown_s
+        wandered_var = self.filter_drift_rad_per_sqrt_s**2 * (elapsed_s - unknown_s)
+        return replace(_lose(replace(told, var_rad2=told.var_rad2 + wandered_var), lost_var), time_s=step.time_s)
+
+    def _tell(
+        self, told: Told, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float
+    ) -> tuple[Told, Step]:
+        """What the filter knows after this step, and the step with the measurement that tells it.
+
+        With the variance P- that the filter has before and P that is known now, K = 1 - P / P-, the measurement is
+        z = o- + (o - o-) / K and its variance R = P- P / (P- - P): the Kalman update leads from o- to o, from P- to P.
+        Where the filter was told something and strides since then have made it doubtful, it is told of a change.
+        """
+        if math.isinf(told.var_rad2):
+            if var_rad2 > self.first_std_rad**2:
+                return told, step
+            offset_rad, change_std_rad = float(wrap_angle(offset_rad)), 0.0
+            told = replace(told, offset_rad=offset_rad, var_rad2=var_rad2 + told.lost_var_rad2)
+            return told, _with_direction(step, offset_rad, told.var_rad2, 0.0)
+        away_rad = float(wrap_angle(offset_rad - told.offset_rad))
+        told_var = max(told.var_rad2 - told.lost_var_rad2, 0.0)
+        doubt_var = var_rad2 + away_rad**2 - told_var
+        if doubt_var > _DOUBT * told_var:
+            change_std_rad = max(change_std_rad, math.sqrt(doubt_var))
+        var_rad2 += told.lost_var_rad2
+        before_var = min(told.var_rad2 + change_std_rad**2, _UNKNOWN_VAR_RAD2)
+        gain = 1.0 - var_rad2 / before_var
+        if gain < _MIN_GAIN:
+            return replace(told, var_rad2=before_var), replace(step, offset_change_std_rad=change_std_rad)
+        # half a turn and more would be taken for the other way round
+        innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
+        measured_rad = told.offset_rad + innovation_rad
+        told = replace(told, offset_rad=told.offset_rad + gain * innovation_rad, var_rad2=var_rad2)
+        return told, _with_direction(step, measured_rad, var_rad2 / gain, change_std_rad)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Stride:
+    """What one stride shows. Angles are clockwise, vectors (forward, right) of the reference axis, m/s2."""
+
+    up: FloatArray  # (3,) mean, sensor frame
+    axis: FloatArray  # (3,) the reference axis, sensor frame
+    axis_heading_rad: float  # its mean direction in the attitude's frame, clockwise from north
+    device_heading_rad: float  # mean
+    pointing_rad: float  # where the phone points, from the axis
+    vectors: FloatArray  # (3, 2) as in `Place`
+    powers: FloatArray  # (3,) squared amplitudes: horizontal once and twice a stride, vertical once
+
+
+def _with_direction(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> Step:
+    return replace(
+        step,
+        walking_direction_rad=step.device_heading_rad + offset_rad,
+        walking_direction_std_rad=math.sqrt(var_rad2),
+        offset_change_std_rad=change_std_rad,
+    )
+
+
+def _lose(told: Told, lost_var_rad2: float) -> Told:
+    """After the device's heading has lost this variance."""
+    lost = min(told.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
+    var = told.var_rad2 + lost_var_rad2
+    return replace(told, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, _UNKNOWN_VAR_RAD2))
+
+
+def pointing_axis(up: FloatArray) -> FloatArray:
+    """Horizontal unit vector (3,) along which somebody who reads holds the phone: y, or -z if it stands upright."""
+    axis = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < _UPRIGHT else np.array([0.0, 0.0, -1.0])
+    return _across(axis, up)
+
+
+def carry_axis(axis: FloatArray, up: FloatArray, new_up: FloatArray) -> FloatArray:
+    """The axis (3,), across `up`, turned by the shortest way from `up` to `new_up`.
+
+    v' = v - (m . v) / (1 + u . m) (u + m) turns v, across u, by the shortest way from u to m.
+    """
+    cosine = float(up @ new_up)
+    if cosine < -0.99:
+        return pointing_axis(new_up)  # turned over: no way is the shortest
+    return _across(axis - float(new_up @ axis) / (1.0 + cosine) * (up + new_up), new_up)
+
+
+def in_mean_frame(force: FloatArray, up: FloatArray, frame: FloatArray) -> FloatArray:
+    """Horizontal part of vectors (3, N), sensor frame, as complex numbers (N,): along the axis, and right of it.
+
+    Each is turned by the shortest way from its own `up` (3, N) to the mean one, as in `carry_axis`: what turns with the
+    device stays, what swings with it does not. The rows of `frame` (3, 3) are axis, right and mean up.
+    """
+    forces, ups = frame @ force, frame @ up
+    flat = forces - (force * up).sum(axis=0) * ups
+    tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)
+    return (flat[0] - tilted * ups[0]) + 1j * (flat[1] - tilted * ups[1])
+
+
+def harmonics(signals: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
+    """Complex amplitudes (3,) of signals (3, N), once and twice a stride.
+
+    The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
+    if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
+    twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
+    """
+    waves = _waves(signals.shape[1])
+    centred = signals - signals.mean(axis=1)[:, None]
+    once, twice = (centred * waves[0]).sum(axis=1), (centred * waves[1]).sum(axis=1)
+    if duration_s < _TWO_STRIDES_S:
+        return once, twice
+    four_times = (centred * waves[2]).sum(axis=1)
+    is_double = abs(four_times[-1]) > abs(twice[-1]) or _power(twice[:-1]) > _SLOW_STEP_MPS2**2
+    return (twice, four_times) if is_double else (once, twice)
+
+
+def in_phase(amplitudes: FloatArray, phase_rad: float) -> FloatArray:
+    """Part (2,) of the horizontal amplitudes, m/s2, in phase with the vertical one advanced by an angle."""
+    horizontal, vertical = amplitudes[:2], amplitudes[2]
+    size = abs(vertical)
+    if size == 0:
+        return np.zeros(2)
+    return np.asarray((horizontal * (vertical / size * np.exp(1j * phase_rad)).conjugate()).real)
+
+
+def _power(amplitudes: FloatArray) -> float:
+    return float((amplitudes * amplitudes.conj()).real.sum())
+
+
+@lru_cache(maxsize=512)
+def _waves(n: int) -> NDArray[np.complex128]:
+    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle.
+
+    The faster ones have no slope, so that a slow change of the signal does not enter. Of the first, which is half a
+    slope itself, too little would remain.
+    """
+    part = (np.arange(n) - 0.5 * (n - 1)) / n
+    waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer([1.0, 2.0, 4.0], part))
+    waves[1:] -= np.outer(waves[1:] @ part / (part @ part), part)
+    return 2.0 / n * waves
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross product of two vectors (3,): np.cross takes ten times as long."""
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
+
+
+def _across(axis: FloatArray, up: FloatArray) -> FloatArray:
+    """Unit vector (3,): the part of an axis across up."""
+    flat = axis - float(axis @ up) * up
+    return flat / math.sqrt(float(flat @ flat))
+
+
+def _von_mises(angle_rad: float, var_rad2: float) -> complex:
+    """Direction as a complex number whose length is its concentration, 1 / variance."""
+    return complex(math.cos(angle_rad), math.sin(angle_rad)) / var_rad2

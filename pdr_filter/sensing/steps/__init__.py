@@ -1,0 +1,1 @@
+"""Step detectors of one interface, and the gate against false steps."""

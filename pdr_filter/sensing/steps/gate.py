@@ -1,0 +1,429 @@
+"""Steps of somebody who walks, without those of a phone that is handled: a causal gate behind the step detector.
+
+A step detector counts every bump, so a phone that is taken out, typed on or put in a bag makes steps. The gate holds
+each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It needs the
+specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
+
+1. Evidence of each step, from the specific force f around its contact and the contacts before it (`evidence_features`):
+   does the force repeat, do its changes of direction, does the rhythm hold, and does the phone turn far for how little
+   it bounces? With x the four features, the log odds of walking are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3), of
+   which `evidence_weight` counts, because the windows of neighbouring steps overlap.
+2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
+   (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
+   is more probable than not, from its own evidence and all before.
+3. Bouts. With every accepted step the ones before it are seen anew, with the evidence after them (backward recursion).
+   `min_steps` of them that are walking are a bout and leave together, later ones leave at once; fewer are dropped.
+4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
+   `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
+
+Where the numbers come from: the weights are a logistic regression on the steps that
+`pdr_filter.sensing.steps.adaptive` finds while people walk (66 walks of A. Brajdic and R. Harle, "Walk detection and
+step counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449; Oxford, MotionSense, Tyrex,
+humolire, ms_indoor) and while they do not (before and after these walks, where the phone is handled; MotionSense's
+sitting and standing). Nothing of that data is here but these weights. tests/benchmarks/step_gate.py fits them and
+prints what the gate does to people left out of the fit; docs/methods/steps.md has the figures.
+
+Limits:
+
+- Slow walking with many turns, below 0.7 m/s, is partly refused: the phone turns far for how little it bounces.
+- Handling that keeps a rhythm and repeats itself for four steps passes: a phone that is shaken.
+- A walk of fewer than `min_steps` steps is dropped, also where a gap or the end cuts it off.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.step import Step
+
+# Rate at which the evidence looks at the force: steps are below 5 Hz.
+_EVIDENCE_HZ = 25.0
+# A step may become known so long after its contact and still find its window whole.
+_MAX_KNOWN_AFTER_S = 4.0
+# A window with fewer rows (1 s) tells nothing: it holds no two steps.
+_MIN_ROWS = 26
+# Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
+_LIMIT = 3.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkEvidence:
+    """Log odds of walking from the features of `evidence_features`: b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3)."""
+
+    mean: FloatArray  # (4,) m
+    scale: FloatArray  # (4,) s
+    weight: FloatArray  # (4,) w
+    intercept: float  # b
+
+    def __post_init__(self) -> None:
+        for name in ("mean", "scale", "weight"):
+            object.__setattr__(self, name, read_only(getattr(self, name)))
+
+    def log_odds(self, features: Sequence[float]) -> float:
+        """Log odds of walking of one step."""
+        total = self.intercept
+        for x, m, s, w in zip(features, self.mean.tolist(), self.scale.tolist(), self.weight.tolist(), strict=True):
+            total += w * min(max((x - m) / s, -_LIMIT), _LIMIT)
+        return total
+
+
+# In the order of `evidence_features`, fitted as the module says. Walking and not walking had the same mass, and 0.7 was
+# added to the intercept: to lose a step of a walk is worse than a false step now and then.
+EVIDENCE = WalkEvidence(
+    mean=np.array([0.41, 0.23, -0.37, 0.57]),
+    scale=np.array([0.37, 0.20, 1.03, 0.26]),
+    weight=np.array([2.81, -1.18, -1.95, 1.28]),
+    intercept=1.61,
+)
+
+
+@dataclass(frozen=True, slots=True)
+class JudgedStep:
+    """A step whose evidence is known."""
+
+    step: Step
+    walking_prob: float  # at its contact, from its evidence and all before
+    ratio: float  # likelihood of its evidence while walking to that while not
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepGateState:
+    """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
+
+    start_s: float  # of the segment: time of its first sample
+    n_samples: int  # of the segment
+    rest: FloatArray  # (R, 3) force of the samples that are no whole row yet
+    rows: FloatArray  # (M, 3) last rows of averaged force
+    waiting: tuple[tuple[int, Step], ...]  # for their window, with the number of the sample that revealed them
+    contacts_s: tuple[float, ...]  # the last four of the segment that are judged
+    walking_prob: float  # after the last step that is judged
+    judged_s: float  # its contact
+    held: tuple[JudgedStep, ...]  # judged, but not out: they may still belong to a bout
+    run_s: tuple[float, float]  # first and last contact of the last accepted steps without a pause
+    is_bout: bool  # that they are a bout
+
+
+@dataclass(frozen=True)
+class StepGate:
+    """Causal gate for steps.
+
+    In a bout a step passes `latency_s` after its contact, 1.04 s, or as soon as the detector knows it. The first steps
+    of a bout pass together with the one that makes it `min_steps`: the first waits three step intervals longer, 2.7 s
+    at 1.8 steps a second, and longer where the evidence is weak. A gap or the end decides at once.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks, a multiple of 25 Hz.
+    evidence : WalkEvidence
+        Log odds of walking.
+    before_s, after_s : float
+        Window of the evidence around a contact: three steps of a slow walker fit in, and the end of a walk is seen.
+    evidence_weight : float
+        Power of the likelihood of one step. Smaller: fewer steps lost, more handling passes.
+    max_log_ratio : float
+        Largest weight of one step, natural logarithm.
+    mean_walk_s, mean_pause_s : float
+        Mean stays of the Markov chain in walking and out of it.
+    min_steps : int
+        Fewest steps that are a bout. Five in place of four: half of the false steps, half a second more to wait.
+    max_interval_s : float
+        After a longer time without accepted steps a new bout begins. The slowest steps are 2 s apart.
+    min_edge_prob : float
+        Probability of walking, with the evidence after it, with which a step before a bout belongs to it.
+    max_edge_s : float
+        No step before a bout is that early.
+    n_fill : int
+        So many refused steps more may belong to the beginning of a bout.
+    fill_interval_s : float
+        If they are this close.
+    """
+
+    rate_hz: float = 100.0
+    evidence: WalkEvidence = field(default=EVIDENCE)
+    before_s: float = 2.5
+    after_s: float = 1.0
+    evidence_weight: float = 0.4
+    max_log_ratio: float = 4.0
+    mean_walk_s: float = 40.0
+    mean_pause_s: float = 13.0
+    min_steps: int = 4
+    max_interval_s: float = 2.5
+    min_edge_prob: float = 0.2
+    max_edge_s: float = 3.0
+    n_fill: int = 2
+    fill_interval_s: float = 1.5
+
+    def __post_init__(self) -> None:
+        if self.rate_hz <= 0 or self.rate_hz % _EVIDENCE_HZ:
+            raise ValueError(f"rate_hz must be a multiple of {_EVIDENCE_HZ:g}, got {self.rate_hz}")
+        if self.mean_walk_s <= 0 or self.mean_pause_s <= 0:
+            raise ValueError(f"mean stays must be positive, got {self.mean_walk_s} and {self.mean_pause_s}")
+        if self.min_steps < 1:
+            raise ValueError(f"min_steps must be 1 or more, got {self.min_steps}")
+
+    @property
+    def _samples_per_row(self) -> int:
+        return round(self.rate_hz / _EVIDENCE_HZ)
+
+    @property
+    def _n_before(self) -> int:
+        return round(self.before_s * _EVIDENCE_HZ)
+
+    @property
+    def _n_after(self) -> int:
+        return round(self.after_s * _EVIDENCE_HZ)
+
+    @property
+    def _n_rows_kept(self) -> int:
+        return self._n_before + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
+
+    @property
+    def latency_s(self) -> float:
+        """Time from a contact to its step in a bout, unless the detector takes longer."""
+        return (self._n_after + 1) / _EVIDENCE_HZ
+
+    def init(self) -> StepGateState:
+        """State before the first sample."""
+        return StepGateState(
+            start_s=math.nan,
+            n_samples=0,
+            rest=np.empty((0, 3)),
+            rows=np.empty((0, 3)),
+            waiting=(),
+            contacts_s=(),
+            walking_prob=self._walking_share,
+            judged_s=-math.inf,
+            held=(),
+            run_s=(-math.inf, -math.inf),
+            is_bout=False,
+        )
+
+    def step(
+        self, state: StepGateState, block: UniformBlock, attitude: AttitudeBlock, steps: Sequence[tuple[int, Step]]
+    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        """New state and the steps that pass, each with the number of the sample that decided.
+
+        Parameters
+        ----------
+        state : StepGateState
+            From the block before.
+        block : UniformBlock
+            Samples, without a gap in them.
+        attitude : AttitudeBlock
+            Of the same samples; not looked at.
+        steps : sequence of (sample number, Step)
+            What the detector found in this block, in order.
+        """
+        samples = np.concatenate([state.rest, block.specific_force_mps2])
+        n = self._samples_per_row
+        whole = samples[: len(samples) // n * n]
+        state = replace(
+            state,
+            start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
+            n_samples=state.n_samples + len(block.time_s),
+            rest=samples[len(whole) :],
+            # summed one after the other: the same bits however the samples came
+            rows=np.concatenate([state.rows, sum((whole[i::n] for i in range(1, n)), whole[0::n]) / n]),
+            waiting=(*state.waiting, *steps),
+        )
+        released: list[tuple[int, Step]] = []
+        while state.waiting:
+            number = max(state.waiting[0][0], (self._row(state, state.waiting[0][1]) + self._n_after + 1) * n - 1)
+            if number >= state.n_samples:
+                break
+            state, passed = self._judge(state, number)
+            released += passed
+        return replace(state, rows=state.rows[-self._n_rows_kept :]), released
+
+    def close(
+        self, state: StepGateState, steps: Sequence[tuple[int, Step]], gap_s: float
+    ) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
+
+        Parameters
+        ----------
+        state : StepGateState
+            From the last block before.
+        steps : sequence of (sample number, Step)
+            What the detector's `finish` gave.
+        gap_s : float
+            Length of the gap, s. A bout goes on after a short one, the belief in walking fades with time.
+        """
+        state = replace(state, waiting=(*state.waiting, *steps))
+        released: list[tuple[int, Step]] = []
+        while state.waiting:
+            state, passed = self._judge(state, state.n_samples - 1)
+            released += passed
+        # Steps that are no bout yet are given up: what the gap holds is unknown.
+        nothing = self.init()
+        return replace(
+            nothing,
+            walking_prob=state.walking_prob,
+            judged_s=state.judged_s,
+            run_s=state.run_s if state.is_bout else nothing.run_s,
+            is_bout=state.is_bout,
+        ), released
+
+    # --- the evidence of a step -----------------------------------------------------------------------------------
+
+    def _row(self, state: StepGateState, step: Step) -> int:
+        """Number of the row that a contact is in."""
+        return max(math.floor((step.time_s - state.start_s) * _EVIDENCE_HZ), 0)
+
+    def _judge(self, state: StepGateState, number: int) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        """The evidence of the step that has waited longest, and the steps that pass with it."""
+        step = state.waiting[0][1]
+        contacts_s = (*state.contacts_s[-3:], step.time_s)
+        window = self._window(state, self._row(state, step), number)
+        log_odds = 0.0
+        if len(window) >= _MIN_ROWS:
+            log_odds = self.evidence.log_odds(evidence_features(window, contacts_s, self.max_interval_s))
+        log_ratio = min(max(self.evidence_weight * log_odds, -self.max_log_ratio), self.max_log_ratio)
+        ratio = math.exp(log_ratio)
+        before = self._prob_after(state.walking_prob, step.time_s - state.judged_s)
+        prob = _posterior(before, ratio)
+        now_s = state.start_s + number / self.rate_hz
+        state = replace(
+            state,
+            waiting=state.waiting[1:],
+            contacts_s=contacts_s,
+            walking_prob=prob,
+            judged_s=step.time_s,
+            held=(*state.held, JudgedStep(step, prob, ratio)),
+        )
+        state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
+        return state, [(number, replace(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
+
+    def _window(self, state: StepGateState, row: int, number: int) -> FloatArray:
+        """Rows around a row; the same however many are remembered."""
+        n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
+        n_seen = (number + 1) // self._samples_per_row
+        first = max(row - self._n_before, n_seen - self._n_rows_kept, 0)
+        last = min(row + self._n_after + 1, n_seen)
+        oldest = n_rows - len(state.rows)
+        return np.ascontiguousarray(state.rows[max(first - oldest, 0) : max(last - oldest, 0)])
+
+    # --- the fate of a step ---------------------------------------------------------------------------------------
+
+    def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
+        """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
+        continues = contact_s - state.run_s[1] <= self.max_interval_s
+        run_s = (state.run_s[0] if continues else contact_s, contact_s)
+        state = replace(state, run_s=run_s, is_bout=continues and state.is_bout)
+        if state.is_bout:
+            return replace(state, held=()), [judged.step for judged in state.held]
+        first, n_walking = self._run(state)
+        if n_walking < self.min_steps:
+            return self._without_old(state), []
+        for _ in range(self.n_fill):
+            interval_s = state.held[first].step.time_s - state.held[first - 1].step.time_s
+            first -= first > 0 and interval_s <= self.fill_interval_s
+        return replace(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
+
+    def _run(self, state: StepGateState) -> tuple[int, int]:
+        """First held step of the run, with what belongs to its beginning, and how many from there are walking."""
+        first, n_walking, ratio = len(state.held) - 1, 1, 1.0
+        for i in range(len(state.held) - 2, -1, -1):
+            earlier, later = state.held[i], state.held[i + 1]
+            interval_s = later.step.time_s - earlier.step.time_s
+            ratio = self._ratio_before(ratio * later.ratio, interval_s)
+            prob = _posterior(earlier.walking_prob, ratio)
+            is_before = earlier.step.time_s < state.run_s[0]
+            if is_before and (interval_s > self.max_interval_s or prob <= self.min_edge_prob):
+                break
+            first, n_walking = i, n_walking + (prob > 0.5)
+        return first, n_walking
+
+    def _without_old(self, state: StepGateState) -> StepGateState:
+        """State without the held steps that are too early for any bout to come."""
+        begin_s = state.held[-1].step.time_s
+        if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
+            begin_s = state.run_s[0]
+        return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= self.max_edge_s))
+
+    # --- the Markov chain -----------------------------------------------------------------------------------------
+
+    @property
+    def _walking_share(self) -> float:
+        return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
+
+    def _change_probs(self, duration_s: float) -> tuple[float, float]:
+        """Probability to walk no more, and to walk, after a time, of one who did, and of one who did not."""
+        forgotten = -math.expm1(-duration_s * (1.0 / self.mean_walk_s + 1.0 / self.mean_pause_s))
+        return forgotten * (1.0 - self._walking_share), forgotten * self._walking_share
+
+    def _prob_after(self, prob: float, duration_s: float) -> float:
+        """Probability of walking after a time without evidence."""
+        leave, enter = self._change_probs(duration_s)
+        return prob * (1.0 - leave) + (1.0 - prob) * enter
+
+    def _ratio_before(self, ratio: float, duration_s: float) -> float:
+        """Likelihood ratio of what comes, seen from earlier."""
+        leave, enter = self._change_probs(duration_s)
+        return ((1.0 - leave) * ratio + leave) / (enter * ratio + 1.0 - enter)
+
+
+def evidence_features(
+    force_mps2: FloatArray, contacts_s: Sequence[float], max_interval_s: float = 2.5
+) -> tuple[float, float, float, float]:
+    """What tells walking from handling, of one step.
+
+    Returns how much the force repeats with its direction (the autocorrelation's highest value after it was negative),
+    how uneven the rhythm is (standard deviation of the logarithm of three intervals), how far the phone turns for how
+    little it bounces (log of the rms of the force averaged over 0.76 s, over that of its magnitude), and how much the
+    magnitude repeats.
+
+    Parameters
+    ----------
+    force_mps2 : (N, 3)
+        Specific force around the contact at 25 Hz, N >= 26.
+    contacts_s : sequence of float
+        The contact and the three before it, or fewer at the start.
+    max_interval_s : float
+        Longer intervals are pauses.
+    """
+    x, y, z = force_mps2.T
+    magnitude = np.sqrt(x * x + y * y + z * z)
+    bounce_mps2 = float(magnitude.std()) + 0.02
+    box = np.full(19, 1.0 / 19)
+    slow = sum(float(np.convolve(np.ascontiguousarray(c), box, mode="valid").var()) for c in (x, y, z))
+    intervals = [math.log(b - a) for a, b in pairwise(contacts_s) if 0.0 < b - a < max_interval_s]
+    # fewer than three intervals keep no rhythm: as uneven as handling
+    unevenness = float(np.std(intervals)) if len(intervals) > 2 else 0.5
+    return (
+        repetition(force_mps2),
+        unevenness,
+        math.log((math.sqrt(slow) + 0.05) / bounce_mps2),
+        repetition(magnitude[:, None]),
+    )
+
+
+def repetition(signal: FloatArray) -> float:
+    """Highest autocorrelation of (N, d) after it was negative, 0 to 1; 0 if it never was.
+
+    r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples that both have, of the signal less
+    its mean, up to 2.24 s at 25 Hz: one step of the slowest walker, two or more of all others.
+    """
+    deviation = signal - signal.mean(axis=0)
+    n = len(deviation)
+    n_lags = min(57, n - 11)
+    columns = [np.ascontiguousarray(c) for c in deviation.T]
+    product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
+    energy = np.concatenate([[0.0], np.cumsum((deviation * deviation).sum(axis=1))])
+    lag = np.arange(n_lags)
+    correlation = product / np.sqrt(energy[n - lag] * (energy[n] - energy[lag]) + 1e-6)
+    negative = np.flatnonzero(correlation < 0)
+    return max(0.0, float(correlation[negative[0] :].max())) if len(negative) else 0.0
+
+
+def _posterior(prob: float, ratio: float) -> float:
+    return prob * ratio / (prob * ratio + 1.0 - prob)

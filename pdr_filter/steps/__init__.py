@@ -1,1 +1,0 @@
-"""Step detectors: causal stages that turn specific force into steps."""

@@ -1,0 +1,163 @@
+"""What is known from elsewhere: fixes of position, heading and speed, standstills."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    pass
+from pdr_filter.values.arrays import FloatArray, read_only
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PositionFix:
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance.
+
+    Parameters
+    ----------
+    time_s : float
+        When the position was true, on the time base of the samples.
+    position_m : (2,)
+        East, north.
+    cov_m2 : (2, 2)
+        Covariance, positive definite.
+    received_time_s : float, optional
+        When it arrived, not before `time_s`; `time_s` if not given.
+    """
+
+    time_s: float
+    position_m: FloatArray
+    cov_m2: FloatArray
+    received_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "position_m", read_only(self.position_m))
+        object.__setattr__(self, "cov_m2", read_only(self.cov_m2))
+        if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
+            raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
+        symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
+        if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
+            raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        _check_times(self.time_s, self.received_time_s)
+
+
+# A deviation beyond this says nothing, and its square must stay a number.
+_MAX_STD = 1e100
+
+
+@dataclass(frozen=True, slots=True)
+class HeadingFix:
+    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver.
+
+    Parameters
+    ----------
+    time_s : float
+        When it was true, on the time base of the samples.
+    walking_heading_rad : float
+        Clockwise from the track's north, any number of turns.
+    std_rad : float
+        Standard deviation.
+    received_time_s : float, optional
+        When it arrived, not before `time_s`; `time_s` if not given.
+    """
+
+    time_s: float
+    walking_heading_rad: float
+    std_rad: float
+    received_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_times(self.time_s, self.received_time_s)
+        if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < _MAX_STD):
+            raise ValueError(
+                f"walking_heading_rad must be finite and std_rad positive, got {self.walking_heading_rad} and "
+                f"{self.std_rad}"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class SpeedFix:
+    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale.
+
+    Parameters
+    ----------
+    time_s : float
+        When it was true, on the time base of the samples.
+    speed_mps, std_mps : float
+        Speed over ground, positive, and its standard deviation.
+    received_time_s : float, optional
+        When it arrived, not before `time_s`; `time_s` if not given.
+    """
+
+    time_s: float
+    speed_mps: float
+    std_mps: float
+    received_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_times(self.time_s, self.received_time_s)
+        if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < _MAX_STD):
+            raise ValueError(
+                f"speed_mps and std_mps must be positive, got {self.speed_mps} and {self.std_mps}; somebody who stands "
+                "is a Standstill"
+            )
+
+
+@dataclass(frozen=True, slots=True)
+class Standstill:
+    """The person is known to stand: steps in this time were not walked.
+
+    Parameters
+    ----------
+    time_s, end_s : float
+        Begin and end, on the time base of the samples.
+    received_time_s : float, optional
+        When it became known, not before `time_s`; steps that were told before are not taken back.
+    """
+
+    time_s: float
+    end_s: float
+    received_time_s: float | None = None
+
+    def __post_init__(self) -> None:
+        _check_times(self.time_s, self.received_time_s)
+        if not self.time_s < self.end_s < np.inf:
+            raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
+
+
+def _check_times(time_s: float, received_time_s: float | None) -> None:
+    received_s = time_s if received_time_s is None else received_time_s
+    if not (np.isfinite(time_s) and np.isfinite(received_s) and received_s >= time_s):
+        raise ValueError(
+            f"time_s of a fix must be finite and received_time_s not before it, got {time_s} and {received_time_s}"
+        )
+
+
+# What a filter takes besides samples.
+Fix = PositionFix | HeadingFix | SpeedFix | Standstill
+
+
+def received_s(fix: Fix) -> float:
+    """When a fix became known: when it was received, or at once."""
+    return fix.time_s if fix.received_time_s is None else fix.received_time_s
+
+
+@dataclass(frozen=True, slots=True)
+class FixResult:
+    """What the filter made of a fix."""
+
+    kind: str  # "position", "heading", "speed", "standstill"
+    time_s: float  # when it was true
+    used_s: float  # when the filter took it
+    # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
+    # there was nothing to compare it with.
+    nis: float
+    accepted: bool
+
+    @classmethod
+    def of(cls, fix: Fix, used_s: float, nis: float, accepted: bool) -> FixResult:
+        """That of a fix."""
+        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, nis, accepted)

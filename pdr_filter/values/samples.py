@@ -1,0 +1,57 @@
+"""Samples of one sensor, and of all on one time base."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    pass
+from pdr_filter.values.arrays import FloatArray, read_only
+
+STANDARD_GRAVITY_MPS2 = 9.80665
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Samples:
+    """One sensor stream at its own timestamps.
+
+    Parameters
+    ----------
+    time_s : (N,)
+        Seconds from the first accelerometer sample; as recorded, so not always increasing.
+    values : (N, d)
+        In the units of the stream (`Recording` names them); NaN where a field was empty.
+    """
+
+    time_s: FloatArray
+    values: FloatArray
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "time_s", read_only(self.time_s))
+        object.__setattr__(self, "values", read_only(self.values))
+        if self.time_s.ndim != 1 or self.values.ndim != 2 or len(self.time_s) != len(self.values):
+            raise ValueError(
+                f"time_s must be (N,) and values (N, d), got {self.time_s.shape} and {self.values.shape}: "
+                "give one time for each row"
+            )
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Samples({len(self)} x {self.values.shape[1]})"
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImuBlock:
+    """Samples of all sensors on one time base, sensor frame; what `OnlineFilter.push` takes.
+
+    NaN marks a missing value: a row without specific force is bridged or becomes a gap, angular rate may be missing
+    for any stretch.
+    """
+
+    time_s: FloatArray  # (N,)
+    specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
+    angular_rate_radps: FloatArray  # (N, 3)
+    magnetic_field_ut: FloatArray  # (N, 3)

@@ -1,0 +1,60 @@
+"""One step."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    pass
+from pdr_filter.values.arrays import Table, table
+
+
+@dataclass(frozen=True, slots=True)
+class Step:
+    """One step: from a contact of one foot to the next contact of the other.
+
+    Statistics are over the samples of the step. `magnitude` is of the specific force, `vertical` its component along
+    gravity minus standard gravity (up positive).
+    """
+
+    time_s: float  # contact that ends the step
+    detected_time_s: float  # when it became known, causally
+    duration_s: float
+    frequency_hz: float  # 1 / duration_s
+    variance: float  # of the magnitude, m2/s4 (sigma_f^2 of Martinelli et al. 2018, eq. 12)
+    vertical_max_mps2: float
+    vertical_min_mps2: float
+    magnitude_max_mps2: float
+    magnitude_min_mps2: float
+    mean_abs_mps2: float  # mean of | magnitude - g |
+    heading_change_rad: float  # of the device over the step, clockwise positive
+    device_heading_rad: float  # mean over the step, clockwise from the first heading, not wrapped
+    heading_unknown_s: float = 0.0  # time since the step before without angular rate: the heading stood still
+    # Where the person walked, as the samples show it without the device's axes: same zero as `device_heading_rad`,
+    # clockwise, any number of turns. A measurement for the filter; nothing is known where its deviation is infinite.
+    walking_direction_rad: float = 0.0
+    walking_direction_std_rad: float = np.inf
+    # How much the angle between walking and device may have changed since the step before (standard deviation): 0
+    # while the phone stays where it is, large when it was moved to another place.
+    offset_change_std_rad: float = 0.0
+    # Standard deviation of the gyroscope's bias about the vertical at this step, after correction.
+    yaw_bias_std_radps: float = 0.0
+    # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
+    vertical_amplitude_mps2: float = 0.0
+    # Geometric mean of that over the person's last steps, this one included; 0 before the second step of a bout.
+    usual_amplitude_mps2: float = 0.0
+    from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
+
+    @property
+    def vertical_range_mps2(self) -> float:
+        """Peak-to-peak vertical specific force."""
+        return self.vertical_max_mps2 - self.vertical_min_mps2
+
+
+def step_table(steps: Sequence[Step]) -> Table:
+    """Return one row for each step, one float column for each field of `Step`."""
+    return table({f.name: np.array([getattr(s, f.name) for s in steps], dtype=float) for f in fields(Step)})

@@ -1,0 +1,31 @@
+"""Windows of a recording."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    pass
+from pdr_filter.values.arrays import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False, repr=False)
+class Windows:
+    """Context and carrying-mode probabilities of all windows of a recording."""
+
+    time_s: FloatArray  # (W,) window ends
+    context_prob: FloatArray  # (W, C)
+    contexts: tuple[str, ...]
+    carrying_prob: FloatArray  # (W, D) after each window, of all windows so far
+    carrying_modes: tuple[str, ...]
+    unknown_share: FloatArray  # (W,) how unlike the classifier's training windows, 0 to 1; `context_prob` has it in
+    irregular_prob: FloatArray  # (W,) that the motion moves nobody: the phone taken out, turned, put away
+    climb_rate_mps: FloatArray  # (W,) from the barometer, up positive; NaN without
+    model: tuple[str, ...]  # (W,) name of the model that classified the context
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def __repr__(self) -> str:
+        return f"Windows({len(self)} windows)"

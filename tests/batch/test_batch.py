@@ -1,0 +1,431 @@
+"""Many recordings: the same numbers as one by one, and each exactly once in the table whatever dies."""
+
+from __future__ import annotations
+
+import os
+import pickle
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from dataclasses import astuple, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.batch import run as batch
+from pdr_filter.io.own_format import write_recording
+from pdr_filter.values.arrays import table
+from pdr_filter.values.contexts import CONTEXTS
+
+N = 5
+
+
+@pytest.fixture(scope="module")
+def walks(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of simulated walks of different lengths."""
+    folder = tmp_path_factory.mktemp("walks")
+    whole = pdr.simulate.demo_walk()
+    for i in range(N):
+        end_s = 24.0 + 8.0 * i
+        cut = {
+            name: pdr.Samples(stream.time_s[stream.time_s < end_s], stream.values[stream.time_s < end_s])
+            for name, stream in whole.streams.items()
+        }
+        write_recording(replace(whole, name=f"walk_{i}", **cut), folder / f"walk_{i}.zip")
+    return folder
+
+
+def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Path) -> None:
+    rows = batch.track(walks, jobs=2, out=tmp_path / "tracks.csv")
+    assert [Path(row.path).name for row in rows] == [f"walk_{i}.zip" for i in range(N)]
+    for row in rows:
+        recording = pdr.read(row.path)
+        track = pdr.track(recording, pdr.recipes.for_recording("default", recording))
+        assert row.status == "done"
+        assert (row.name, row.n_steps, row.distance_m) == (track.name, track.n_steps, track.distance_m)
+        assert (row.end_east_m, row.end_north_m) == tuple(track.position_m[-1])
+        assert row.end_std_m == np.sqrt(np.trace(track.position_cov_m2[-1]))
+        assert row.notes == "; ".join(track.notes)
+        assert {name: getattr(row, f"{name}_s") for name in CONTEXTS} == track.context_seconds()
+    assert rows[-1].n_steps
+    assert rows[-1].n_steps > 30
+
+
+def test_one_process_and_two_give_the_same_table(walks: Path, tmp_path: Path) -> None:
+    options = {"recipe": "martinelli2018", "weighting": "hc"}
+    one = batch.track(walks, **options, out=tmp_path / "one.csv")
+    two = batch.track(walks, **options, jobs=2, out=tmp_path / "two.csv")
+    assert one == two
+    assert sorted((tmp_path / "one.csv").read_text().splitlines()) == sorted(
+        (tmp_path / "two.csv").read_text().splitlines()
+    )
+
+
+def test_the_table_holds_the_bits_of_the_rows(walks: Path, tmp_path: Path) -> None:
+    rows = batch.track(walks, out=tmp_path / "tracks.csv")
+    assert batch.read_table(tmp_path / "tracks.csv") == rows
+
+
+def test_failures_stand_beside_the_successes_with_their_reason(walks: Path, tmp_path: Path) -> None:
+    broken, missing = tmp_path / "broken, 'a' \"b\".zip", tmp_path / "missing.zip"
+    broken.write_text("this is no zip file")
+    rows = batch.track([broken, walks / "walk_0.zip", missing], jobs=2, out=tmp_path / "out" / "tracks.csv")
+    assert [row.status for row in rows] == ["failed", "done", "failed"]
+    assert all(row.reason and row.n_steps is None and "\n" not in row.reason for row in (rows[0], rows[2]))
+    assert rows[1].reason == ""
+    assert {row.path for row in batch.read_table(tmp_path / "out" / "tracks.csv")} == {row.path for row in rows}
+
+
+def test_a_recording_without_the_sensors_of_the_recipe_fails_with_a_reason_that_names_them(tmp_path: Path) -> None:
+    recording = replace(pdr.simulate.demo_walk(), gyroscope=None)
+    path = write_recording(recording, tmp_path / "no_gyroscope.zip")
+    (row,) = batch.track(path, "tian2016", out=tmp_path / "tracks.csv")
+    assert row.failed
+    assert "gyroscope" in row.reason
+
+
+def test_finished_recordings_are_not_done_again_and_other_recipes_are(
+    walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "tracks.csv"
+    first = batch.track(walks, out=table)
+    content = table.read_bytes()
+    asked = count_reads(monkeypatch)
+    assert batch.track(walks, out=table) == first
+    assert asked == []
+    assert table.read_bytes() == content
+    batch.track(walks, weighting="hc", out=table)
+    batch.track(walks / "walk_0.zip", height_m=1.9, out=table)
+    assert len(asked) == N + 1
+    assert len(batch.read_table(table)) == 2 * N + 1
+
+
+def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
+    """Names of the files that are read from now on."""
+    asked: list[str] = []
+
+    def counting(path: str, format: str | None = None) -> pdr.Recording:
+        asked.append(Path(path).name)
+        return pdr.read(path, format)
+
+    monkeypatch.setattr(batch, "read", counting)
+    return asked
+
+
+@pytest.mark.parametrize("lost_bytes", [1, 2, 30, 100])
+def test_a_line_that_was_cut_short_is_dropped_and_its_recording_done_again(
+    walks: Path, tmp_path: Path, lost_bytes: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "tracks.csv"
+    rows = batch.track([walks / "walk_0.zip", walks / "walk_1.zip"], out=table)
+    whole = table.read_bytes()
+    assert lost_bytes < len(whole.splitlines()[-1])
+    table.write_bytes(whole[:-lost_bytes])
+    assert batch.read_table(table) == rows[:1]
+    asked = count_reads(monkeypatch)
+    assert batch.track([walks / "walk_0.zip", walks / "walk_1.zip"], out=table) == rows
+    assert asked == ["walk_1.zip"]
+    assert table.read_bytes() == whole
+
+
+def test_failures_are_tried_again_only_if_asked(walks: Path, tmp_path: Path) -> None:
+    path, table = tmp_path / "late.zip", tmp_path / "tracks.csv"
+    assert batch.track([path, walks / "walk_0.zip"], out=table)[0].failed
+    shutil.copy(walks / "walk_1.zip", path)
+    assert batch.track([path, walks / "walk_0.zip"], out=table)[0].failed
+    rows = batch.track([path, walks / "walk_0.zip"], out=table, retry_failed=True)
+    assert [row.status for row in rows] == ["done", "done"]
+    assert len(batch.read_table(table)) == 2
+
+
+SCRIPT = """
+import sys, time
+from pdr_filter import batch
+def tell(progress):
+    print(progress.n_done, flush=True)
+    if progress.n_done == 2:
+        time.sleep(600)  # until it is killed
+batch.track(sys.argv[1], out=sys.argv[2], jobs=int(sys.argv[3]), progress=tell)
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="kills a process group")
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_killed_batch_goes_on_where_it_was(
+    walks: Path, tmp_path: Path, jobs: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    table = tmp_path / "tracks.csv"
+    command = [sys.executable, "-c", SCRIPT, str(walks), str(table), str(jobs)]
+    process = subprocess.Popen(command, stdout=subprocess.PIPE, text=True, start_new_session=True)
+    assert process.stdout is not None
+    for line in process.stdout:
+        if int(line) == 2:
+            break
+    os.killpg(process.pid, signal.SIGKILL)  # its own session: the process and its workers, nothing else
+    process.wait(timeout=30)
+    process.stdout.close()
+    before = batch.read_table(table)
+    assert len(before) == 2
+    asked = count_reads(monkeypatch)
+    rows = batch.track(walks, out=table)
+    assert sorted(asked) == sorted({f"walk_{i}.zip" for i in range(N)} - {Path(r.path).name for r in before})
+    assert sorted(map(astuple, batch.read_table(table)), key=str) == sorted(map(astuple, rows), key=str)
+    assert rows == batch.track(walks, out=tmp_path / "uninterrupted.csv")
+
+
+def test_a_second_batch_on_the_same_table_is_refused(walks: Path, tmp_path: Path) -> None:
+    pytest.importorskip("fcntl")
+    table = tmp_path / "tracks.csv"
+    refused: list[str] = []
+
+    def intrude(_: batch.Progress) -> None:
+        with pytest.raises(ValueError, match="another batch"):
+            batch.track(walks / "walk_0.zip", out=table)
+        refused.append("yes")
+
+    batch.track(walks / "walk_0.zip", out=table, progress=intrude)
+    assert refused == ["yes", "yes"]
+
+
+def test_progress_counts_every_recording_and_the_time_left_ends_at_zero(walks: Path, tmp_path: Path) -> None:
+    (walks / "notes.txt").write_text("no recording\n")
+    seen: list[batch.Progress] = []
+    paths = [*(walks / f"walk_{i}.zip" for i in range(N)), tmp_path / "missing.zip"]
+    batch.track(paths, out=tmp_path / "tracks.csv", progress=seen.append)
+    assert [p.n_done for p in seen] == list(range(N + 2))
+    assert seen[0].left_s is None
+    assert seen[-1].left_s == 0.0
+    assert all(p.left_s is not None and p.left_s > 0 for p in seen[1:-1])
+    assert (seen[-1].n_failed, seen[-1].fraction, seen[0].fraction) == (1, 1.0, 0.0)
+    again: list[batch.Progress] = []
+    batch.track(paths, out=tmp_path / "tracks.csv", progress=again.append)
+    assert [(p.n_done, p.n_failed, p.left_s) for p in again] == [(N + 1, 1, 0.0)]
+
+
+def test_the_estimate_of_the_time_left_follows_the_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    now = [100.0]
+    monkeypatch.setattr(batch.time, "monotonic", lambda: now[0])
+    sizes = {"a": 99, "b": 299, "c": 599}
+    for name, size in sizes.items():
+        (tmp_path / name).write_bytes(b"x" * size)
+
+    def ten_seconds_later(task: batch.Task) -> batch.Row:
+        now[0] += 10.0
+        return batch._failed(task, "not tracked here")
+
+    monkeypatch.setattr(batch, "track_one", ten_seconds_later)
+    left: list[float | None] = []
+    out = tmp_path / "tracks.csv"
+    batch.track([tmp_path / name for name in sizes], out=out, progress=lambda p: left.append(p.left_s))
+    # 100 bytes in 10 s leave 900; 400 in 20 s leave 600.
+    assert left == [None, pytest.approx(90.0), pytest.approx(30.0), 0.0]
+
+
+# --- calibration of a cohort ---------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def cohort(walks: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The walks with the distance of a stretch of each, of two people, and a file that is none."""
+    folder = tmp_path_factory.mktemp("cohort")
+    for i in range(N):
+        recording = pdr.read(walks / f"walk_{i}.zip")
+        ends_s = recording.accelerometer.time_s[-1] - np.array([16.0, 2.0])
+        values = {"start_s": ends_s[:1], "end_s": ends_s[1:], "distance_m": [15.0 + i], "n_steps": [np.nan]}
+        truth = replace(recording.truth, segments=table({name: np.array(v) for name, v in values.items()}))
+        meta = {**recording.meta, "subject": {"id": f"s{i % 2}", "height_m": 1.75}}
+        write_recording(replace(recording, truth=truth, meta=meta), folder / f"walk_{i}.zip")
+    (folder / "broken.zip").write_text("no zip")
+    return folder
+
+
+@pytest.mark.parametrize("jobs", [1, 2])
+def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left_out(cohort: Path, jobs: int) -> None:
+    expected = pdr.calibrate([pdr.read(cohort / f"walk_{i}.zip") for i in range(N)])
+    seen: list[float] = []
+    found = batch.calibrate(cohort, jobs=jobs, progress=seen.append)
+    assert found.k.keys() == expected.k.keys()
+    for context, k in expected.k.items():
+        np.testing.assert_array_equal(found.k[context], k)
+        np.testing.assert_array_equal(found.k_cov[context], expected.k_cov[context])
+    assert {name: person.k0 for name, person in found.subjects.items()} == {
+        name: person.k0 for name, person in expected.subjects.items()
+    }
+    assert set(found.subjects) == {"s0", "s1"}
+    assert [note for note in found.notes if "broken.zip" in note and "left out" in note]
+    assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
+
+
+def test_what_is_sent_for_a_calibration_is_small(cohort: Path) -> None:
+    path = cohort / f"walk_{N - 1}.zip"
+    sent = len(pickle.dumps(batch.reduced(str(path), None, None, "displacement")))
+    assert sent < 0.05 * sum(samples.values.nbytes for samples in pdr.read(path).streams.values())
+
+
+def test_nothing_to_calibrate_with_is_told_with_the_reason_of_each(walks: Path, tmp_path: Path) -> None:
+    (tmp_path / "broken.zip").write_text("no zip")
+    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*broken\.zip"):
+        batch.calibrate(tmp_path)
+    with pytest.raises(ValueError, match="measure must be"):
+        batch.calibrate(walks, measure="volume")
+
+
+# --- what can go wrong -----------------------------------------------------------------------------------------------
+
+
+def test_a_file_that_is_no_table_of_a_batch_is_left_as_it_is(walks: Path, tmp_path: Path) -> None:
+    other = tmp_path / "letters.csv"
+    for content in (b"dear Anna,\nI write\n", b"half a line"):
+        other.write_bytes(content)
+        with pytest.raises(ValueError, match="not a table of a batch"):
+            batch.track(walks, out=other)
+        assert other.read_bytes() == content
+
+
+@pytest.mark.parametrize(
+    ("options", "words"),
+    [
+        ({"recipe": "nobody1999"}, "no recipe"),
+        ({"weighting": "best"}, "weighting"),
+        ({"file_format": "tape"}, "format"),
+        ({"calibration": "nowhere.json"}, "nowhere.json"),
+        ({"jobs": 0}, "jobs"),
+        ({"jobs": -2}, "jobs"),
+    ],
+)
+def test_options_that_cannot_be_used_are_refused_at_once(
+    walks: Path, tmp_path: Path, options: dict[str, object], words: str
+) -> None:
+    with pytest.raises(ValueError, match=words):
+        batch.track(walks, out=tmp_path / "tracks.csv", **options)  # type: ignore[arg-type]
+
+
+def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path, tmp_path: Path) -> None:
+    recording = replace(pdr.read(walks / "walk_0.zip"), name='two\nlines, "quoted"', notes=("odd;\r\n\x1b[31m",))
+    track = pdr.track(recording)
+    row = batch._row(batch.Task(str(tmp_path / "a, b.zip")), track)
+    text = batch._line(batch.COLUMNS) + batch._line(batch._cells(row))
+    (tmp_path / "tracks.csv").write_text(text)
+    assert len(text.splitlines()) == 2
+    assert batch.read_table(tmp_path / "tracks.csv") == [row]
+    assert row.name == 'two lines, "quoted"'
+
+
+def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match="is a folder"):
+        batch.track(walks, out=tmp_path)
+
+
+def test_the_same_recording_twice_is_one_row(walks: Path, tmp_path: Path) -> None:
+    path = walks / "walk_0.zip"
+    assert len(batch.track([path, str(path), walks / ".." / walks.name / "walk_0.zip"], out=tmp_path / "t.csv")) == 1
+
+
+def test_recordings_of_a_folder_are_found_in_it_and_below_and_broken_ones_too(tmp_path: Path, walks: Path) -> None:
+    (tmp_path / "deep" / "er").mkdir(parents=True)
+    shutil.copy(walks / "walk_0.zip", tmp_path / "deep" / "er" / "walk_0.zip")
+    (tmp_path / "broken.zip").write_text("no zip")
+    (tmp_path / "README.txt").write_text("about these\n")
+    (tmp_path / "table.csv").write_text("a,b,c,d\n1,2,3,4\n5,6,7,8\n")
+    write_recording(pdr.read(walks / "walk_0.zip"), tmp_path / "folder")
+    found = batch.recordings_in(tmp_path)
+    assert found == [tmp_path / "broken.zip", tmp_path / "deep" / "er" / "walk_0.zip", tmp_path / "folder"]
+
+
+def square_or_die(n: int) -> int:
+    if n < 0:
+        os.kill(os.getpid(), signal.SIGKILL)
+    if n == 0:
+        raise ValueError("nothing to square")
+    return n * n
+
+
+def results_of(items: list[int], **options: object) -> dict[int, object]:
+    found = list(batch.each(square_or_die, items, **options))  # type: ignore[arg-type]
+    assert len({i for i, _ in found}) == len(found) == len(items)
+    return dict(found)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_an_item_that_kills_its_process_is_a_failure_and_all_others_are_done() -> None:
+    found = results_of([3, 4, -1, 5, 0, 6, 7], jobs=2)
+    assert [found[i] for i in (0, 1, 3, 5, 6)] == [9, 16, 25, 36, 49]
+    assert found[4] == batch.Failure("nothing to square")
+    assert isinstance(found[2], batch.Failure)
+    assert "died" in found[2].reason
+
+
+def test_no_items_are_no_work() -> None:
+    assert results_of([], jobs=4) == {}
+
+
+def test_parquet_holds_the_same_rows(walks: Path, tmp_path: Path) -> None:
+    pd = pytest.importorskip("pandas")
+    pytest.importorskip("pyarrow")
+    rows = batch.track(walks, out=tmp_path / "tracks.parquet")
+    frame = pd.read_parquet(tmp_path / "tracks.parquet")
+    assert list(frame.columns) == list(batch.COLUMNS)
+    assert list(frame.distance_m) == [row.distance_m for row in rows]
+    assert batch.read_table(tmp_path / "tracks.csv") == rows
+
+
+# --- Dask ------------------------------------------------------------------------------------------------------------
+
+
+def slow_square(n: int) -> int:
+    time.sleep(0.05)
+    return square_or_die(n)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_with_one_of_two_dask_workers_killed_every_recording_is_once_in_the_table(walks: Path, tmp_path: Path) -> None:
+    distributed = pytest.importorskip("distributed")
+    copies = [tmp_path / f"walk_{i}.zip" for i in range(4 * N)]
+    for i, copy in enumerate(copies):
+        shutil.copy(walks / f"walk_{i % N}.zip", copy)
+    broken = tmp_path / "broken.zip"
+    broken.write_text("no zip")
+    table = tmp_path / "tracks.csv"
+    killed: list[int] = []
+    with distributed.LocalCluster(
+        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+    ) as cluster:
+
+        def kill_one(progress: batch.Progress) -> None:
+            if progress.n_done == 4:
+                victim = cluster.workers[0]
+                killed.append(victim.pid)
+                os.kill(victim.pid, signal.SIGKILL)
+
+        rows = batch.track([*copies, broken], out=table, scheduler=cluster.scheduler_address, progress=kill_one)
+    assert len(killed) == 1
+    lines = [row.path for row in batch.read_table(table)]
+    assert len(lines) == len(set(lines)) == 4 * N + 1
+    assert [row.status for row in rows] == ["done"] * (4 * N) + ["failed"]
+    for row, local in zip(rows[:N], batch.track(copies[:N], out=tmp_path / "local.csv"), strict=True):
+        assert row == local
+
+
+def test_what_kills_every_worker_is_a_failure_on_a_cluster() -> None:
+    distributed = pytest.importorskip("distributed")
+    dask = pytest.importorskip("dask")
+    with (
+        dask.config.set({"distributed.scheduler.allowed-failures": 0}),
+        distributed.LocalCluster(
+            n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
+        ) as cluster,
+    ):
+        found = dict(batch.each(square_or_die, [2, -1], scheduler=cluster.scheduler_address))
+    assert isinstance(found[1], batch.Failure)
+    assert "died" in found[1].reason
+
+
+def test_a_scheduler_that_is_not_there_is_told(walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    pytest.importorskip("distributed")
+    monkeypatch.setattr(batch, "_CONNECT_S", 0.5)
+    with pytest.raises(ValueError, match="no Dask scheduler"):
+        batch.track(walks, out=tmp_path / "tracks.csv", scheduler="tcp://127.0.0.1:9")

@@ -1,0 +1,318 @@
+"""The command line: what it prints where, and how it fails."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import sys
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner, Result
+
+import pdr_filter as pdr
+from pdr_filter.classifiers.model import load_model
+from pdr_filter.cli.app import app
+from pdr_filter.io.own_format import write_recording
+from pdr_filter.sensing.contexts.learned import LearnedContexts
+from pdr_filter.training import contexts as training
+
+MODELS = Path(__file__).resolve().parents[2] / "models"
+
+
+def run(*arguments: object) -> Result:
+    return CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "200", "TERM": "dumb"})
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The simulated walk as a file."""
+    return write_recording(pdr.simulate.demo_walk(), tmp_path_factory.mktemp("walks") / "demo_walk.zip")
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    path = tmp_path / "broken.zip"
+    path.write_text("this is no zip file")
+    return path
+
+
+def one_line(text: str) -> str:
+    """The only line of a message; no traceback."""
+    (line,) = text.strip().splitlines()
+    return line
+
+
+# --- track ---------------------------------------------------------------------------------------------------------
+
+
+def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, broken: Path) -> None:
+    command = [sys.executable, "-m", "pdr_filter.cli.app", "track", "--json", str(walk), str(broken), str(walk)]
+    done = subprocess.run(command, capture_output=True, text=True, check=False)
+    objects = [json.loads(line) for line in done.stdout.splitlines()]
+    summary = pdr.track(pdr.read(walk)).summary()
+    assert objects[0] == objects[2] == summary
+    assert set(objects[1]) == {"name", "error"}
+    assert objects[1]["name"] == "broken"
+    assert done.returncode == 1
+    assert "broken.zip" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_track_prints_one_row_for_each_file(walk: Path) -> None:
+    result = run("track", walk, walk)
+    summary = pdr.track(pdr.read(walk)).summary()
+    rows = [line for line in result.stdout.splitlines() if "demo_walk" in line]
+    assert result.exit_code == 0
+    assert len(rows) == 2
+    for value in (str(summary["n_steps"]), f"{summary['distance_m']:.1f} m", f"{summary['end_east_m']:.1f} m"):
+        assert value in rows[0]
+
+
+def test_notes_stand_below_the_table_and_with_json_on_stderr(tmp_path: Path) -> None:
+    recording = replace(pdr.simulate.demo_walk(), gyroscope=None, name="no_gyroscope")
+    file = write_recording(recording, tmp_path / "no_gyroscope.zip")
+    assert "no gyroscope" in run("track", file).stdout
+    with_json = run("track", "--json", file)
+    assert "no gyroscope" in with_json.stderr
+    assert len(with_json.stdout.splitlines()) == 1
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_the_weighting_is_the_one_asked_for(walk: Path, weighting: str) -> None:
+    result = run("track", "--json", "--weighting", weighting, walk)
+    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), weighting=weighting).summary()
+
+
+def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
+    result = run("track", "--json", "--recipe", "martinelli2018", walk)
+    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), pdr.recipes.martinelli2018()).summary()
+
+
+def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:
+    path = MODELS / "context_martinelli_forest.npz"
+    result = run("track", "--json", "--model", path, walk)
+    config = pdr.recipes.with_context_model(pdr.recipes.default(pdr.read(walk).subject), load_model(path))
+    contexts = config.sensing.contexts
+    assert isinstance(contexts, LearnedContexts)
+    assert contexts.models.with_gyroscope.name == "context_martinelli_forest"
+    assert contexts.windows.feature_set == "martinelli"
+    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
+    assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()
+
+
+def test_out_gets_a_table_and_a_picture_and_with_an_origin_a_map_file(walk: Path, tmp_path: Path) -> None:
+    assert run("track", walk, "--out", tmp_path / "plain").exit_code == 0
+    assert {p.name for p in (tmp_path / "plain").iterdir()} == {"demo_walk.csv", "demo_walk.png"}
+    assert run("track", walk, "--out", tmp_path / "placed", "--origin", "43.77,-11.25").exit_code == 0
+    line = json.loads((tmp_path / "placed" / "demo_walk.geojson").read_text())["features"][0]["geometry"]["coordinates"]
+    assert line[0] == pytest.approx([-11.25, 43.77])
+
+
+def test_recordings_of_one_name_do_not_overwrite_each_other(walk: Path, tmp_path: Path) -> None:
+    run("track", walk, walk, walk, "--out", tmp_path)
+    assert len(list(tmp_path.glob("*.csv"))) == 3
+
+
+def test_one_bad_file_does_not_stop_the_others_and_is_listed(walk: Path, broken: Path) -> None:
+    result = run("track", broken, walk)
+    assert result.exit_code == 1
+    assert "demo_walk" in result.stdout
+    assert "1 of 2 files failed" in result.stderr
+    assert str(broken) in result.stderr
+
+
+@pytest.mark.parametrize("command", ["track", "info", "compare", "demo"])
+def test_a_file_that_cannot_be_used_is_one_line_and_code_2(command: str, broken: Path) -> None:
+    result = run(command, broken)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    line = one_line(result.stderr)
+    assert line.startswith("error:")
+    assert "broken.zip" in line
+
+
+def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
+    result = run("track", tmp_path / "nowhere.zip")
+    assert result.exit_code == 2
+    assert "nowhere.zip" in one_line(result.stderr)
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        (["--recipe", "no_such_recipe"], "martinelli2018"),
+        (["--recipe", "context_modes"], "no recipe"),
+        (["--model", "no_such_model.npz"], "no_such_model.npz"),
+        (["--origin", "Florence", "--out", "x"], "LAT,LON"),
+        (["--origin", "11.25,143.77,3", "--out", "x"], "LAT,LON"),
+        (["--origin", "143.77,11.25", "--out", "x"], "exchanged"),
+        (["--origin", "43.77,11.25"], "--out"),
+    ],
+)
+def test_an_option_that_cannot_be_used_is_one_line_with_the_remedy(walk: Path, options: list[str], said: str) -> None:
+    result = run("track", walk, *options)
+    assert result.exit_code == 2
+    assert result.stdout == ""
+    assert said in one_line(result.stderr)
+
+
+def test_an_unknown_weighting_is_refused(walk: Path) -> None:
+    result = run("track", walk, "--weighting", "mean")
+    assert result.exit_code == 2
+    assert "imm" in result.stderr
+
+
+# --- the other commands ----------------------------------------------------------------------------------------------
+
+
+def test_info_tells_sensors_units_and_truth(walk: Path) -> None:
+    result = run("info", walk)
+    assert result.exit_code == 0
+    for word in ("accelerometer", "gyroscope", "100.0 Hz", "plausible", "truth: position"):
+        assert word in result.stdout
+
+
+def test_info_json_is_one_object_a_line(walk: Path, broken: Path) -> None:
+    result = run("info", "--json", walk, broken)
+    good, bad = (json.loads(line) for line in result.stdout.splitlines())
+    assert good["name"] == "demo_walk"
+    assert [s["name"] for s in good["streams"]] == ["accelerometer", "gyroscope", "magnetometer"]
+    assert set(bad) == {"name", "error"}
+    assert result.exit_code == 1
+
+
+def test_compare_shows_the_three_weightings_and_their_difference(walk: Path) -> None:
+    result = run("compare", walk)
+    tracks = {w: pdr.track(pdr.read(walk), weighting=w) for w in ("hc", "wc", "imm")}
+    lines = [line for line in result.stdout.splitlines() if " m" in line]  # without the header
+    rows = {w: next(line for line in lines if w in line.split()) for w in tracks}
+    for weighting, track in tracks.items():
+        assert f"{track.distance_m:.1f} m" in rows[weighting]
+    assert f"{tracks['hc'].distance_m - tracks['imm'].distance_m:+.1f} m" in rows["hc"]
+    apart_m = np.hypot(*(tracks["wc"].position_m[-1] - tracks["imm"].position_m[-1]))
+    assert f"{apart_m:.1f} m" in rows["wc"]
+
+
+def test_the_same_seed_simulates_the_same_walk(tmp_path: Path) -> None:
+    files = [tmp_path / name for name in ("a.zip", "b.zip", "c.zip")]
+    for file, seed in zip(files, (5, 5, 6), strict=True):
+        assert run("simulate", "--out", file, "--seed", seed).exit_code == 0
+    a, b, c = (file.read_bytes() for file in files)
+    assert a == b != c
+
+
+@pytest.mark.parametrize("mode", ["texting", "pocket", "swinging", "calling"])
+def test_a_simulated_walk_is_carried_as_asked(tmp_path: Path, mode: str) -> None:
+    result = run("simulate", "--out", tmp_path / "walk.zip", "--carrying-mode", mode)
+    recording = pdr.read(result.stdout.strip())
+    assert recording.truth.labels is not None
+    assert set(recording.truth.labels.carrying_mode) == {mode}
+
+
+def test_train_prints_the_models_it_wrote(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    asked: list[Any] = []
+
+    def fake_train(data_dir: Path, out_dir: Path, progress: Any, sequences_dir: Any) -> list[dict[str, Any]]:
+        asked.extend([data_dir, out_dir, sequences_dir])
+        progress("reading", 0.5)
+        return [{"name": "one"}, {"name": "two"}]
+
+    monkeypatch.setattr(training, "train", fake_train)
+    result = run("train", tmp_path, "--out", tmp_path / "out")
+    assert result.stdout.split() == [str(tmp_path / "out" / "one.npz"), str(tmp_path / "out" / "two.npz")]
+    assert asked == [tmp_path, tmp_path / "out", None]
+
+
+def test_train_on_a_folder_without_recordings_is_one_line_and_code_2(tmp_path: Path) -> None:
+    result = run("train", tmp_path)
+    assert result.exit_code == 2
+    assert str(tmp_path) in one_line(result.stderr)
+
+
+def test_demo_prints_the_summary_and_writes_three_files(tmp_path: Path) -> None:
+    result = run("demo", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "simulated" in result.stdout
+    assert {p.suffix for p in tmp_path.iterdir()} == {".png", ".geojson", ".csv"}
+
+
+def test_version_is_the_version_of_the_package() -> None:
+    assert run("--version").stdout.strip() == f"pdr-filter {pdr.__version__}"
+
+
+def test_without_a_command_the_help_is_shown() -> None:
+    shown = run().stdout + run().stderr
+    for command in ("track", "info", "train", "compare", "simulate", "demo"):
+        assert command in shown
+
+
+def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
+    from pdr_filter.simulate import Leg, simulate
+
+    legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=15.0, turn_rad=1.5)]
+    walks = [write_recording(simulate(legs, seed=s, name=f"walk_{s}"), tmp_path / f"walk_{s}.zip") for s in (1, 2)]
+    result = run("calibrate", *walks, "--out", tmp_path / "me.json", "--figure", tmp_path / "me.png")
+    assert result.exit_code == 0
+    assert "4 segments" in result.stdout
+    assert (tmp_path / "me.png").read_bytes().startswith(b"\x89PNG")
+    result = run("track", "--json", "--calibration", tmp_path / "me.json", walks[0])
+    assert result.exit_code == 0
+    recording = pdr.read(walks[0])
+    calibrated = pdr.track(recording, calibration=tmp_path / "me.json")
+    assert json.loads(result.stdout) == calibrated.summary()
+    truth_m = 35.0
+    assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
+
+
+def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
+    recording = pdr.read(walk)
+    bare = replace(recording, truth=replace(recording.truth, segments=None, strides=None, waypoints=None))
+    path = write_recording(bare, tmp_path / "bare.zip")
+    result = run("calibrate", path, "--out", tmp_path / "me.json")
+    assert result.exit_code == 2
+    assert "error:" in result.stderr
+    assert not (tmp_path / "me.json").exists()
+
+
+def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) -> None:
+    result = run("smooth", walk, "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "observations" in result.stdout
+    assert "step scale" in result.stdout
+    assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
+
+
+def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:
+    assert run("info", walk, "--format", "own").exit_code == 0
+    result = run("info", walk, "--format", "quux")
+    assert result.exit_code == 2
+    assert "known are" in result.stderr
+
+
+def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Path, tmp_path: Path) -> None:
+    folder = tmp_path / "many"
+    folder.mkdir()
+    recording = pdr.read(walk)
+    for name in ("a", "b"):
+        write_recording(replace(recording, name=name), folder / f"{name}.zip")
+    (folder / "broken.zip").write_bytes(b"no zip")
+    for _ in range(2):
+        result = run("track", folder, "--out", tmp_path / "out")
+        assert result.exit_code == 1
+        assert "2 recordings tracked, 1 failed" in result.stdout
+        assert "broken.zip" in result.stderr
+        lines = (tmp_path / "out" / "tracks.csv").read_text(encoding="utf-8").splitlines()
+        assert len(lines) == 4
+    result = run("track", folder, "--json")
+    assert result.exit_code == 2
+    assert "leave out --model" in result.stderr
+
+
+def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:
+    assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
+    [page] = tmp_path.glob("*.html")
+    assert "<svg" in page.read_text(encoding="utf-8")

@@ -1,0 +1,90 @@
+"""The demonstration: three files and a summary that is true."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+import pdr_filter as pdr
+from pdr_filter.cli.demo import PLACEHOLDER_ORIGIN_DEG, Demo, run_demo
+from pdr_filter.io.own_format import write_recording
+
+
+@pytest.fixture(scope="module")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Demo:
+    return run_demo(None, tmp_path_factory.mktemp("demo"))
+
+
+def printed(demo: Demo) -> str:
+    console = Console(width=100, highlight=False)
+    with console.capture() as capture:
+        demo.print(console)
+    return capture.get()
+
+
+def test_the_demo_writes_a_picture_a_map_file_and_a_table(simulated: Demo) -> None:
+    assert simulated.picture.read_bytes().startswith(b"\x89PNG")
+    assert len(simulated.csv.read_text().splitlines()) == simulated.track.n_steps + 1
+    (feature,) = json.loads(simulated.geojson.read_text())["features"]
+    lon_deg, lat_deg = feature["geometry"]["coordinates"][0]
+    assert (lat_deg, lon_deg) == pytest.approx(PLACEHOLDER_ORIGIN_DEG)
+
+
+def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
+    drawn: list[np.ndarray | None] = []
+    monkeypatch.setattr("pdr_filter.cli.demo.plot_track", lambda track, path, reference_m: drawn.append(reference_m))
+    demo = run_demo(None, tmp_path)
+    truth = demo.recording.truth.position
+    run_demo(write_recording(demo.recording, tmp_path / "mine.zip"), tmp_path)
+    np.testing.assert_array_equal(drawn[0], np.column_stack([truth.east_m, truth.north_m]))
+    assert drawn[1] is None  # of another recording nobody knows how its frame lies
+
+
+def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated: Demo) -> None:
+    text = printed(simulated)
+    truth = simulated.recording.truth
+    assert "simulated" in text
+    assert "nobody walked" in text
+    assert f"truth: {len(truth.steps)}" in text
+    assert f"truth: {truth.segments.distance_m.sum():.1f} m" in text
+    assert f"{simulated.track.n_steps}" in text
+    assert f"{simulated.track.distance_m:.1f} m" in text
+
+
+def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated: Demo) -> None:
+    text = printed(simulated)
+    for path in (simulated.picture, simulated.geojson, simulated.csv):
+        assert str(path) in text
+    assert "placeholder" in text
+    assert "standard deviation" in text
+    assert "pdr-filter track YOUR.zip" in text
+    assert len(text.splitlines()) <= 24  # one screen
+
+
+def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk(seed=3)
+    file = write_recording(walk, tmp_path / "mine.zip")
+    demo = run_demo(file, tmp_path / "out")
+    assert demo.track.n_steps == pdr.track(pdr.read(file)).n_steps
+    text = printed(demo)
+    assert str(file) in text
+    assert "truth" not in text
+
+
+def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> None:
+    legs = [pdr.simulate.Leg("stationary", duration_s=20.0)]
+    walk = pdr.simulate.simulate(legs, name="rest")
+    demo = run_demo(write_recording(walk, tmp_path / "rest.zip"), tmp_path / "out")
+    assert demo.track.n_steps == 0
+    assert "no steps found" in printed(demo)
+    assert demo.picture.is_file()
+
+
+def test_progress_reaches_one(tmp_path: Path) -> None:
+    fractions: list[float] = []
+    run_demo(None, tmp_path, fractions.append)
+    assert fractions[-1] == 1.0

@@ -1,0 +1,299 @@
+"""Fixes of every kind: positions in a frame that the track does not know, headings, speeds, standstills."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.filter.alignment import Anchor, align, with_anchor
+from pdr_filter.io.recording import Recording
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.fixes import Fix, HeadingFix, PositionFix, SpeedFix, Standstill
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return simulate([Leg("walking", distance_m=60.0), Leg("walking", distance_m=60.0, turn_rad=np.pi / 2)], seed=3)
+
+
+def clockwise(angle_rad: float) -> np.ndarray:
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def truth_at(walk: Recording, times: np.ndarray) -> np.ndarray:
+    truth = walk.truth.position
+    return np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+
+
+def fixes_in(walk: Recording, angle_rad: float, shift_m: np.ndarray, every_s: float = 8.0, until_s: float = 1e9):
+    """Fixes of 1 m in another frame, without noise."""
+    times = np.arange(4.0, min(walk.duration_s, until_s), every_s)
+    places = truth_at(walk, times) @ clockwise(angle_rad).T + shift_m
+    return [PositionFix(float(t), p, np.eye(2)) for t, p in zip(times, places, strict=True)]
+
+
+# --- the frame of the world -------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 0.8, 2.9, -2.0])
+def test_three_points_give_the_rotation_and_the_shift_that_moved_them(angle_rad: float) -> None:
+    track = np.array([[0.0, 0.0], [0.0, 30.0], [25.0, 40.0]])
+    world = track @ clockwise(angle_rad).T + [100.0, -40.0]
+    found = align([Anchor(t, w, 1.0) for t, w in zip(track, world, strict=True)], 7)
+    assert found is not None
+    assert float(wrap_angle(found.angle_rad - angle_rad)) == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(found.positions(track), world, atol=1e-9)
+    assert found.n_steps == 7
+
+
+def test_fixes_that_are_close_together_leave_the_angle_open() -> None:
+    near = [Anchor(np.array([0.0, y]), np.array([5.0, y]), 25.0) for y in (0.0, 2.0, 4.0)]
+    assert align(near, 0) is None
+    assert align(near[:1], 0) is None
+    assert align([*near, Anchor(np.array([0.0, 60.0]), np.array([5.0, 60.0]), 25.0)], 0) is not None
+
+
+def test_the_first_anchor_is_never_forgotten() -> None:
+    anchors: tuple[Anchor, ...] = ()
+    for k in range(100):
+        anchors = with_anchor(anchors, Anchor(np.array([0.0, k]), np.zeros(2), 1.0))
+    assert anchors[0].track_m[1] == 0.0
+    assert anchors[-1].track_m[1] == 99.0
+    assert len(anchors) <= 24
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+@pytest.mark.parametrize("angle_rad", [0.0, 2.5, -1.3])
+def test_a_track_finds_the_place_and_the_north_of_its_fixes(walk: Recording, weighting: str, angle_rad: float) -> None:
+    shift = np.array([400.0, -250.0])
+    config = recipes.for_recording("default", walk).in_world_frame()
+    track = pdr.track(walk, config, weighting, fixes=fixes_in(walk, angle_rad, shift))
+    error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
+    assert np.median(error) < 2.0
+    assert error.max() < 6.0  # also of the steps before anything was known
+    assert all(f.accepted for f in track.fixes)
+    first = wrap_angle(track.walking_heading_rad[5:20] - angle_rad)
+    assert np.abs(first).max() < 0.4
+
+
+def test_the_same_fixes_without_that_are_rejected_as_they_fit_nothing(walk: Recording) -> None:
+    fixes = fixes_in(walk, 2.5, np.array([400.0, -250.0]))
+    track = pdr.track(walk, recipes.for_recording("default", walk), fixes=fixes)
+    assert not any(f.accepted for f in track.fixes)
+
+
+def test_when_the_fixes_stop_the_track_goes_on_in_their_frame(walk: Recording) -> None:
+    """GNSS until the person enters a building."""
+    shift, angle_rad = np.array([50.0, 80.0]), 1.9
+    config = recipes.for_recording("default", walk).in_world_frame()
+    track = pdr.track(walk, config, fixes=fixes_in(walk, angle_rad, shift, every_s=3.0, until_s=40.0))
+    error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
+    inside = track.time_s > 45.0
+    assert error[inside].max() < 8.0
+    deviation = np.sqrt(np.trace(track.position_cov_m2, axis1=1, axis2=2))
+    assert deviation[-1] > 1.5 * deviation[track.time_s < 38.0][-1]
+
+
+def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk: Recording) -> None:
+    fixes: list[Fix] = [
+        *fixes_in(walk, 1.0, np.array([9.0, 9.0])),
+        HeadingFix(30.0, 1.0, 0.2, received_time_s=31.5),
+        SpeedFix(35.0, 1.3, 0.1),
+        Standstill(50.0, 51.0),
+    ]
+    config = recipes.default().in_world_frame()
+    whole = pdr.track(walk, config, fixes=fixes)
+    online, updates = pdr.OnlineFilter(config), []
+    for fix in fixes:
+        online.add_fix(fix)
+    for block in cut_randomly(pdr.merge_streams(walk), 5):
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        online = pdr.OnlineFilter.load(online.save())
+    updates += online.finish()
+    alignment = online.state.tracker.alignment
+    assert alignment is not None
+    told = np.array([u.position_m for u in updates])
+    # offline the steps from before the alignment are brought along
+    told[: alignment.n_steps] = alignment.positions(told[: alignment.n_steps])
+    np.testing.assert_allclose(told[: alignment.n_steps], whole.position_m[: alignment.n_steps], atol=1e-9)
+    np.testing.assert_array_equal(told[alignment.n_steps :], whole.position_m[alignment.n_steps :])
+    assert [f.kind for f in whole.fixes].count("position") == len(fixes) - 3
+
+
+# --- headings, speeds, standstills ------------------------------------------------------------------------------------
+
+
+def test_headings_keep_a_drifting_gyroscope_straight() -> None:
+    walk = simulate([Leg("walking", distance_m=150.0)], seed=8)
+    assert walk.gyroscope is not None
+    # a drift that no still window and no corner shows
+    drifting = replace(
+        walk,
+        gyroscope=pdr.Samples(walk.gyroscope.time_s, walk.gyroscope.values + np.array([0.0, 0.0, 0.02])),
+        magnetometer=None,
+    )
+    alone = pdr.track(drifting)
+    fixes = [HeadingFix(t, 0.0, 0.05) for t in np.arange(5.0, walk.duration_s, 5.0)]
+    helped = pdr.track(drifting, fixes=fixes)
+    sideways = [float(np.abs(t.position_m[:, 0]).max()) for t in (alone, helped)]
+    assert sideways[1] < 0.3 * sideways[0]
+    assert {f.kind for f in helped.fixes} == {"heading"}
+
+
+def test_a_heading_that_cannot_be_is_rejected(walk: Recording) -> None:
+    track = pdr.track(walk, fixes=[HeadingFix(20.0, np.pi, 0.05)])
+    assert [f.accepted for f in track.fixes] == [False]
+    assert any("fixes rejected as outliers: 1" in note for note in track.notes)
+
+
+def test_in_the_world_frame_the_first_heading_says_where_north_is(walk: Recording) -> None:
+    config = recipes.for_recording("default", walk).in_world_frame()
+    track = pdr.track(walk, config, fixes=[HeadingFix(15.0, 2.0, 0.05)])
+    later = (track.time_s > 16.0) & (track.time_s < 40.0)
+    assert np.median(wrap_angle(track.walking_heading_rad[later] - 2.0)) == pytest.approx(0.0, abs=0.15)
+
+
+def test_speeds_teach_the_scale_of_the_steps() -> None:
+    walk = simulate([Leg("walking", distance_m=150.0)], seed=9)
+    config = recipes.default()  # which does not know the height
+    true_mps = 150.0 / (walk.truth.steps.time_s[-1] - walk.truth.steps.time_s[0])
+    fixes = [SpeedFix(t, 1.15 * true_mps, 0.05) for t in np.arange(10.0, 60.0, 5.0)]
+    alone, taught = pdr.track(walk, config), pdr.track(walk, config, fixes=fixes)
+    late = alone.time_s > 70.0
+    ratio = taught.step_length_m[late].mean() / (1.15 * true_mps * alone.steps.duration_s[late].mean())
+    assert ratio == pytest.approx(1.0, abs=0.03)
+    assert all(f.accepted for f in taught.fixes)
+
+
+def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
+    for weighting in ("imm", "wc", "hc"):
+        config = recipes.for_recording("default", walk).with_weighting(weighting)
+        alone = pdr.track(walk, config)
+        standing = pdr.track(walk, config, fixes=[Standstill(20.0, 30.0)])
+        inside = (alone.time_s > 20.5) & (alone.time_s < 29.5)
+        before = alone.time_s < 20.0
+        np.testing.assert_array_equal(standing.step_length_m[before], alone.step_length_m[before])
+        assert standing.step_length_m[inside].sum() < 0.1 * alone.step_length_m[inside].sum()
+        assert standing.n_steps == alone.n_steps
+
+
+# --- what cannot be ---------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("make", "words"),
+    [
+        (lambda: HeadingFix(np.nan, 0.0, 0.1), "time_s of a fix must be finite"),
+        (lambda: HeadingFix(1.0, np.inf, 0.1), "walking_heading_rad must be finite"),
+        (lambda: HeadingFix(1.0, 0.0, 0.0), "std_rad positive"),
+        (lambda: HeadingFix(1.0, 0.0, 0.1, received_time_s=0.5), "received_time_s not before it"),
+        (lambda: SpeedFix(1.0, 0.0, 0.1), "is a Standstill"),
+        (lambda: SpeedFix(1.0, 1.0, np.nan), "must be positive"),
+        (lambda: Standstill(2.0, 2.0), "must end after its begin"),
+        (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad positive"),
+        (lambda: SpeedFix(1.0, 1.0, 1e200), "must be positive"),
+        (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "finite"),
+    ],
+)
+def test_a_fix_that_cannot_be_is_refused_before_it_reaches_a_filter(make, words: str) -> None:
+    with pytest.raises(ValueError, match=words):
+        make()
+
+
+def test_a_fix_ten_minutes_late_or_from_before_the_start_leaves_finite_numbers(walk: Recording) -> None:
+    fixes: list[Fix] = [
+        PositionFix(-5.0, np.zeros(2), np.eye(2)),
+        PositionFix(10.0, np.array([0.0, 10.0]), np.eye(2), received_time_s=85.0),
+        HeadingFix(10.0, 0.0, 0.1, received_time_s=85.0),
+        PositionFix(1e6, np.zeros(2), np.eye(2)),
+    ]
+    track = pdr.track(walk, fixes=fixes)
+    assert np.isfinite(track.position_m).all()
+    assert len(track.fixes) == len(fixes)
+    assert all(not f.accepted and f.nis == np.inf for f in track.fixes)
+    np.testing.assert_array_equal(track.position_m, pdr.track(walk).position_m)
+    assert any("fixes from after the last sample, not used: 1" in note for note in track.notes)
+
+
+def test_an_unknown_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="frame must be one of"):
+        replace(recipes.default().tracker, frame="moon")
+
+
+@pytest.mark.parametrize(
+    ("time_s", "received_s", "message"),
+    [
+        (-50.0, None, r"the fix at -50\.0 s is from before the first sample \(0\.0 s\)"),
+        (1.0, None, r"the fix at 1\.0 s comes 79 s late"),
+        (75.0, 680.0, r"the fix at 75\.0 s comes 605 s late"),
+        (1e6, None, r"is 999920 s ahead of the last sample \(80\.0 s\)"),
+    ],
+)
+def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing_had_been(
+    walk: Recording, time_s: float, received_s: float | None, message: str
+) -> None:
+    samples = pdr.merge_streams(walk)
+    now = int(np.searchsorted(samples.time_s, 80.0))
+    online, other = pdr.OnlineFilter(), pdr.OnlineFilter()
+    for one in (online, other):
+        one.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
+    before = online.save()
+    for make in (
+        lambda: PositionFix(time_s, np.zeros(2), np.eye(2), received_time_s=received_s),
+        lambda: HeadingFix(time_s, 0.0, 0.1, received_time_s=received_s),
+    ):
+        with pytest.raises(ValueError, match=message):
+            online.add_fix(make())
+    assert online.save() == before
+    rest = samples.time_s[now:], samples.specific_force_mps2[now:], samples.angular_rate_radps[now:]
+    online.push(*rest), other.push(*rest)
+    np.testing.assert_array_equal(online.position_m, other.position_m)
+
+
+def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    now = int(np.searchsorted(samples.time_s, 80.0))
+    online = pdr.OnlineFilter()
+    online.push(samples.time_s[:now], samples.specific_force_mps2[:now], samples.angular_rate_radps[:now])
+    for time_s in (21.0, 80.0, 139.0):
+        online.add_fix(PositionFix(time_s, np.zeros(2), np.eye(2)))
+    online.add_fix(Standstill(2.0, 79.0))  # told at its end
+    assert len(online.state.waiting_fixes) == 4
+    online.finish()
+    with pytest.raises(ValueError, match="the filter is finished"):
+        online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
+
+
+def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(walk: Recording) -> None:
+    """Two late fixes of the same moment and place: the second finds what the first has mended, and moves little."""
+    alone = pdr.track(walk)
+    k = int(np.searchsorted(alone.time_s, 30.0))
+    place = alone.position_m[k] + np.array([1.5, 0.0])
+    cov = 0.01 * np.eye(2)
+    first = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.0)
+    again = PositionFix(float(alone.time_s[k]), place, cov, received_time_s=38.5)
+    one, two = pdr.track(walk, fixes=[first, again]).fixes
+    assert one.accepted and two.accepted
+    assert two.nis < 0.2 * one.nis
+
+
+def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording) -> None:
+    """The deviation after it is not smaller than what a person's scale makes of the way since."""
+    alone = pdr.track(walk)
+    k = int(np.searchsorted(alone.time_s, 20.0))
+    fix_s = float(alone.time_s[k])
+    fix = PositionFix(fix_s, alone.position_m[k], 1e-4 * np.eye(2), received_time_s=fix_s + 15.0)
+    track = pdr.track(walk, fixes=[fix])
+    after = int(np.searchsorted(track.steps.detected_time_s, fix_s + 16.0))
+    std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[after]))
+    since_m = np.linalg.norm(alone.position_m[after] - alone.position_m[k])
+    assert std_m[0] > 0.7 * recipes.default().tracker.noise.log_scale_std * since_m

@@ -1,0 +1,484 @@
+# ruff: noqa: N806 - the letters of the equations
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import a_step
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_filter.filter.alignment import Alignment
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
+from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
+from pdr_filter.filter.tracking import (
+    StepUpdate,
+    Tracker,
+    TrackerState,
+    WindowContext,
+    _moved,
+    even_transitions,
+    present_position,
+)
+from pdr_filter.filter.weighting import HC, weighted_distances
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values.step import Step
+
+LATENCY_S = 0.74
+EVEN_PRIOR = np.full(6, 1 / 6)
+STATIONARY, WALKING, RUNNING = (CONTEXTS.index(c) for c in ("stationary", "walking", "running"))
+Event = Step | WindowContext
+
+
+def modes() -> tuple[Mode, ...]:
+    """One mode for each context; lengths depend on the step, and no two are alike."""
+    theta = np.array([[0, 0, 0], [0.3, 0.2, 0.01], [0.2, 0.05, 0], [0.3, 0.1, 0], [0.4, 0, 0], [0.2, 0.3, 0.02]])
+    return tuple(
+        Mode(
+            context,
+            context,
+            StepLengthFit(FrequencyVarianceStepLength(), t, np.eye(3) * 1e-4, 0.05),
+            heading_offset_rad=np.pi / 2 if context == "sideways" else 0.0,
+        )
+        for context, t in zip(CONTEXTS, theta, strict=True)
+    )
+
+
+def tracker(weighting: str) -> Tracker:
+    return Tracker(modes(), even_transitions(6, 0.9), weighting=weighting, evidence_exponent=0.5, prior_exponent=1.0)
+
+
+def sure(context: int, prob: float = 1.0) -> np.ndarray:
+    return np.where(np.arange(6) == context, prob, (1 - prob) / 5)
+
+
+def random_walk(seed: int, duration_s: int = 20) -> tuple[list[Step], list[WindowContext]]:
+    """Steps from 1 s on, and windows that end at 2, 3, 4 s and so on."""
+    rng = np.random.default_rng(seed)
+    contacts_s = 1.05 + np.cumsum(rng.uniform(0.35, 0.8, 60))
+    steps = [
+        a_step(t, heading_rad=rng.normal(), duration_s=rng.uniform(0.4, 0.8), variance=rng.gamma(2.0))
+        for t in contacts_s[contacts_s < duration_s]
+    ]
+    windows = [WindowContext(float(t), rng.dirichlet(np.full(6, 0.4)), EVEN_PRIOR) for t in range(2, duration_s + 2)]
+    return steps, windows
+
+
+def in_order(steps: list[Step], windows: list[WindowContext]) -> list[Event]:
+    """As the front end gives them: a step becomes known some time after its contact."""
+    timed = [(w.time_s, 0, w) for w in windows] + [(s.time_s + LATENCY_S, 1, s) for s in steps]
+    return [event for *_, event in sorted(timed, key=lambda e: e[:2])]
+
+
+def run(
+    filter_: Tracker, events: list[Event], state: TrackerState | None = None
+) -> tuple[TrackerState, list[StepUpdate]]:
+    state, updates = state or filter_.init(), []
+    for event in events:
+        on_event = filter_.on_window if isinstance(event, WindowContext) else filter_.on_step
+        state, found = on_event(state, event)  # type: ignore[arg-type]
+        updates += found
+    state, found = filter_.finish(state)
+    return state, [*updates, *found]
+
+
+def final(updates: list[StepUpdate]) -> list[StepUpdate]:
+    return [u for u in updates if u.is_final]
+
+
+def distances_of_epochs(steps: list[Step], n_epochs: int) -> tuple[np.ndarray, np.ndarray]:
+    """Distance (K, 6) of each epoch under each context, and the epoch of each step; epoch 1 ends at 2 s."""
+    epochs = np.array([int(np.ceil(s.time_s)) - 1 for s in steps])
+    distance_m = np.zeros((n_epochs, 6))
+    for step, epoch in zip(steps, epochs, strict=True):
+        for c, mode in enumerate(modes()):
+            distance_m[epoch - 1, c] += mode.step_length.predict(step)[0]
+    return distance_m, epochs
+
+
+# --- HC and WC against the algorithms -------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("weighting", "threshold"), [("hc", HC), ("wc", 0.8)])
+@pytest.mark.parametrize("seed", range(5))
+def test_final_step_lengths_add_up_to_the_total_final_distance_of_every_epoch(
+    weighting: str, threshold: float, seed: int
+) -> None:
+    steps, windows = random_walk(seed)
+    n_epochs = len(windows) - 1
+    distance_m, epochs = distances_of_epochs(steps, n_epochs)
+    expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
+    _, updates = run(tracker(weighting), in_order(steps, windows))
+    lengths = np.array([u.step_length_m for u in final(updates)])
+    assert len(lengths) == len(steps)
+    total = [lengths[epochs <= k].sum() for k in range(1, n_epochs + 1)]
+    np.testing.assert_allclose(total, expected.total_final_m, atol=1e-12)
+
+
+@pytest.mark.parametrize(("weighting", "threshold"), [("hc", HC), ("wc", 0.8)])
+def test_the_provisional_position_at_the_end_of_an_epoch_is_its_total_provisional_distance(
+    weighting: str, threshold: float
+) -> None:
+    steps, windows = random_walk(1)
+    steps = [replace(s, device_heading_rad=0.0) for s in steps]
+    straight = replace(tracker(weighting), modes=tuple(replace(m, heading_offset_rad=0.0) for m in modes()))
+    distance_m, epochs = distances_of_epochs(steps, len(windows) - 1)
+    expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
+    _, updates = run(straight, in_order(steps, windows))
+    provisional = {u.index: u for u in updates if not u.is_final}
+    for k in sorted(set(epochs)):
+        last_of_epoch = int(np.flatnonzero(epochs == k)[-1])
+        north_m = provisional[last_of_epoch].position_m[1]
+        assert north_m == pytest.approx(expected.total_provisional_m[k - 1], abs=1e-12)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc"])
+def test_every_provisional_update_is_followed_by_one_final_update_of_its_index(weighting: str) -> None:
+    steps, windows = random_walk(2)
+    _, updates = run(tracker(weighting), in_order(steps, windows))
+    assert [u.index for u in final(updates)] == list(range(len(steps)))
+    assert [u.index for u in updates if not u.is_final] == list(range(len(steps)))
+    for index, step in enumerate(steps):
+        first, last = [u for u in updates if u.index == index]
+        assert (first.is_final, last.is_final) == (False, True)
+        assert first.step == last.step == step
+
+
+def test_imm_reports_every_step_once_and_at_once() -> None:
+    steps, windows = random_walk(3)
+    state, updates = run(tracker("imm"), in_order(steps, windows))
+    assert [u.index for u in updates] == list(range(len(steps)))
+    assert all(u.is_final for u in updates)
+    np.testing.assert_array_equal(present_position(state)[0], updates[-1].position_m)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_a_sure_context_gives_the_length_and_direction_of_its_mode(weighting: str) -> None:
+    sideways = CONTEXTS.index("sideways")
+    windows = [WindowContext(float(t), sure(sideways), EVEN_PRIOR) for t in range(2, 60)]
+    steps = [a_step(2.1 + 0.5 * k, heading_rad=0.3) for k in range(110)]
+    _, updates = run(tracker(weighting), in_order(steps, windows))
+    last = final(updates)[-1]
+    assert last.step_length_m == pytest.approx(0.4, abs=0.005)
+    assert last.walking_heading_rad == pytest.approx(0.3 + np.pi / 2, abs=0.05)
+    assert last.mode_prob[sideways] > 0.97
+    late = final(updates)[-1].position_m - final(updates)[-21].position_m
+    np.testing.assert_allclose(late, 20 * 0.4 * np.array([np.cos(0.3), -np.sin(0.3)]), atol=0.4)
+
+
+# --- IMM ------------------------------------------------------------------------------------------------------------
+
+
+def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
+    mode, noise = modes()[WALKING], MotionNoise()
+    single = Tracker((mode,), np.ones((1, 1)), weighting="imm", noise=noise)
+    steps, windows = random_walk(4)
+    x, P = np.zeros(4), np.diag([0.0, 0.0, noise.initial_heading_offset_std_rad**2, noise.log_scale_std**2])
+    state = single.init()
+    for window in windows[:3]:  # evidence for the only mode means nothing
+        state, _ = single.on_window(state, window)
+    rng = np.random.default_rng(0)
+    shared_m, last_s = np.zeros((3, 2)), np.nan
+    residual_var = mode.step_length.residual_std_m**2
+    for k, step in enumerate(steps):
+        state, [update] = single.on_step(state, step)
+        elapsed_s = step.duration_s if np.isnan(last_s) else step.time_s - last_s
+        last_s = step.time_s
+        length, length_var = mode.step_length.predict(step)
+        scaled, psi = length * np.exp(x[3]), step.device_heading_rad + x[2]
+        u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
+        F = np.eye(4)
+        F[:2, 2], F[:2, 3], F[3, 3] = scaled * v, scaled * u, noise.log_scale_memory
+        Q = np.diag(
+            [
+                0,
+                0,
+                noise.heading_drift_rad_per_sqrt_s**2 * elapsed_s,
+                noise.log_scale_drift_per_sqrt_step**2,
+            ]
+        )
+        of_length = np.exp(x[3]) ** 2 * residual_var * np.outer(u, u)
+        Q[:2, :2] = of_length + (scaled * mode.heading_std_rad) ** 2 * np.outer(v, v)
+        x[:2] += scaled * u
+        scale = np.exp(x[3])
+        x[3] *= noise.log_scale_memory
+        P = F @ P @ F.T + Q
+        psi = step.device_heading_rad + x[2]
+        u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
+        of_along, of_across = second_order_errors(P[2, 2], P[3, 3])
+        of_parameters = np.sqrt(length_var - residual_var)  # off once a person, so that steps add up
+        shared_m += scale * np.array([length * of_along * u, length * of_across * v, of_parameters * u])
+        seen = P[:2, :2] + sum(np.outer(e, e) for e in shared_m)
+        np.testing.assert_allclose(update.position_m, x[:2], atol=1e-9)
+        np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
+        if k % 5 == 4:
+            z, R = x[:2] + 0.3 * rng.normal(size=2), np.array([[0.5, 0.1], [0.1, 0.4]])
+            state, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
+            H = np.eye(2, 4)
+            P[:2, :2], shared_m = seen, np.zeros((3, 2))
+            K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
+            x, P = x + K @ (z - H @ x), (np.eye(4) - K @ H) @ P
+            np.testing.assert_allclose(state.mean[0], x, atol=1e-9)
+            np.testing.assert_allclose(state.cov[0], P, atol=1e-9)
+    assert state.rejected_fixes == 0
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
+    order = np.random.default_rng(seed).permutation(6)
+    rows = np.random.default_rng(seed).dirichlet(np.ones(6), 6)
+    straight = Tracker(modes(), rows)
+    permuted = Tracker(tuple(modes()[i] for i in order), rows[np.ix_(order, order)])
+    events = in_order(*random_walk(seed))
+    for a, b in zip(run(permuted, events)[1], run(straight, events)[1], strict=True):
+        np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
+        np.testing.assert_allclose(a.position_cov_m2, b.position_cov_m2, atol=1e-9)
+        np.testing.assert_allclose(a.mode_prob, b.mode_prob[order], atol=1e-9)
+        np.testing.assert_allclose(a.context_prob, b.context_prob, atol=1e-9)
+
+
+def test_one_window_is_evidence_for_one_step_only() -> None:
+    filter_ = replace(tracker("imm"), step_log_odds_stationary=0.0)
+    window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
+    state, _ = filter_.on_window(filter_.init(), window)
+    state, [first] = filter_.on_step(state, a_step(1.5))
+    _, [second] = filter_.on_step(state, a_step(2.0))
+    evidence = np.sqrt(window.prob / EVEN_PRIOR)
+    np.testing.assert_allclose(first.mode_prob, evidence / evidence.sum(), atol=1e-12)
+    np.testing.assert_allclose(second.mode_prob, first.mode_prob @ filter_.transition_prob, atol=1e-12)
+
+
+def test_a_detected_step_speaks_against_standing_still() -> None:
+    filter_ = tracker("imm")
+    _, [update] = filter_.on_step(filter_.init(), a_step())
+    assert update.mode_prob[0] / update.mode_prob[1] == pytest.approx(np.exp(filter_.step_log_odds_stationary))
+
+
+def test_several_fits_at_once_give_the_numbers_of_each() -> None:
+    fits = (*(m.step_length for m in modes()), known_length(0.3, 0.1))
+    capped = StepLengthFit(FrequencyVarianceStepLength(max_variance=2.0), np.ones(3), np.eye(3), 0.2)
+    negative = StepLengthFit(FrequencyVarianceStepLength(), -np.ones(3), np.eye(3), 0.0)
+    step = a_step(variance=9.0)
+    lengths, variances = StepLengths((capped, *fits, negative)).predict(step)
+    for fit, length, variance in zip((capped, *fits, negative), lengths, variances, strict=True):
+        assert (length, variance) == (pytest.approx(fit.predict(step)[0]), pytest.approx(fit.predict(step)[1]))
+
+
+# --- all weightings -------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+@pytest.mark.parametrize("turn_rad", [np.pi / 2, -2.0])
+def test_turning_all_headings_turns_the_track(weighting: str, turn_rad: float) -> None:
+    steps, windows = random_walk(5)
+    turned_steps = [replace(s, device_heading_rad=s.device_heading_rad + turn_rad) for s in steps]
+    straight = final(run(tracker(weighting), in_order(steps, windows))[1])
+    turned = final(run(tracker(weighting), in_order(turned_steps, windows))[1])
+    clockwise = np.array([[np.cos(turn_rad), np.sin(turn_rad)], [-np.sin(turn_rad), np.cos(turn_rad)]])
+    for a, b in zip(turned, straight, strict=True):
+        np.testing.assert_allclose(a.position_m, clockwise @ b.position_m, atol=1e-9)
+        np.testing.assert_allclose(a.position_cov_m2, clockwise @ b.position_cov_m2 @ clockwise.T, atol=1e-9)
+        assert a.step_length_m == pytest.approx(b.step_length_m)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_covariances_are_symmetric_positive_and_grow_without_fixes(weighting: str) -> None:
+    updates = final(run(tracker(weighting), in_order(*random_walk(6)))[1])
+    for u in updates:
+        np.testing.assert_allclose(u.position_cov_m2, u.position_cov_m2.T, atol=1e-12)
+        assert np.linalg.eigvalsh(u.position_cov_m2).min() > 0
+        assert u.mode_prob.sum() == pytest.approx(1.0)
+        assert u.context_prob.sum() == pytest.approx(1.0)
+    assert np.trace(updates[-1].position_cov_m2) > np.trace(updates[0].position_cov_m2)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_an_accepted_fix_draws_the_position_and_shrinks_the_covariance(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    steps, windows = random_walk(7)
+    state, _ = run(filter_, in_order(steps, windows))
+    position, cov = present_position(state)
+    fix_m = position + 0.5 * np.sqrt(np.diag(cov))
+    fixed, _ = filter_.on_fix(state, PositionFix(20.0, fix_m, 0.01 * np.eye(2)))
+    new_position, new_cov = present_position(fixed)
+    assert np.linalg.norm(new_position - fix_m) < 0.1 * np.linalg.norm(position - fix_m)
+    assert np.trace(new_cov) < 0.1 * np.trace(cov)
+    assert fixed.rejected_fixes == 0
+    np.testing.assert_array_equal(present_position(state)[0], position)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_a_fix_that_no_mode_explains_changes_nothing_but_its_count(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state, _ = run(filter_, in_order(*random_walk(8)))
+    after, nis = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
+    assert nis > filter_.fix_gate_nis
+    assert after == replace(state, rejected_fixes=1) or after.rejected_fixes == 1
+    for name in ("mean", "cov", "mode_prob"):
+        np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
+
+
+def test_fixes_keep_the_scale_of_a_tall_person() -> None:
+    """Steps 10 % longer than the population's: fixes along the way teach it."""
+    filter_ = Tracker((modes()[WALKING],), np.ones((1, 1)))
+    state = filter_.init()
+    true_north_m = 0.0
+    for k in range(300):
+        state, _ = filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0))
+        true_north_m += 1.1 * 0.7
+        if k % 10 == 9:
+            state, _ = filter_.on_fix(
+                state, PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
+            )
+    assert np.exp(state.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
+    assert state.rejected_fixes == 0
+
+
+# --- steps that become known late ------------------------------------------------------------------------------------
+
+
+def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
+    windows = [
+        WindowContext(t, sure(WALKING if t < 5 else RUNNING), EVEN_PRIOR) for t in (2.0, 3.0, 4.0, 5.0, 6.0, 7.0)
+    ]
+    for weighting in ("imm", "wc", "hc"):
+        filter_ = tracker(weighting)
+        state = filter_.init()
+        for window in windows:
+            state, _ = filter_.on_window(state, window)
+        _, updates = filter_.on_step(state, a_step(2.5))
+        assert updates[0].context_prob[WALKING] == 1.0
+
+
+def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
+    filter_ = tracker("imm")
+    window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
+    state, _ = filter_.on_window(filter_.init(), window)
+    state, [first] = filter_.on_step(state, a_step(1.4))
+    for late_s in (3.0, 4.0, 5.0):
+        state, _ = filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR))
+    _, [second] = filter_.on_step(state, a_step(1.9))
+    # between the two steps only the transitions have moved the probabilities
+    moved = (
+        first.mode_prob
+        @ filter_.transition_prob
+        * np.exp(np.where(np.arange(6) == STATIONARY, filter_.step_log_odds_stationary, 0.0))
+    )
+    np.testing.assert_allclose(second.mode_prob, moved / moved.sum(), atol=1e-12)
+
+
+# --- gaps and ends --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc"])
+def test_at_a_gap_waiting_steps_become_final_with_the_windows_of_their_segment(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR))
+    state, [waiting] = filter_.on_step(state, a_step(1.6))
+    state, updates = filter_.on_gap(state, 5.0)
+    assert [(u.index, u.is_final) for u in updates] == [(waiting.index, True)]
+    assert updates[0].mode_prob[WALKING] == 1.0
+    state, late = filter_.on_window(state, WindowContext(9.0, sure(RUNNING), EVEN_PRIOR))
+    assert late == []
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc"])
+def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR))
+    state, _ = filter_.on_gap(state, 5.0)
+    state, [provisional] = filter_.on_step(state, a_step(7.5))
+    assert provisional.context_prob[RUNNING] == pytest.approx(1 / 6)
+    _, updates = run(filter_, [WindowContext(t, sure(WALKING), EVEN_PRIOR) for t in (9.0, 10.0)], state)
+    assert [u.mode_prob[WALKING] for u in final(updates)] == [1.0]
+
+
+def test_after_a_gap_the_window_before_is_no_evidence_for_the_imm() -> None:
+    filter_ = tracker("imm")
+    with_window, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR))
+    probs = []
+    for state in (with_window, filter_.init()):
+        state, _ = filter_.on_gap(state, 5.0)
+        probs.append(filter_.on_step(state, a_step(7.5))[1][0])
+    np.testing.assert_array_equal(probs[0].mode_prob, probs[1].mode_prob)
+    np.testing.assert_array_equal(probs[0].context_prob, probs[1].context_prob)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_a_gap_makes_the_position_less_certain_and_does_not_move_it(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state, _ = run(filter_, in_order(*random_walk(9)))
+    after, _ = filter_.on_gap(state, 10.0)
+    np.testing.assert_array_equal(present_position(after)[0], present_position(state)[0])
+    grown = np.diag(present_position(after)[1] - present_position(state)[1])
+    np.testing.assert_allclose(grown, (filter_.noise.gap_speed_mps * 10.0) ** 2)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_without_any_window_steps_are_still_tracked(weighting: str) -> None:
+    steps, _ = random_walk(10)
+    _, updates = run(tracker(weighting), list(steps))
+    assert len(final(updates)) == len(steps)
+    assert np.isfinite([u.position_m for u in updates]).all()
+
+
+def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
+    filter_ = tracker("imm")
+    mean, cov = initial_estimate(filter_.noise)
+    step = a_step(heading_rad=0.4)
+    length, variance = StepLengths(tuple(m.step_length for m in modes())).predict(step)
+    moved, _ = advance(
+        np.tile(mean, (6, 1)),
+        np.tile(cov, (6, 1, 1)),
+        step,
+        length,
+        variance,
+        Directions.of(modes()),
+        filter_.noise,
+    )
+    _, [update] = filter_.on_step(filter_.init(), step)
+    np.testing.assert_allclose(update.position_m, update.mode_prob @ moved[:, :2], atol=1e-12)
+    assert update.step_length_m == pytest.approx(update.mode_prob @ length)
+
+
+# --- checks ---------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"weighting": "best"}, "weighting must be one of"),
+        ({"modes": (modes()[0],) * 6}, "distinct"),
+        ({"transition_prob": np.eye(5)}, "transition_prob"),
+        ({"modes": modes()[:5], "transition_prob": np.eye(5), "weighting": "wc"}, "exactly one mode"),
+        ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
+        ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
+        ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
+        ({"evidence_exponent": np.nan}, "evidence_exponent must be 0 or more, got nan"),
+        ({"evidence_floor": -0.1}, "evidence_floor must be at least 0 and below 1"),
+        ({"window_hop_s": 0.0}, "window_hop_s must be positive"),
+        ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary must be finite"),
+    ],
+)
+def test_a_tracker_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
+    with pytest.raises(ValueError, match=message):
+        replace(tracker("imm"), **change)  # type: ignore[arg-type]
+
+
+def test_even_transitions_stay_with_their_probability_and_leave_alike() -> None:
+    np.testing.assert_allclose(even_transitions(3, 0.8), [[0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]])
+    np.testing.assert_array_equal(even_transitions(1, 0.3), [[1.0]])
+    with pytest.raises(ValueError, match="stay_prob"):
+        even_transitions(3, 1.2)
+
+
+def test_a_turned_frame_turns_what_all_steps_share_too() -> None:
+    filter_ = tracker("imm")
+    state, _ = run(filter_, in_order(*random_walk(5)))
+    assert np.linalg.norm(state.shared_m) > 0.1
+    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, state.n_final)
+    before, after = present_position(state)[1], present_position(_moved(state, turn))[1]
+    np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)

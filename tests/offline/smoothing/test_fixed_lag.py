@@ -1,0 +1,143 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from simulated_steps import Walk, simulated_walk
+
+import pdr_filter as pdr
+from pdr_filter import serialise
+from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
+from pdr_filter.offline.smoothing.preintegration import bridge
+from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, estimate, pose_problem
+from pdr_filter.recipes import default
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.fixes import PositionFix
+
+NOISE = MotionNoise(log_scale_std=0.06)
+
+
+def run(
+    smoother: FixedLagSmoother, walk: Walk, fixes: list[PositionFix], at_a_time: int = 1, save: bool = False
+) -> tuple[list[LateSteps], int]:
+    """What comes out, and the most steps that the state held."""
+    state, outputs, held, waiting = smoother.init(), [], 0, list(fixes)
+    for first in range(0, len(walk.steps), at_a_time):
+        part = walk.steps.part(first, min(first + at_a_time, len(walk.steps)))
+        new = [f for f in waiting if f.time_s <= part.time_s[-1]]
+        waiting = waiting[len(new) :]
+        state, out = smoother.step_increments(state, part, new)
+        if save:
+            state = serialise.from_bytes(serialise.to_bytes(state))
+        outputs.append(out)
+        held = max(held, len(state.steps))
+    outputs.append(smoother.finish(state)[1])
+    return outputs, held
+
+
+def whole(walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother) -> tuple[np.ndarray, np.ndarray]:
+    start = smoother.init()
+    mean = np.array([*fixes[0].position_m, 0.0, 0.0])
+    problem = pose_problem(walk.steps, mean, start.start_cov, fixes, (), (), NO_OFFSETS, 1.0, 10.0)
+    found = estimate(problem)
+    return bridge(problem.intervals, found.mean, found.joint_cov)
+
+
+def test_with_a_lag_longer_than_the_walk_it_is_the_smoother_of_the_whole_walk() -> None:
+    rng = np.random.default_rng(1)
+    walk = simulated_walk(120, rng, any_rotation=True)
+    fixes = walk.fixes(15, 2.0, rng)
+    smoother = FixedLagSmoother((), NOISE, lag_s=1e4)
+    outputs, _ = run(smoother, walk, fixes, at_a_time=40)
+    mean, cov = whole(walk, fixes, smoother)
+    np.testing.assert_allclose(np.concatenate([o.mean for o in outputs]), mean, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate([o.cov for o in outputs]), cov, atol=1e-9)
+
+
+def test_each_step_comes_once_in_order_and_the_window_stays_short() -> None:
+    rng = np.random.default_rng(2)
+    walk = simulated_walk(240, rng, any_rotation=True)
+    outputs, held = run(FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=30.0), walk, walk.fixes(12, 2.0, rng), 4)
+    np.testing.assert_array_equal(np.concatenate([o.time_s for o in outputs]), walk.steps.time_s)
+    assert held <= 120  # 30 s are 60 steps; more wait until the rotation is known
+
+
+def test_positions_are_nearly_those_of_the_whole_walk_and_as_sure_as_they_say() -> None:
+    rng = np.random.default_rng(3)
+    inside, square_m2 = [], []
+    for _ in range(6):
+        walk = simulated_walk(200, rng, any_rotation=True)
+        fixes = walk.fixes(15, 2.0, rng)
+        smoother = FixedLagSmoother((), NOISE, lag_s=20.0, memory_s=40.0)
+        outputs, _ = run(smoother, walk, fixes, at_a_time=10)
+        late = np.concatenate([o.mean for o in outputs]), np.concatenate([o.cov for o in outputs])
+        errors = [(mean[:, :2] - walk.position_m[1:])[60:] for mean, _ in (late, whole(walk, fixes, smoother))]
+        covs = [cov[60:, :2, :2] for _, cov in (late, whole(walk, fixes, smoother))]
+        inside.append(
+            [
+                np.mean(np.einsum("ka,kab,kb->k", e, np.linalg.inv(c), e) < 5.991)
+                for e, c in zip(errors, covs, strict=True)
+            ]
+        )
+        square_m2.append([np.square(e).sum(axis=1).mean() for e in errors])
+    late_inside, whole_inside = np.mean(inside, axis=0)
+    late_m, whole_m = np.sqrt(np.mean(square_m2, axis=0))
+    assert late_inside > whole_inside - 0.1  # six walks; the benchmark has more
+    assert late_m < 1.3 * whole_m
+
+
+def test_wild_fixes_and_fixes_that_come_too_late_are_rejected() -> None:
+    rng = np.random.default_rng(4)
+    walk = simulated_walk(200, rng, any_rotation=True)
+    fixes = walk.fixes(10, 2.0, rng)
+    wild = replace(fixes[9], position_m=fixes[9].position_m + np.array([50.0, -40.0]))
+    smoother = FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=20.0)
+    outputs, _ = run(smoother, walk, [*fixes[:9], wild, *fixes[10:]], at_a_time=5)
+    assert [f.time_s for o in outputs for f in o.rejected] == [wild.time_s]
+    state, _ = smoother.step_increments(smoother.init(), walk.steps, fixes)
+    late = replace(fixes[0], time_s=1.0, received_time_s=100.0)
+    _, out = smoother.step_increments(state, walk.steps.part(0, 0), [late])
+    assert [f.time_s for f in out.rejected] == [1.0]
+
+
+def test_a_saved_and_restored_state_goes_on_as_if_nothing_had_happened() -> None:
+    rng = np.random.default_rng(5)
+    walk = simulated_walk(80, rng)
+    smoother = FixedLagSmoother((), NOISE, lag_s=5.0, memory_s=10.0)
+    fixes = walk.fixes(8, 2.0, rng)
+    one, two = run(smoother, walk, fixes, 8)[0], run(smoother, walk, fixes, 8, save=True)[0]
+    for a, b in zip(one, two, strict=True):
+        np.testing.assert_array_equal(a.mean, b.mean)
+        np.testing.assert_array_equal(a.cov, b.cov)
+
+
+def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
+    walk = simulate([Leg("walking", distance_m=60.0)], seed=2)
+    config = default()
+    online = pdr.OnlineFilter(config)
+    smoother = FixedLagSmoother(config.tracker.modes, config.tracker.noise, lag_s=10.0)
+    truth = walk.truth.position
+    times = np.arange(3.0, float(truth.time_s[-1]), 4.0)
+    places = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    fixes = [PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(times, places, strict=True)]
+    samples = pdr.merge_streams(walk)
+    found = online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
+    updates = [*found, *online.finish()]
+    state, outputs = smoother.init(), []
+    for update in updates:
+        new = [f for f in fixes if f.time_s <= update.step.time_s]
+        fixes = fixes[len(new) :]
+        state, out = smoother.step(state, [update], new)
+        outputs.append(out)
+    outputs.append(smoother.finish(state)[1])
+    mean, time_s = np.concatenate([o.mean for o in outputs]), np.concatenate([o.time_s for o in outputs])
+    at = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    assert len(mean) == len([u for u in updates if u.is_final])
+    assert np.sqrt(np.square(mean[:, :2] - at).sum(axis=1).mean()) < 1.0
+
+
+def test_impossible_times_are_refused() -> None:
+    with pytest.raises(ValueError, match="must not be negative"):
+        FixedLagSmoother((), NOISE, lag_s=-1.0)

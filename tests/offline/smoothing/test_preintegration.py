@@ -1,0 +1,98 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+from simulated_steps import simulated_walk
+
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, linearise
+from pdr_filter.filter.step_length import known_length
+from pdr_filter.offline.smoothing.preintegration import advance, frame, increments, preintegrate
+from pdr_filter.values.step import Step, step_table
+
+WALK = simulated_walk(60, np.random.default_rng(1))
+START = np.array([[3.0, -2.0, 0.8, 0.1]])
+
+
+def test_the_sum_of_an_interval_is_that_of_its_steps_one_by_one() -> None:
+    """Mean and covariance by the filter's recursion P = F P F' + Q, in the frame of the interval's start."""
+    steps = WALK.steps
+    whole = preintegrate(steps, np.array([0, len(steps)]))
+    position, state_cov = np.zeros(2), np.zeros((4, 4))
+    for k in range(len(steps)):
+        d = steps.displacement_m[k]
+        by_state = np.eye(4)
+        by_state[:2, 2], by_state[:2, 3] = [d[1], -d[0]], d
+        added_cov = np.zeros((4, 4))
+        added_cov[:2, :2] = steps.cov_m2[k]
+        added_cov[2, 2], added_cov[3, 3] = steps.drift_var_rad2[k], steps.scale_drift_var[k]
+        position, state_cov = position + d, by_state @ state_cov @ by_state.T + added_cov
+        np.testing.assert_allclose(whole.sum_m[k], position, atol=1e-12)
+        np.testing.assert_allclose(whole.cov[k], state_cov, atol=1e-12)
+    np.testing.assert_allclose(whole.total_cov[0], state_cov, atol=1e-12)
+
+
+def test_two_intervals_in_a_row_are_one_long_one() -> None:
+    steps = WALK.steps
+    whole, halves = preintegrate(steps, np.array([0, 60])), preintegrate(steps, np.array([0, 25, 60]))
+    start = np.zeros((1, 4))
+    middle, first_step = advance(start, halves.total_m[:1])
+    end, second_step = advance(middle, halves.total_m[1:])
+    joined_cov = second_step[0] @ halves.total_cov[0] @ second_step[0].T + halves.total_cov[1]
+    np.testing.assert_allclose(end, advance(start, whole.total_m)[0], atol=1e-12)
+    np.testing.assert_allclose(second_step @ first_step, advance(start, whole.total_m)[1], atol=1e-12)
+    np.testing.assert_allclose(joined_cov, whole.total_cov[0], atol=1e-12)
+
+
+def test_the_derivative_of_an_interval_is_that_of_finite_differences() -> None:
+    total = preintegrate(WALK.steps, np.array([0, 60])).total_m
+    numeric = approx_fprime(START[0], lambda x: advance(x[None], total)[0][0], 1e-7)
+    np.testing.assert_allclose(advance(START, total)[1][0], numeric, atol=1e-5)
+
+
+def test_a_turned_and_scaled_walk_has_the_turned_and_scaled_sum_and_covariance() -> None:
+    """What makes it a preintegration: nothing is summed anew when the heading offset or the scale change."""
+    own_frame = frame(START)[0]
+    rotation = own_frame[:2, :2]
+    steps = WALK.steps
+    other = replace(
+        steps, displacement_m=steps.displacement_m @ rotation.T, cov_m2=rotation @ steps.cov_m2 @ rotation.T
+    )
+    one, two = (preintegrate(s, np.array([0, 60])) for s in (steps, other))
+    np.testing.assert_allclose(two.total_m[0], rotation @ one.total_m[0], atol=1e-12)
+    np.testing.assert_allclose(two.total_cov[0], own_frame @ one.total_cov[0] @ own_frame.T, atol=1e-12)
+
+
+def test_an_increment_is_the_step_of_the_filter() -> None:
+    step = Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7)
+    mode = Mode("walking", "walking", known_length(0.7, 0.06))
+    noise = MotionNoise()
+    found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
+    mean, _, added_cov = linearise(
+        np.zeros((1, 4)), step, np.array([0.7]), np.array([0.06**2]), Directions.of([mode]), noise
+    )
+    np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
+    np.testing.assert_allclose(found.cov_m2[0], added_cov[0, :2, :2])
+    np.testing.assert_allclose(found.drift_var_rad2[0], added_cov[0, 2, 2])
+    np.testing.assert_allclose(found.scale_drift_var[0], added_cov[0, 3, 3])
+    assert shared == pytest.approx(0.0, abs=1e-15)
+
+
+def test_without_angular_rate_mean_and_covariance_are_those_of_simulated_walks() -> None:
+    steps = replace(WALK.steps.part(0, 20), unknown_var_rad2=np.full(20, 0.3), drift_var_rad2=np.zeros(20))
+    interval = preintegrate(steps, np.array([0, 20]))
+    rng = np.random.default_rng(0)
+    turned = np.cumsum(rng.normal(scale=np.sqrt(0.3), size=(20000, 20)), axis=1)
+    heading = np.concatenate([np.zeros((20000, 1)), turned[:, :-1]], axis=1)
+    d = steps.displacement_m[:, 0] + 1j * steps.displacement_m[:, 1]
+    ends = (np.exp(-1j * heading) * d).sum(axis=1)
+    np.testing.assert_allclose(interval.total_m[0], [ends.real.mean(), ends.imag.mean()], atol=0.05)
+    spread = np.trace(interval.total_cov[0, :2, :2] - steps.cov_m2.sum(axis=0))
+    assert spread == pytest.approx(ends.real.var() + ends.imag.var(), rel=0.05)
+
+
+def test_anchors_that_do_not_increase_are_refused() -> None:
+    with pytest.raises(ValueError, match="anchors must increase"):
+        preintegrate(WALK.steps, np.array([0, 30, 30, 60]))

@@ -1,0 +1,385 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.optimize import approx_fprime
+from simulated_steps import Walk, simulated_walk
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Truth
+from pdr_filter.offline.calibration.fit import calibrate
+from pdr_filter.offline.smoothing.imm_smoother import Estimate, Transition
+from pdr_filter.offline.smoothing.imm_smoother import smooth as rts
+from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
+from pdr_filter.offline.smoothing.smoother import (
+    NO_OFFSETS,
+    FloorChange,
+    KnownHeading,
+    LoopClosure,
+    Offsets,
+    Problem,
+    estimate,
+    linearised,
+    pose_problem,
+    smooth,
+    waypoint_fixes,
+)
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import table
+from pdr_filter.values.fixes import PositionFix
+
+AXES = ("east_m", "north_m")
+ANY_HEADING = float(np.pi / np.sqrt(3))
+
+
+def problem_of(
+    walk: Walk,
+    fixes: list[PositionFix],
+    *,
+    heading_std_rad: float = ANY_HEADING,
+    start_std_m: float = 1000.0,
+    loops: tuple[LoopClosure, ...] = (),
+    headings: tuple[KnownHeading, ...] = (),
+    offsets: Offsets = NO_OFFSETS,
+) -> Problem:
+    start_cov = np.diag(np.square([start_std_m, start_std_m, heading_std_rad, 0.06]))
+    return pose_problem(
+        walk.steps, np.zeros(4), start_cov, fixes, loops, headings, offsets, heading_std_rad, anchor_interval_s=10.0
+    )
+
+
+def solved(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
+    found = estimate(problem)
+    assert found.converged
+    return bridge(problem.intervals, found.mean, found.joint_cov)
+
+
+def rms_m(walk: Walk, mean: np.ndarray) -> float:
+    return float(np.sqrt(np.square(mean[:, :2] - walk.position_m[1:]).sum(axis=1).mean()))
+
+
+# --- exactness ------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("every", [1, 7, 30])
+def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_a_state(every: int) -> None:
+    """A Kalman filter and a Rauch-Tung-Striebel smoother over single steps, linearised where the smoother is."""
+    rng = np.random.default_rng(every + 10)
+    walk = simulated_walk(90, rng)
+    fixes = walk.fixes(every, 1.0, rng)
+    problem = problem_of(walk, fixes, heading_std_rad=0.15, start_std_m=5.0)
+    found = estimate(problem)
+    mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
+    assert (found.place_weight == 1).all()
+
+    steps, x, state_cov = walk.steps, problem.start_mean, problem.start_cov
+    at = {round(f.time_s, 3): f for f in fixes}
+    estimates, transitions = [Estimate(x[None], state_cov[None], np.ones(1))], []
+    for k in range(len(steps)):
+        start = found.mean[problem.intervals.index[k]]
+        own_frame = frame(start[None])[0]
+        moved = own_frame[:2, :2] @ steps.displacement_m[k]
+        by_state = np.eye(4)
+        by_state[:2, 2], by_state[:2, 3] = [moved[1], -moved[0]], moved
+        offset = np.zeros(4)
+        offset[:2] = moved - by_state[:2, 2:] @ start[2:]
+        added_cov = np.zeros((4, 4))
+        added_cov[:2, :2] = steps.cov_m2[k]
+        added_cov[2, 2], added_cov[3, 3] = steps.drift_var_rad2[k], steps.scale_drift_var[k]
+        added_cov = own_frame @ added_cov @ own_frame.T
+        transitions.append(Transition(np.ones((1, 1)), np.zeros((1, 4)), offset[None], by_state[None], added_cov[None]))
+        x, state_cov = by_state @ x + offset, by_state @ state_cov @ by_state.T + added_cov
+        fix = at.get(round(float(steps.time_s[k]), 3))
+        if fix is not None:
+            gain = state_cov[:, :2] @ np.linalg.inv(state_cov[:2, :2] + fix.cov_m2)
+            x, state_cov = x + gain @ (fix.position_m - x[:2]), state_cov - gain @ state_cov[:2]
+        estimates.append(Estimate(x[None], state_cov[None], np.ones(1)))
+    expected = rts(estimates, transitions)[1:]
+    np.testing.assert_allclose(mean, [e.mean[0] for e in expected], atol=1e-9)
+    np.testing.assert_allclose(cov, [e.cov[0] for e in expected], atol=1e-9)
+
+
+def test_equations_are_the_derivatives_of_their_residuals() -> None:
+    """Finite differences of every block: start, intervals, fixes, a loop closure, a known heading, offsets."""
+    rng = np.random.default_rng(2)
+    walk = simulated_walk(40, rng)
+    fixes = [replace(f, time_s=f.time_s + 0.1) for f in walk.fixes(9, 1.0, rng)]
+    problem = problem_of(
+        walk,
+        fixes,
+        heading_std_rad=0.3,
+        start_std_m=5.0,
+        loops=(LoopClosure(2.0, 15.0),),
+        headings=(KnownHeading(3.0, 9.0, 0.4),),
+        offsets=Offsets(np.array([0, 20]), np.array([0.1, 0.2]), np.array([0.2, 0.3])),
+    )
+    n = problem.n_nodes
+    mean = estimate(problem).mean + rng.normal(scale=0.05, size=(n, 4))
+    ones = np.ones(len(problem.places)), np.ones(len(problem.directions))
+    kinds = linearised(problem, mean, 0.2, *ones)
+    assert len(kinds) == 6  # with what is known of the rotation
+
+    for number, rows in enumerate(kinds):
+        for block in range(len(rows.a)):
+
+            def residual(values: np.ndarray, number: int = number, block: int = block) -> np.ndarray:
+                moved = linearised(problem, values[:-1].reshape(n, 4), float(values[-1]), *ones)[number].rhs[block]
+                if number != 1:
+                    return -moved
+                # an interval's covariance stays where it was linearised
+                fixed, own = (
+                    problem.intervals.whiten[block] @ np.linalg.inv(frame(x[None])[0])
+                    for x in (mean[block], values[:-1].reshape(n, 4)[block])
+                )
+                return -fixed @ np.linalg.solve(own, moved)
+
+            numeric = approx_fprime(np.append(mean.ravel(), 0.2), residual, 1e-6).reshape(-1, 4 * n + 1)
+            expected = np.zeros_like(numeric)
+            for key, matrices in ((rows.a[block], rows.A), (rows.b[block], rows.B)):
+                if key >= 0:
+                    expected[:, 4 * key : 4 * key + matrices.shape[2]] += matrices[block]
+            scale = np.abs(expected).max()
+            np.testing.assert_allclose(numeric, expected, atol=2e-4 * scale)
+
+
+# --- honest covariance ----------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("wild_share", [0.0, 0.1])
+def test_ellipses_of_95_percent_hold_the_truth_that_often_in_any_rotation(wild_share: float) -> None:
+    rng = np.random.default_rng(7)
+    inside = []
+    for _ in range(60):
+        walk = simulated_walk(150, rng, any_rotation=True)
+        mean, cov = solved(problem_of(walk, walk.fixes(12, 2.0, rng, wild_share)))
+        error = mean[:, :2] - walk.position_m[1:]
+        inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov[:, :2, :2]), error) < 5.991)
+    assert 0.91 < np.mean(inside) < 0.985
+
+
+def test_a_tenth_of_wild_fixes_is_found_and_does_no_harm() -> None:
+    rng = np.random.default_rng(3)
+    n_wild, missed, false_alarms, worse = 0, 0, 0, []
+    for _ in range(30):
+        walk = simulated_walk(200, rng, any_rotation=True)
+        fixes = walk.fixes(10, 2.0, rng, wild_share=0.1)
+        places = walk.position_m[10::10][: len(fixes)]
+        wild = np.linalg.norm([f.position_m - p for f, p in zip(fixes, places, strict=True)], axis=1) > 15
+        problem = problem_of(walk, fixes)
+        found = estimate(problem)
+        without = solved(problem_of(walk, [f for f, w in zip(fixes, wild, strict=True) if not w]))[0]
+        worse.append(rms_m(walk, bridge(problem.intervals, found.mean, found.joint_cov)[0]) / rms_m(walk, without))
+        n_wild += wild.sum()
+        missed += (wild & (found.place_weight > 0)).sum()
+        false_alarms += (~wild & (found.place_weight == 0)).sum()
+    assert n_wild > 30
+    assert missed == 0
+    assert false_alarms <= 3
+    assert np.mean(worse) < 1.02
+
+
+def test_a_change_of_carrying_starts_a_new_heading_offset() -> None:
+    rng = np.random.default_rng(4)
+    errors = []
+    for _ in range(10):
+        walk = simulated_walk(200, rng, any_rotation=True, jumps=1)
+        stiff = replace(walk, steps=replace(walk.steps, jump_var_rad2=np.zeros(200)))
+        fixes = walk.fixes(20, 2.0, rng)
+        found = [estimate(problem_of(w, fixes)) for w in (walk, stiff)]
+        problems = [problem_of(w, fixes) for w in (walk, stiff)]
+        errors.append(
+            [rms_m(walk, bridge(p.intervals, f.mean, f.joint_cov)[0]) for p, f in zip(problems, found, strict=True)]
+        )
+    joint, without = np.median(errors, axis=0)
+    assert joint < 2.0
+    assert joint < 0.7 * without
+
+
+def test_the_start_of_fixes_may_be_thousands_of_metres_away_and_turned() -> None:
+    rng = np.random.default_rng(5)
+    walk = simulated_walk(120, rng, any_rotation=True)
+    fixes = walk.fixes(12, 2.0, rng)
+    far = [replace(f, position_m=f.position_m + np.array([40_000.0, -70_000.0])) for f in fixes]
+    start = np.array([*np.mean([f.position_m for f in far], axis=0), 0.0, 0.0])
+    near_mean, near_cov = solved(problem_of(walk, fixes))
+    far_mean, far_cov = solved(replace(problem_of(walk, far), start_mean=start))
+    np.testing.assert_allclose(far_mean[:, :2] - [40_000.0, -70_000.0], near_mean[:, :2], atol=1e-2)
+    np.testing.assert_allclose(far_cov, near_cov, atol=1e-3)
+
+
+def test_a_loop_closure_alone_brings_the_ends_together() -> None:
+    """A walk that is sent straight back to where it was after 10 s, with a last step of known error."""
+    rng = np.random.default_rng(6)
+    walk = simulated_walk(200, rng, drift_rad_per_sqrt_s=0.03)
+    known = {"heading_std_rad": 0.15, "start_std_m": 1e-3}
+    open_mean, open_cov = solved(problem_of(walk, [], **known))
+    home = replace(
+        walk.steps.part(199, 200),
+        time_s=walk.steps.time_s[-1:] + 0.5,
+        displacement_m=open_mean[[19], :2] - open_mean[[199], :2] + [3.0, -2.0],
+        cov_m2=1e-2 * np.eye(2)[None],
+    )
+    looped = replace(walk, steps=joined([walk.steps, home]))
+    mean, cov = solved(problem_of(looped, [], loops=(LoopClosure(10.0, float(home.time_s[0]), 0.1),), **known))
+    assert np.linalg.norm(mean[200, :2] - mean[19, :2]) < 0.3
+    assert np.trace(cov[150, :2, :2]) < 0.8 * np.trace(open_cov[150, :2, :2])
+
+
+def test_known_headings_turn_the_track_into_the_map() -> None:
+    rng = np.random.default_rng(8)
+    walk = simulated_walk(100, rng, any_rotation=True)
+    way = walk.position_m[60] - walk.position_m[10]
+    heading = KnownHeading(5.0, 30.0, float(np.arctan2(way[0], way[1])), 0.02)
+    mean, cov = solved(problem_of(walk, [], headings=(heading,), start_std_m=1e-3))
+    assert abs(float(wrap_angle(mean[30, 2] - walk.heading_offset_rad[31]))) < 4 * np.sqrt(cov[30, 2, 2])
+    assert np.sqrt(cov[30, 2, 2]) < 0.1
+
+
+# --- recordings and bad input ---------------------------------------------------------------------------------------
+
+WALKED = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=30.0, turn_rad=1.5)], seed=2)
+
+
+def fixes_of(walk: pdr.Recording, rotation_rad: float = 0.0, std_m: float = 1.0) -> list[PositionFix]:
+    truth = walk.truth.position
+    times = np.arange(4.0, float(truth.time_s[-1]), 6.0)
+    places = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in AXES])
+    c, s = np.cos(rotation_rad), np.sin(rotation_rad)
+    places = places @ np.array([[c, s], [-s, c]]).T + np.random.default_rng(1).normal(scale=std_m, size=places.shape)
+    return [PositionFix(float(t), p, std_m**2 * np.eye(2)) for t, p in zip(times, places, strict=True)]
+
+
+def test_a_recording_is_smoothed_into_the_frame_of_its_fixes() -> None:
+    fixes = fixes_of(WALKED, rotation_rad=2.0)
+    wild = replace(fixes[3], position_m=fixes[3].position_m + np.array([60.0, 10.0]))
+    outside = replace(fixes[0], time_s=500.0)
+    result = smooth(
+        WALKED, [*fixes[:3], wild, *fixes[4:], outside], floor_changes=[FloorChange(0.0, 1), FloorChange(30.0, 2)]
+    )
+    truth, track = WALKED.truth.position, result.track
+    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in AXES])
+    c, s = np.cos(2.0), np.sin(2.0)
+    error = np.linalg.norm(track.position_m - at @ np.array([[c, s], [-s, c]]).T, axis=1)
+    assert np.sqrt((error**2).mean()) < 1.2
+    assert result.rejected.number.tolist() == [3, len(fixes)]
+    assert [n for n in result.notes if "fix 3: the walk cannot explain it" in n]
+    assert [n for n in result.notes if f"fix {len(fixes)}: outside the recording" in n]
+    assert abs(result.scale - 1) < 0.1 and 0 < result.scale_std < 0.06
+    assert set(result.floor) == {1.0, 2.0}
+    assert "1 rejected" not in repr(result) and "2 rejected" in repr(result)
+
+
+def test_the_order_of_the_fixes_does_not_matter() -> None:
+    fixes = fixes_of(WALKED)
+    one, two = smooth(WALKED, fixes), smooth(WALKED, fixes[::-1])
+    np.testing.assert_allclose(one.track.position_m, two.track.position_m, atol=1e-6)
+
+
+def test_without_fixes_the_track_is_that_of_dead_reckoning_with_a_growing_covariance() -> None:
+    result, forward = smooth(WALKED), pdr.track(WALKED)
+    std = [np.sqrt(np.trace(t.position_cov_m2, axis1=1, axis2=2)) for t in (result.track, forward)]
+    assert (np.linalg.norm(result.track.position_m - forward.position_m, axis=1) < 0.3 * std[1] + 0.2).all()
+    np.testing.assert_allclose(std[0][20:], std[1][20:], rtol=0.2)
+    assert std[0][-1] > std[0][10] > 0
+
+
+def test_a_single_fix_says_where_and_not_which_way() -> None:
+    fix = fixes_of(WALKED)[3]
+    result = smooth(WALKED, [fix])
+    track = result.track
+    near = int(np.argmin(np.abs(track.time_s - fix.time_s)))
+    assert np.linalg.norm(track.position_m[near] - fix.position_m) < 1.0
+    assert np.sqrt(np.trace(track.position_cov_m2[near])) < 2.0
+    assert np.sqrt(np.trace(track.position_cov_m2[-1])) > 0.7 * np.linalg.norm(track.position_m[-1] - fix.position_m)
+    assert [n for n in result.notes if "a single fix" in n]
+
+
+def test_without_a_gyroscope_the_fixes_say_the_directions_and_the_covariance_is_large() -> None:
+    fixes = fixes_of(WALKED)
+    blind, seeing = smooth(replace(WALKED, gyroscope=None), fixes), smooth(WALKED, fixes)
+    spread = [np.sqrt(np.trace(r.track.position_cov_m2, axis1=1, axis2=2)).mean() for r in (blind, seeing)]
+    assert spread[0] > 1.5 * spread[1]
+    assert [n for n in blind.notes if "no angular rate" in n]
+    truth = WALKED.truth.position
+    at = np.column_stack([np.interp(blind.track.time_s, truth.time_s, truth[n]) for n in AXES])
+    error = blind.track.position_m - at
+    nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(blind.track.position_cov_m2), error)
+    assert (nees < 9.2).mean() > 0.9
+
+
+def test_a_recording_without_steps_is_where_its_fixes_are() -> None:
+    still = simulate([Leg("stationary", duration_s=8.0)])
+    fixes = [PositionFix(2.0, np.array([5.0, 1.0]), np.eye(2)), PositionFix(4.0, np.array([7.0, 1.0]), np.eye(2))]
+    result = smooth(still, fixes)
+    assert result.track.n_steps == 0
+    np.testing.assert_allclose(result.start_position_m, [6.0, 1.0])
+    np.testing.assert_allclose(result.start_position_cov_m2, 0.5 * np.eye(2))
+
+
+def test_a_calibration_gives_the_step_lengths_and_how_sure_they_are() -> None:
+    truth = WALKED.truth.position
+    start_s, end_s = np.array([4.0, 12.0]), np.array([12.0, 20.0])
+    east, north = (np.interp(end_s, truth.time_s, truth[n]) - np.interp(start_s, truth.time_s, truth[n]) for n in AXES)
+    parts = table({"start_s": start_s, "end_s": end_s, "distance_m": np.hypot(east, north), "n_steps": [np.nan] * 2})
+    somebody = replace(
+        WALKED, meta={**WALKED.meta, "subject": {"id": "somebody"}}, truth=replace(WALKED.truth, segments=parts)
+    )
+    known, unknown = smooth(somebody, calibration=calibrate([somebody])), smooth(WALKED)
+    assert known.scale_std < 0.8 * unknown.scale_std
+    walked_m = np.hypot(np.diff(truth.east_m), np.diff(truth.north_m)).sum()
+    assert known.track.distance_m == pytest.approx(walked_m, rel=0.08)
+
+
+def test_a_gap_in_the_samples_is_bridged_by_fixes() -> None:
+    def cut(samples: pdr.Samples) -> pdr.Samples:
+        keep = (samples.time_s < 12.0) | (samples.time_s > 18.0)
+        return pdr.Samples(samples.time_s[keep], samples.values[keep])
+
+    broken = replace(WALKED, accelerometer=cut(WALKED.accelerometer), gyroscope=cut(WALKED.gyroscope))
+    result = smooth(broken, fixes_of(WALKED, rotation_rad=1.0))
+    assert len(result.rejected) == 0
+    assert (np.linalg.eigvalsh(result.track.position_cov_m2) > 0).all()
+    assert result.track.step_length_m.max() < 1.5
+
+
+def test_bad_input_is_refused_in_words() -> None:
+    fixes = fixes_of(WALKED)
+    with pytest.raises(ValueError, match=r"none of 1 fixes.*same clock"):
+        smooth(WALKED, [replace(fixes[0], time_s=1e6, received_time_s=1e6)])
+    with pytest.raises(ValueError, match="outside the recording"):
+        smooth(WALKED, loop_closures=[LoopClosure(1.0, 900.0)])
+    with pytest.raises(ValueError, match="first_s < second_s"):
+        LoopClosure(5.0, 4.0)
+    with pytest.raises(ValueError, match="start_s < end_s"):
+        KnownHeading(5.0, 4.0, 0.0)
+    points = table({"time_s": np.array([1.0, 9.0, 4.0]), "east_m": np.zeros(3), "north_m": np.zeros(3)})
+    with pytest.raises(ValueError, match=r"waypoint 2 at 4.0 s comes after one at 9.0 s"):
+        waypoint_fixes(replace(WALKED, truth=Truth(waypoints=points)))
+    with pytest.raises(ValueError, match="no waypoints"):
+        waypoint_fixes(replace(WALKED, truth=Truth()))
+
+
+def test_the_same_fix_many_times_and_a_fix_before_the_first_step_are_no_trouble() -> None:
+    fixes = fixes_of(WALKED)
+    early = PositionFix(0.0, np.zeros(2), np.eye(2))
+    result = smooth(WALKED, [early, *fixes, *fixes])
+    assert np.isfinite(result.track.position_cov_m2).all()
+    assert len(result.rejected) == 0
+
+
+@pytest.mark.recordings
+def test_real_waypoints_between_the_fixes_are_met_within_a_metre(data_dir: Path) -> None:
+    squares = []
+    for name in ("1f", "2r", "forward"):
+        recording = pdr.read(data_dir / "humolire" / f"humolire_user1_{name}.zip")
+        fixes = waypoint_fixes(recording)
+        track = smooth(recording, fixes[::3]).track
+        for number, fix in enumerate(fixes):
+            if number % 3:
+                at = [np.interp(fix.time_s, track.time_s, track.position_m[:, k]) for k in (0, 1)]
+                squares.append(np.square(at - fix.position_m).sum())
+    assert np.sqrt(np.mean(squares)) < 1.0

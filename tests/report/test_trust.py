@@ -1,0 +1,130 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.report.trust import doubts
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import read_only
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values.samples import Samples
+
+WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return simulate([Leg("walking", distance_m=60.0)], seed=1)
+
+
+@pytest.fixture(scope="module")
+def track(walk: Recording) -> Track:
+    return pdr.track(walk)
+
+
+def test_of_an_ordinary_walk_nothing_is_doubted(track: Track) -> None:
+    assert doubts(track) == []
+    assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
+    assert "uncertain by" in track.report()
+
+
+def test_a_phone_on_the_table_is_called_one() -> None:
+    time_s = np.arange(3000) / 100
+    rng = np.random.default_rng(0)
+    still = Recording(
+        "table",
+        Samples(time_s, rng.normal([0, 0, 9.81], 0.01, (3000, 3))),
+        Samples(time_s, rng.normal(0.0, 0.002, (3000, 3))),
+    )
+    [told] = doubts(pdr.track(still))
+    assert "did not move" in told
+
+
+def test_a_ride_without_steps_is_told_with_its_times(track: Track) -> None:
+    windows = track.windows
+    late = windows.time_s > 20.0
+    stepped = track.time_s < 18.0
+    riding = replace(
+        track,
+        **{
+            name: getattr(track, name)[stepped]
+            for name in ("time_s", "position_m", "position_cov_m2", "mode_prob", "context_prob", "step_length_m")
+        },
+        steps=track.steps[stepped],
+    )
+    assert late.sum() > 20
+    [told] = doubts(riding)
+    assert "as in a vehicle" in told
+    begin, end = (float(t) for t in told.removeprefix("From ").split(" s ")[0].split(" to "))
+    assert begin == pytest.approx(22.0, abs=1.5)
+    assert end == pytest.approx(float(windows.time_s[-1]), abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("field", "words"), [("irregular_prob", "handled, not carried"), ("unknown_share", "unlike all")]
+)
+def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, field: str, words: str) -> None:
+    time_s = track.windows.time_s
+    for odd, n_told in (((time_s > 10.0) & (time_s < 20.0), 1), (time_s == time_s[9], 0)):
+        windows = replace(track.windows, **{field: read_only(odd.astype(float))})
+        told = [d for d in doubts(replace(track, windows=windows)) if words in d]
+        assert len(told) == n_told
+    assert (
+        "From 11 to 19 s"
+        in doubts(
+            replace(track, windows=replace(track.windows, **{field: read_only(((time_s > 10) & (time_s < 20)) * 1.0)}))
+        )[0]
+    )
+
+
+def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> None:
+    prob = np.array(track.mode_prob)
+    middle = (track.time_s > 12.0) & (track.time_s < 24.0)
+    prob[middle] = 0.0
+    prob[middle, WALKING], prob[middle, CONTEXTS.index("upstairs")] = 0.55, 0.45
+    [told] = doubts(replace(track, mode_prob=prob))
+    assert "hesitates between walking and upstairs" in told
+
+
+def test_the_entropy_counts_modes(track: Track) -> None:
+    prob = np.zeros((3, 6))
+    prob[0, 1], prob[1, :2], prob[2] = 1.0, 0.5, 1 / 6
+    found = replace(track, mode_prob=prob)
+    np.testing.assert_allclose(found.effective_modes, [1.0, 2.0, 6.0])
+    np.testing.assert_allclose(found.mode_entropy, np.log([1.0, 2.0, 6.0]))
+
+
+def test_fixes_are_reported_with_their_innovations_and_the_wild_ones_named(walk: Recording) -> None:
+    truth = walk.truth.position
+    fixes = [
+        PositionFix(t, np.array([np.interp(t, truth.time_s, truth.east_m), np.interp(t, truth.time_s, truth.north_m)]),
+                    4.0 * np.eye(2))
+        for t in (10.0, 20.0, 30.0)
+    ]  # fmt: skip
+    wild = PositionFix(25.0, np.array([500.0, 500.0]), np.eye(2))
+    track = pdr.track(walk, fixes=[*fixes, wild])
+    assert [f.accepted for f in track.fixes] == [True, True, False, True]
+    assert track.fixes[2].nis > 1000
+    assert all(f.nis < 6 for f in track.fixes if f.accepted)
+    assert all(f.used_s >= f.time_s for f in track.fixes)
+    [told] = doubts(track)
+    assert told == "1 of 4 fixes do not fit the track or its time and were not used: at 25 s."
+    assert "fixes: 3 used" in track.report()
+
+
+def test_without_a_gyroscope_the_direction_is_said_to_be_unknown(walk: Recording) -> None:
+    assert any("no angular rate" in d for d in doubts(pdr.track(replace(walk, gyroscope=None))))
+
+
+def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> None:
+    later = np.where(np.arange(track.n_steps) < 50, 0.0, 90.0)
+    told = doubts(replace(track, time_s=track.time_s + later))
+    gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
+    assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
+    assert not any("there is nothing for" in line for line in doubts(track))

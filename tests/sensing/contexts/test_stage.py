@@ -1,0 +1,122 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pdr_filter.classifiers.familiarity import Familiarity
+from pdr_filter.classifiers.model import ContextModel
+from pdr_filter.classifiers.softmax import SoftmaxRegression
+from pdr_filter.sensing.contexts.stage import ContextModels
+from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindow
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+
+NAMES = FEATURE_SETS["invariant"]
+USED = NAMES[:3]
+
+
+def linear(head: str, labels: tuple[str, ...], weights: np.ndarray, **more: Any) -> ContextModel:
+    """A model that knows the first as many labels as it has weights, in equal shares."""
+    prior = np.zeros(len(labels))
+    prior[: len(weights)] = 1 / len(weights)
+    machine = SoftmaxRegression(weights, np.zeros(len(weights)))
+    return ContextModel(
+        head, USED, labels[: len(weights)], prior, np.zeros(3), np.ones(3), machine, {}, head=head, **more
+    )
+
+
+CONTEXT = linear("context", CONTEXTS, np.array([[0.0, 0, 0], [4.0, 0, 0]]))  # stationary, walking
+CARRYING = linear("carrying_mode", CARRYING_MODES, np.array([[0.0, 0, 0], [0.0, 2.0, 0], [0, 0, 2.0]]))
+OTHER = replace(CONTEXT, name="other")
+MODELS = ContextModels(CONTEXT, OTHER, CARRYING, CARRYING)
+
+
+def window(*values: float, time_s: float = 2.0, has_gyroscope: bool = True) -> FeatureWindow:
+    features = np.zeros(len(NAMES))
+    features[: len(values)] = values
+    return FeatureWindow(time_s, NAMES, features, has_gyroscope, False)
+
+
+def after(models: ContextModels, windows: list[FeatureWindow]) -> np.ndarray:
+    prob = models.init()
+    for each in windows:
+        prob, _ = models.step(prob, each)
+    return prob
+
+
+def test_without_angular_rate_the_model_trained_without_it_classifies_and_is_named() -> None:
+    assert MODELS.step(MODELS.init(), window(1.0))[1].model == "context"
+    assert MODELS.step(MODELS.init(), window(1.0, has_gyroscope=False))[1].model == "other"
+
+
+def test_modes_that_no_model_knows_keep_probability_zero() -> None:
+    prob = after(MODELS, [window(1.0, 1.0)] * 5)
+    np.testing.assert_array_equal(prob[3:], 0.0)
+    assert prob.sum() == pytest.approx(1.0)
+
+
+def test_the_carrying_mode_is_the_forward_filter_of_a_markov_chain() -> None:
+    rng = np.random.default_rng(0)
+    windows = [window(*rng.normal(size=3)) for _ in range(20)]
+    transition = np.full((3, 3), 0.01) + 0.97 * np.eye(3)
+    expected = np.full(3, 1 / 3)
+    for each in windows:
+        moving = CONTEXT.predict(each.features[:3])[1]
+        likelihood = CARRYING.predict(each.features[:3])[:3] * 3
+        expected = (transition.T @ expected) * likelihood ** (0.5 * moving)
+        expected /= expected.sum()
+    np.testing.assert_allclose(after(MODELS, windows)[:3], expected, atol=1e-12)
+
+
+def test_a_phone_that_lies_still_does_not_change_its_carrying_mode_but_it_is_forgotten_slowly() -> None:
+    walked = after(MODELS, [window(3.0, 3.0)] * 10)
+    assert walked[1] > 0.95
+    still = window(-20.0, 0.0, 20.0)  # says swinging, but nobody moves
+    prob = walked
+    for _ in range(10):
+        prob, _ = MODELS.step(prob, still)
+    assert prob[1] > 0.75
+    assert CARRYING_MODES[prob.argmax()] == "calling"
+
+
+def test_a_change_of_carrying_mode_is_followed_within_seconds() -> None:
+    prob = after(MODELS, [window(3.0, 2.0, 0.0)] * 60)
+    n = 0
+    while prob.argmax() != 2:
+        prob, _ = MODELS.step(prob, window(3.0, 0.0, 2.0))
+        n += 1
+    assert n <= 5
+
+
+def test_what_is_unlike_the_training_windows_gets_the_prior_of_the_model() -> None:
+    guarded = replace(CONTEXT, familiarity=Familiarity(np.eye(3), np.ones(3), limit=2.0))
+    models = ContextModels(guarded, guarded, CARRYING, CARRYING)
+    known, strange = window(1.0, 1.0, 1.0), window(8.0, 8.0, 8.0)
+    for each, unknown in ((known, 0.0), (strange, 1 - (2 / 8) ** 2)):
+        context = models.step(models.init(), each)[1]
+        assert context.unknown_share == pytest.approx(unknown)
+        expected = (1 - unknown) * CONTEXT.predict(each.features[:3]) + unknown * CONTEXT.training_prior
+        np.testing.assert_allclose(context.prob, expected)
+        assert context.prob.sum() == pytest.approx(1.0)
+
+
+def test_without_a_carrying_model_all_modes_stay_equally_probable() -> None:
+    models = ContextModels(CONTEXT, OTHER)
+    np.testing.assert_allclose(after(models, [window(3.0, 3.0)] * 3), 0.2)
+
+
+def test_a_feature_set_without_the_features_of_the_gate_calls_nothing_irregular() -> None:
+    names = FEATURE_SETS["martinelli"]
+    model = replace(CONTEXT, feature_names=names[:3])
+    models = ContextModels(model, model)
+    event = FeatureWindow(2.0, names, np.zeros(len(names)), True, False)
+    assert models.step(models.init(), event)[1].irregular_prob == 0.0
+
+
+def test_a_model_of_the_wrong_head_is_refused() -> None:
+    with pytest.raises(ValueError, match="tells the carrying_mode apart, not the context"):
+        ContextModels(CARRYING, CONTEXT)
+    with pytest.raises(ValueError, match="tells the context apart, not the carrying_mode"):
+        ContextModels(CONTEXT, CONTEXT, CONTEXT)

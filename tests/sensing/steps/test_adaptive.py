@@ -1,0 +1,300 @@
+from __future__ import annotations
+
+from dataclasses import astuple
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import cut_uniform, flat_attitude, imu, sensed, uniform_block
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from pdr_filter import serialise
+from pdr_filter.io.formats import read
+from pdr_filter.io.recording import Recording
+from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
+from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.steps.adaptive import (
+    AdaptiveDetectorState,
+    AdaptiveStepDetector,
+    bounce_kernel,
+    low_pass_kernel,
+)
+from pdr_filter.sensing.steps.detector import unknown_modes
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.step import Step
+
+DETECTOR = AdaptiveStepDetector()
+# Steps a second with the amplitude of the bump that one step makes, m/s2: strolling, walking, then running.
+GAITS = [(0.5, 2.0), (0.8, 2.0), (1.1, 2.0), (1.5, 3.0), (1.8, 4.0), (2.2, 5.0), (2.7, 12.0), (3.5, 15.0), (4.5, 20.0)]
+
+
+def bumps(time_s: np.ndarray, contacts_s: np.ndarray, amplitude_mps2: float, frequency_hz: float) -> np.ndarray:
+    """|f| with one bump of zero mean at each contact."""
+    u = (time_s[:, None] - contacts_s) * frequency_hz / 0.225
+    return STANDARD_GRAVITY_MPS2 + amplitude_mps2 * ((1 - u**2) * np.exp(-(u**2) / 2)).sum(axis=1)
+
+
+def walk(frequency_hz: float, amplitude_mps2: float, n: int = 20, rate_hz: float = 100.0) -> tuple[np.ndarray, ...]:
+    """Contacts and |f| at the middles of the samples: 3 s of rest, n steps, 3 s of rest."""
+    contacts_s = 3.0 + np.arange(n) / frequency_hz
+    time_s = (np.arange(int((contacts_s[-1] + 3.0) * rate_hz)) + 0.5) / rate_hz
+    return contacts_s, bumps(time_s, contacts_s, amplitude_mps2, frequency_hz)
+
+
+def detect(
+    blocks: list[UniformBlock], detector: AdaptiveStepDetector = DETECTOR
+) -> tuple[AdaptiveDetectorState, list[tuple[int, Step]]]:
+    state, found = detector.init(), []
+    for block in blocks:
+        attitude = flat_attitude(block.specific_force_mps2[:, 2])
+        state, steps = detector.step(state, block, attitude, unknown_modes(len(block.time_s)))
+        found += steps
+    return state, found
+
+
+def times_s(found: list[tuple[int, Step]]) -> np.ndarray:
+    return np.array([step.time_s for _, step in found])
+
+
+def times_in(recording: Recording) -> np.ndarray:
+    events = sensed(Sensing(steps=DETECTOR), [merge_streams(recording)])
+    return np.array([e.time_s for _, e in events if isinstance(e, Step)])
+
+
+def assert_one_step_at_each(contacts_s: np.ndarray, found_s: np.ndarray, tolerance_s: float) -> None:
+    """Each contact has its step; the side lobes of the wavelet may add one before the first and after the last."""
+    inside = (found_s > contacts_s[0] - tolerance_s) & (found_s < contacts_s[-1] + tolerance_s)
+    np.testing.assert_allclose(found_s[inside], contacts_s, atol=tolerance_s)
+    assert len(found_s) <= len(contacts_s) + 2
+
+
+# --- the kernels ----------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("frequency_hz", [0.6, 1.0, 1.9, 4.8])
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0])
+def test_a_hat_is_symmetric_with_zero_mean_and_unit_gain_at_its_frequency(frequency_hz: float, rate_hz: float) -> None:
+    kernel = bounce_kernel(frequency_hz, 4.0, 0.75, rate_hz)
+    assert kernel.sum() == pytest.approx(0.0, abs=1e-12)
+    np.testing.assert_allclose(kernel, kernel[::-1], atol=1e-12)
+    assert len(kernel) // 2 <= round(0.875 * rate_hz)
+    t = np.arange(-500, 501) / rate_hz
+    response = np.convolve(2.0 * np.cos(2 * np.pi * frequency_hz * t), kernel, mode="same")
+    assert response[500] == pytest.approx(2.0)
+
+
+def test_between_two_hats_of_the_bank_a_sinusoid_of_the_expected_frequency_keeps_its_amplitude() -> None:
+    time_s = (np.arange(2000) + 0.5) / 100
+    for rms_mps2 in np.geomspace(0.3, 8.0, 9):
+        frequency_hz = DETECTOR.frequency_at_1_mps2_hz * rms_mps2**DETECTOR.frequency_exponent
+        line = np.sqrt(2) * rms_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
+        response = DETECTOR._response(line, DETECTOR._rms(line))
+        assert response.max() == pytest.approx(np.sqrt(2) * rms_mps2, rel=0.15)
+
+
+def test_the_power_is_the_deviation_of_the_low_passed_magnitude_around_a_sample() -> None:
+    line = np.random.default_rng(0).normal(size=700)
+    smooth = np.convolve(line, low_pass_kernel(5.5, 100.0), mode="same")
+    expected = [np.std(smooth[i - 100 : i + 76]) for i in range(112, 612)]
+    np.testing.assert_allclose(DETECTOR._rms(line)[:500], expected, rtol=1e-9)
+
+
+# --- synthetic steps ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
+def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, amplitude_mps2: float) -> None:
+    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    _, found = detect([uniform_block(magnitude)])
+    assert_one_step_at_each(contacts_s, times_s(found), 0.06)
+
+
+@pytest.mark.parametrize("frequency_hz", [0.5, 0.7, 1.0, 1.5, 2.0, 2.5, 3.0, 3.5, 4.0, 4.5, 5.0])
+def test_a_sinusoid_of_half_a_hertz_to_five_has_one_step_a_period(frequency_hz: float) -> None:
+    amplitude = 2.0 if frequency_hz < 2.3 else 12.0 if frequency_hz < 4.8 else 20.0  # sprinting
+    time_s = (np.arange(4000) + 0.5) / 100
+    inside = (time_s > 5) & (time_s < 35)
+    magnitude = 9.80665 + inside * amplitude * np.cos(2 * np.pi * frequency_hz * (time_s - 5))
+    _, found = detect([uniform_block(magnitude)])
+    assert abs(len(found) - 30 * frequency_hz) <= 3
+
+
+@pytest.mark.parametrize("rate_hz", [25.0, 50.0, 64.0, 100.0, 200.0])
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.0, 2.0), (1.8, 4.0), (2.7, 15.0)])
+def test_neither_the_sampling_rate_of_the_phone_nor_its_attitude_matters(
+    rate_hz: float, frequency_hz: float, amplitude_mps2: float
+) -> None:
+    contacts_s = 3.0 + np.arange(20) / frequency_hz
+    rng = np.random.default_rng(1)
+    n = int((contacts_s[-1] + 3.0) * rate_hz)
+    time_s = (np.arange(n) + rng.uniform(-0.3, 0.3, n)) / rate_hz
+    up = rng.normal(size=3)
+    force = np.outer(bumps(time_s, contacts_s, amplitude_mps2, frequency_hz), up / np.linalg.norm(up))
+    found = [e for _, e in sensed(Sensing(steps=DETECTOR), [imu(time_s, force)]) if isinstance(e, Step)]
+    assert_one_step_at_each(contacts_s, np.array([s.time_s for s in found]), 0.06)
+
+
+@pytest.mark.parametrize("frequency_hz", [1.1, 1.6, 1.9])
+def test_heel_strike_and_push_off_are_one_step(frequency_hz: float) -> None:
+    contacts_s, magnitude = walk(frequency_hz, 4.0)
+    time_s = (np.arange(len(magnitude)) + 0.5) / 100
+    two_peaks = magnitude + bumps(time_s, contacts_s + 0.2, 2.0, 4.0) - STANDARD_GRAVITY_MPS2
+    _, found = detect([uniform_block(two_peaks)])
+    assert_one_step_at_each(contacts_s, times_s(found), 0.1)
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), [(1.7, 4.0), (2.8, 20.0)])
+def test_the_unequal_feet_of_walkers_and_runners_are_told_apart(frequency_hz: float, amplitude_mps2: float) -> None:
+    contacts_s = 3.0 + np.arange(20) / frequency_hz
+    time_s = (np.arange(1700) + 0.5) / 100
+    magnitude = bumps(time_s, contacts_s[::2], amplitude_mps2, frequency_hz)
+    magnitude += bumps(time_s, contacts_s[1::2], 0.5 * amplitude_mps2, frequency_hz) - STANDARD_GRAVITY_MPS2
+    _, found = detect([uniform_block(magnitude)])
+    assert_one_step_at_each(contacts_s, times_s(found), 0.1)
+
+
+def test_a_weak_step_is_kept_where_the_rhythm_expects_it_and_nowhere_else() -> None:
+    contacts_s = 3.0 + np.arange(20) * 0.55
+    time_s = (np.arange(1900) + 0.5) / 100
+    strong = np.delete(contacts_s, 10)
+    level_mps2 = 2.0  # of the strong steps; a tenth of it is below the relative threshold of 0.15
+    magnitude = bumps(time_s, strong, level_mps2, 1.8)
+    for at_s, n in [(contacts_s[10], 1), (contacts_s[-1] + 0.55, 1)]:
+        with_weak = magnitude + bumps(time_s, np.array([at_s]), 0.25, 1.8) - STANDARD_GRAVITY_MPS2
+        found_s = times_s(detect([uniform_block(with_weak)])[1])
+        strict_s = times_s(detect([uniform_block(with_weak)], AdaptiveStepDetector(rhythm_share=1.0))[1])
+        assert (np.abs(found_s - at_s) < 0.15).sum() == n
+        assert (np.abs(strict_s - at_s) < 0.15).sum() <= n
+    alone = bumps(time_s, np.array([8.0]), 0.2, 1.8)
+    assert len(detect([uniform_block(alone)])[1]) == 0
+
+
+@pytest.mark.parametrize("magnitude", [np.full(1500, 9.80665), np.full(1500, 0.0), np.linspace(9, 11, 1500)])
+def test_rest_free_fall_and_a_slow_drift_have_no_steps(magnitude: np.ndarray) -> None:
+    state, found = detect([uniform_block(magnitude)])
+    assert found == []
+    assert DETECTOR.finish(state) == []
+
+
+def test_the_noise_of_a_phone_on_a_table_has_no_steps() -> None:
+    magnitude = 9.81 + np.random.default_rng(2).normal(0.0, 0.1, 12000)
+    assert detect([uniform_block(magnitude)])[1] == []
+
+
+# --- when -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
+def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
+    frequency_hz: float, amplitude_mps2: float
+) -> None:
+    _, magnitude = walk(frequency_hz, amplitude_mps2)
+    block = uniform_block(magnitude)
+    state, found = detect([block])
+    delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
+    np.testing.assert_allclose(delays_s, DETECTOR.latency_s, atol=0.011)
+    assert all(block.time_s[index] == step.detected_time_s for index, step in found)
+    assert all(s.detected_time_s >= s.time_s for _, s in DETECTOR.finish(state))
+    assert DETECTOR.latency_s < 0.9
+
+
+@pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS[1:])
+@pytest.mark.parametrize("after_last_s", [0.35, 0.65])
+def test_at_the_end_the_last_steps_are_found_at_their_times(
+    frequency_hz: float, amplitude_mps2: float, after_last_s: float
+) -> None:
+    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    block = uniform_block(magnitude[: int(100 * (contacts_s[-1] + after_last_s))])
+    state, found = detect([block])
+    last = DETECTOR.finish(state)
+    assert len(last) > 0
+    every = times_s([*found, *last])
+    assert (np.diff(every) > 0).all()
+    assert_one_step_at_each(contacts_s, every, 0.08)
+    assert all(s.time_s <= s.detected_time_s == block.time_s[-1] for _, s in last)
+
+
+def test_finishing_before_the_first_sample_finds_nothing() -> None:
+    assert DETECTOR.finish(DETECTOR.init()) == []
+
+
+# --- invariance -----------------------------------------------------------------------------------------------------
+
+
+@settings(max_examples=25, deadline=None)
+@given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
+def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    _, magnitude = walk(rng.uniform(0.8, 2.2), rng.uniform(2, 15))
+    block = uniform_block(magnitude + rng.normal(size=len(magnitude)))
+    state, whole = detect([block])
+    cut_state, pieces = detect(cut_uniform(block, edges))
+    assert len(whole) > 15
+    assert [(i, astuple(s)) for i, s in pieces] == [(i, astuple(s)) for i, s in whole]
+    assert DETECTOR.finish(cut_state) == DETECTOR.finish(state)
+
+
+@pytest.mark.parametrize("at", [1, 500, 1033])
+def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
+    _, magnitude = walk(1.8, 4.0)
+    block = uniform_block(magnitude)
+    first, second = cut_uniform(block, [at])
+    state, found = detect([first])
+    state = serialise.from_bytes(serialise.to_bytes(state))
+    attitude = flat_attitude(second.specific_force_mps2[:, 2])
+    _, later = DETECTOR.step(state, second, attitude, unknown_modes(len(second.time_s)))
+    assert [*found, *later] == detect([block])[1]
+
+
+def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
+    _, magnitude = walk(1.8, 4.0)
+    early = detect([uniform_block(magnitude)])[1]
+    late = detect([uniform_block(magnitude, start_s=1024.0)])[1]
+    np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
+
+
+def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
+    _, magnitude = walk(1.8, 4.0)
+    first, second = cut_uniform(uniform_block(magnitude), [900])
+    state, _ = detect([first])
+    attitude, modes = flat_attitude(magnitude[900:]), unknown_modes(len(second.time_s))
+    expected = DETECTOR.step(state, second, attitude, modes)[1]
+    DETECTOR.finish(state)
+    assert DETECTOR.step(state, second, attitude, modes)[1] == expected
+    assert len(expected) > 3
+
+
+# --- real recordings ------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.recordings
+def test_steps_of_the_oxford_recordings_are_counted_and_timed_as_by_foot_switches(data_dir: Path) -> None:
+    offsets_s = []
+    for path in sorted((data_dir / "oxford").glob("*_1.zip")):
+        recording = read(path)
+        assert recording.truth.steps is not None
+        truth_s = recording.truth.steps.time_s
+        found_s = times_in(recording)
+        found_s = found_s[(found_s > truth_s[0] - 0.3) & (found_s < truth_s[-1] + 0.3)]
+        assert abs(len(found_s) / len(truth_s) - 1) < 0.02, path.name
+        nearest_s = found_s[np.abs(found_s[:, None] - truth_s).argmin(axis=0)]
+        assert np.mean(np.abs(nearest_s - truth_s - np.median(nearest_s - truth_s)) < 0.25) > 0.97
+        offsets_s.append(np.median(nearest_s - truth_s))
+    assert len(offsets_s) >= 7
+    # the switches were read every 0.1 s, so that they are up to that late
+    assert abs(np.median(offsets_s)) < 0.08
+
+
+@pytest.mark.recordings
+def test_steps_of_ubicomp13_are_counted_in_every_placement(data_dir: Path) -> None:
+    errors: dict[str, list[float]] = {}
+    for path in sorted((data_dir / "ubicomp13").glob("ubicomp13_p0[789]_*.zip")):
+        recording = read(path)
+        assert recording.truth.segments is not None
+        [segment] = recording.truth.segments
+        found_s = times_in(recording)
+        n = ((found_s > segment.start_s - 0.3) & (found_s < segment.end_s + 0.3)).sum()
+        errors.setdefault(path.stem.split("_", 3)[3], []).append(n / segment.n_steps - 1)
+    assert len(errors) == 5
+    assert all(np.mean(np.abs(e)) < 0.025 and np.max(np.abs(e)) < 0.06 for e in errors.values())

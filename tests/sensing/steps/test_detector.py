@@ -1,0 +1,51 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import flat_attitude, uniform_block
+
+from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.step import Step
+
+LOG = StepLog(rate_hz=100.0, latency_s=0.8)
+
+
+def logged(contacts: list[int], amplitude: np.ndarray) -> list[Step]:
+    """Steps of contacts at samples of a signal of one sine for each half second, with an amplitude for each sample."""
+    t = np.arange(len(amplitude)) / 100
+    magnitude = STANDARD_GRAVITY_MPS2 + amplitude * np.sin(2 * np.pi * 2.0 * t)
+    state: StepLogState = LOG.extend(LOG.init(), uniform_block(magnitude), flat_attitude(magnitude))
+    steps = []
+    for contact in contacts:
+        state, step = LOG.add(state, contact, contact + 80)
+        steps.append(step)
+    return steps
+
+
+def test_the_first_step_of_a_bout_and_one_after_a_pause_begin_with_a_rest() -> None:
+    contacts = [100, 150, 200, 250, 350, 400, 700, 750]  # a pause of a second, and one of three
+    steps = logged(contacts, np.full(900, 2.0))
+    assert [s.from_rest for s in steps] == [True, False, False, False, True, False, True, False]
+
+
+def test_a_slow_walker_does_not_rest_between_steps() -> None:
+    steps = logged([100, 240, 385, 525, 670], np.full(900, 2.0))
+    assert [s.from_rest for s in steps] == [True, False, False, False, False]
+
+
+def test_the_usual_amplitude_is_the_geometric_mean_of_the_steps_so_far_without_those_from_rest() -> None:
+    amplitude = np.concatenate([np.full(150, 5.0), np.full(50, 2.0), np.full(50, 1.0), np.full(150, 3.0)])
+    steps = logged([150, 200, 250, 300], amplitude)
+    assert steps[0].usual_amplitude_mps2 == 0.0
+    logs, weights = np.log([2.0, 1.0, 3.0]), USUAL_DECAY ** np.array([2.0, 1.0, 0.0])
+    assert steps[1].usual_amplitude_mps2 == pytest.approx(2.0, rel=1e-6)
+    assert steps[3].usual_amplitude_mps2 == pytest.approx(np.exp(np.average(logs, weights=weights)), rel=1e-6)
+    assert steps[2].vertical_amplitude_mps2 == pytest.approx(1.0, rel=1e-6)
+
+
+@pytest.mark.parametrize("n", [20, 55, 101])
+def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
+    phase = 2 * np.pi * np.arange(n) / n
+    values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
+    assert amplitude_of_one_period(values) == pytest.approx(1.7)

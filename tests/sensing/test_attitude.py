@@ -1,0 +1,332 @@
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import condition, cut_uniform
+from scipy.spatial.transform import Rotation
+
+import pdr_filter as pdr
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, AttitudeState
+from pdr_filter.sensing.bias import GyroBias
+from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from pdr_filter.serialise import from_bytes, to_bytes
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+
+# Sensor-to-world attitudes: up in the sensor frame is the third row of the rotation matrix.
+TILTS = {
+    "face up": Rotation.identity(),
+    "reading": Rotation.from_euler("x", 40, degrees=True),
+    "upright": Rotation.from_euler("x", 90, degrees=True),
+    "upside down in the pocket": Rotation.from_euler("xy", [-80, 25], degrees=True),
+    "on its side": Rotation.from_euler("y", -90, degrees=True),
+    "face down": Rotation.from_euler("x", 180, degrees=True),
+}
+
+
+def samples(
+    up_sensor: np.ndarray, turn_rate_radps: np.ndarray, known: bool = True, rate_hz: float = 100.0
+) -> UniformBlock:
+    """A phone that turns counter-clockwise (seen from above) about the vertical and feels gravity only."""
+    n = len(turn_rate_radps)
+    return UniformBlock(
+        time_s=(np.arange(n) + 0.5) / rate_hz,
+        specific_force_mps2=np.tile(STANDARD_GRAVITY_MPS2 * up_sensor, (n, 1)),
+        angular_rate_radps=turn_rate_radps[:, None] * up_sensor if known else np.zeros((n, 3)),
+        angular_rate_known=np.full(n, known),
+        magnetic_field_ut=np.zeros((n, 3)),
+        magnetic_field_known=np.zeros(n, dtype=bool),
+        gap_before_s=np.inf,
+    )
+
+
+def attitude_of(block: UniformBlock, edges: list[int] | None = None) -> tuple[AttitudeState, list[AttitudeBlock]]:
+    estimator = AttitudeEstimator()
+    state, outputs = estimator.init(), []
+    for piece in cut_uniform(block, edges or []):
+        state, attitude = estimator.step(state, piece)
+        outputs.append(attitude)
+    return state, outputs
+
+
+def moving(attitudes: Rotation, rate_hz: float = 100.0, bias_radps: np.ndarray | None = None) -> UniformBlock:
+    """A phone in given sensor-to-world attitudes, the first before the first sample, that feels gravity only."""
+    n = len(attitudes) - 1
+    rate = (attitudes[:-1].inv() * attitudes[1:]).as_rotvec() * rate_hz
+    block = samples(np.array([0.0, 0.0, 1.0]), np.zeros(n), rate_hz=rate_hz)
+    up = attitudes[1:].inv().apply([0.0, 0.0, 1.0])
+    return replace(
+        block,
+        specific_force_mps2=STANDARD_GRAVITY_MPS2 * up,
+        angular_rate_radps=rate + (0.0 if bias_radps is None else bias_radps),
+    )
+
+
+def about(axis: str, angle_rad: np.ndarray) -> Rotation:
+    return Rotation.from_rotvec(np.outer(angle_rad, np.eye(3)["xyz".index(axis)]))
+
+
+def a_walk(seconds: int, seed: int, bias_radps: np.ndarray) -> tuple[UniformBlock, np.ndarray, np.ndarray]:
+    """A phone held in front that bobs, turns corners of a second, stands now and then, and feels a magnetic field.
+
+    Noisy samples, heading (N,) and up (N, 3) of the sensor.
+    """
+    rng = np.random.default_rng(seed)
+    n = 100 * seconds
+    time_s = np.arange(n + 1) / 100
+    is_walking = (time_s % 40) > 6
+    corner = np.floor(time_s / 15) + np.clip(time_s % 15 - 14, 0, 1)
+    heading = np.pi / 2 * corner + np.where(is_walking, 0.05 * np.sin(2 * np.pi * time_s), 0.0)
+    nod = 0.7 + np.where(is_walking, 0.05 * np.sin(4 * np.pi * time_s), 0.0)
+    attitudes = about("z", -heading) * about("x", nod)
+    block = moving(attitudes, bias_radps=bias_radps)
+    up = attitudes[1:].inv().apply([0.0, 0.0, 1.0])
+    bob = np.where(is_walking, 3 * np.sin(4 * np.pi * time_s), 0.0)[1:]
+    noisy = replace(
+        block,
+        specific_force_mps2=block.specific_force_mps2 + bob[:, None] * up + rng.normal(scale=0.05, size=(n, 3)),
+        angular_rate_radps=block.angular_rate_radps + rng.normal(scale=0.01, size=(n, 3)),
+        magnetic_field_ut=attitudes[1:].inv().apply([3.0, 20.0, -40.0]) + rng.normal(size=(n, 3)),
+        magnetic_field_known=np.full(n, True),
+    )
+    return noisy, heading[1:], up
+
+
+@pytest.fixture(params=TILTS)
+def up_sensor(request: pytest.FixtureRequest) -> np.ndarray:
+    return TILTS[request.param].inv().apply([0.0, 0.0, 1.0])
+
+
+def test_a_still_phone_knows_up_from_the_first_sample_and_feels_no_vertical_force(up_sensor: np.ndarray) -> None:
+    _, [attitude] = attitude_of(samples(up_sensor, np.zeros(300)))
+    np.testing.assert_allclose(attitude.up_sensor, np.tile(up_sensor, (300, 1)), atol=1e-6)
+    np.testing.assert_allclose(attitude.vertical_mps2, 0.0, atol=1e-9)
+    np.testing.assert_allclose(attitude.horizontal_mps2, 0.0, atol=1e-5)
+    np.testing.assert_allclose(attitude.device_heading_rad, 0.0, atol=1e-12)
+
+
+def test_turning_counter_clockwise_lowers_the_heading_by_the_angle_turned(up_sensor: np.ndarray) -> None:
+    rate = np.full(600, 0.5)
+    _, [attitude] = attitude_of(samples(up_sensor, rate))
+    np.testing.assert_allclose(attitude.device_heading_rad, -np.cumsum(rate) / 100, atol=1e-4)
+    np.testing.assert_allclose(attitude.up_sensor[-1], up_sensor, atol=1e-4)
+
+
+def test_a_full_turn_clockwise_is_not_wrapped() -> None:
+    _, [attitude] = attitude_of(samples(np.array([0.0, 1.0, 0.0]), np.full(1000, -2 * np.pi / 10)))
+    assert attitude.device_heading_rad[-1] == pytest.approx(2 * np.pi, abs=1e-3)
+
+
+def test_nodding_is_no_turn() -> None:
+    t = (np.arange(1000) + 0.5) / 100
+    nod_rad, nod_rate = 0.5 * np.sin(2 * t), np.cos(2 * t)
+    up = np.column_stack([np.zeros(1000), np.sin(nod_rad), np.cos(nod_rad)])
+    block = samples(np.array([0.0, 0.0, 1.0]), np.zeros(1000))
+    rate = np.column_stack([nod_rate, np.zeros((1000, 2))])
+    moving = UniformBlock(
+        block.time_s,
+        STANDARD_GRAVITY_MPS2 * up,
+        rate,
+        block.angular_rate_known,
+        block.magnetic_field_ut,
+        block.magnetic_field_known,
+        np.inf,
+    )
+    _, [attitude] = attitude_of(moving)
+    assert np.abs(attitude.device_heading_rad).max() < 0.01
+    np.testing.assert_allclose(attitude.up_sensor, up, atol=0.05)
+
+
+@pytest.mark.parametrize("rate_hz", [50.0, 100.0, 200.0])
+@pytest.mark.parametrize("tilt", ["reading", "upside down in the pocket"])
+def test_a_wobble_is_no_turn_however_often_it_goes_round(tilt: str, rate_hz: float) -> None:
+    t = np.arange(int(20 * rate_hz) + 1) / rate_hz
+    around = 2 * np.pi * t  # up goes round a cone of 12 degrees once a second
+    axis = np.column_stack([np.cos(around), np.sin(around), np.zeros(len(t))])
+    attitudes = Rotation.from_rotvec(np.deg2rad(12) * axis) * TILTS[tilt]
+    block = moving(attitudes, rate_hz)
+    estimator = AttitudeEstimator(rate_hz=rate_hz)
+    _, attitude = estimator.step(estimator.init(), block)
+    integral = -np.cumsum((block.angular_rate_radps * attitude.up_sensor).sum(axis=1)) / rate_hz
+    assert abs(integral[-1]) > 20 * 2 * np.pi * (1 - np.cos(np.deg2rad(12))) * 0.9
+    # back at the first attitude after each second
+    whole = np.arange(1, 21) * int(rate_hz) - 1
+    assert np.abs(attitude.device_heading_rad[whole]).max() < 0.03
+    assert np.abs(attitude.device_heading_rad).max() < 0.1
+
+
+def test_turning_counts_the_same_while_the_phone_swings_by_80_degrees() -> None:
+    t = np.arange(3001) / 100
+    swing = np.deg2rad(40) * np.sin(2 * np.pi * t)
+    attitudes = about("z", -0.4 * t) * about("x", np.deg2rad(60) + swing)
+    _, [attitude] = attitude_of(moving(attitudes))
+    assert attitude.device_heading_rad[-1] == pytest.approx(12.0, abs=0.05)
+
+
+def test_the_heading_follows_a_phone_that_is_put_upright_into_a_pocket() -> None:
+    t = np.arange(1501) / 100
+    tilt = np.interp(t, [5, 6], [np.deg2rad(30), np.deg2rad(160)])
+    heading = np.interp(t, [0, 5, 8, 12], [0.0, 1.0, 1.0, 3.0])
+    attitudes = about("z", -heading) * about("x", tilt)
+    _, [attitude] = attitude_of(moving(attitudes))
+    assert attitude.device_heading_rad[499] == pytest.approx(1.0, abs=0.01)
+    assert attitude.device_heading_rad[-1] == pytest.approx(3.0, abs=0.05)
+
+
+def test_the_vertical_force_is_the_force_along_up_less_gravity() -> None:
+    up = TILTS["reading"].inv().apply([0.0, 0.0, 1.0])
+    block = samples(up, np.zeros(400))
+    bob_mps2 = 2.0 * np.sin(2 * np.pi * 2 * block.time_s)
+    moving = UniformBlock(
+        block.time_s,
+        block.specific_force_mps2 + bob_mps2[:, None] * up,
+        block.angular_rate_radps,
+        block.angular_rate_known,
+        block.magnetic_field_ut,
+        block.magnetic_field_known,
+        np.inf,
+    )
+    _, [attitude] = attitude_of(moving)
+    np.testing.assert_allclose(attitude.vertical_mps2, bob_mps2, atol=1e-6)
+
+
+def test_without_angular_rate_up_is_still_known_and_the_heading_stands_still(up_sensor: np.ndarray) -> None:
+    _, [attitude] = attitude_of(samples(up_sensor, np.full(300, 0.5), known=False))
+    np.testing.assert_array_equal(attitude.device_heading_rad, np.zeros(300))
+    np.testing.assert_allclose(attitude.up_sensor[-1], up_sensor, atol=1e-6)
+
+
+def test_when_the_angular_rate_goes_missing_the_heading_stays_where_it_was() -> None:
+    estimator, up = AttitudeEstimator(), np.array([0.0, 0.0, 1.0])
+    # a bias of 1 deg/s, learnt at rest, must not turn the heading while the rate is missing
+    state, rest = estimator.step(estimator.init(), samples(up, np.full(2000, np.deg2rad(1.0))))
+    late_drift = rest.device_heading_rad[-1] - rest.device_heading_rad[-500]
+    assert abs(late_drift) < 0.1 * np.deg2rad(5.0)
+    state, missing = estimator.step(state, samples(up, np.zeros(300), known=False))
+    np.testing.assert_array_equal(missing.device_heading_rad, rest.device_heading_rad[-1])
+
+
+def test_after_a_gap_up_is_found_afresh_and_the_heading_goes_on() -> None:
+    estimator = AttitudeEstimator()
+    flat, upright = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    state, before = estimator.step(estimator.init(), samples(flat, np.full(1000, -0.3)))
+    state, after = estimator.step(estimator.after_gap(state), samples(upright, np.zeros(100)))
+    np.testing.assert_allclose(after.up_sensor[20:], np.tile(upright, (80, 1)), atol=1e-3)
+    assert after.device_heading_rad[0] == pytest.approx(before.device_heading_rad[-1], abs=1e-3)
+
+
+@pytest.mark.parametrize("bias", [0.0, 0.02, 0.1])
+def test_a_biased_phone_in_corridors_drifts_less_the_longer_it_is_carried(bias: float) -> None:
+    block, heading, _ = a_walk(120, 1, bias * np.array([0.0, np.sin(0.7), np.cos(0.7)]))
+    _, [attitude] = attitude_of(block)
+    error = attitude.device_heading_rad - heading
+    assert abs(error[-1] - error[-6000]) < 60 * 0.003
+    assert abs(error[-1]) < 0.05 + 0.25 * 120 * bias
+
+
+def test_the_bias_of_all_axes_is_taken_off_before_the_inclination() -> None:
+    # uncorrected, 0.1 rad/s about a level axis and 3 s to correct it tilt the vertical by up to 0.3 rad
+    block, _, up = a_walk(80, 2, np.array([0.1, 0.0, 0.0]))
+    _, [attitude] = attitude_of(block)
+    tilt = np.arccos(np.clip((attitude.up_sensor * up).sum(axis=1), -1, 1))
+    assert tilt[800:].max() < 0.1
+
+
+def test_the_error_of_the_heading_rate_shrinks_with_what_is_learnt_and_is_about_the_vertical() -> None:
+    # the field tells the bias about up, so what is left is about the other axes
+    block, _, _ = a_walk(60, 3, np.zeros(3))
+    no_rest = GyroBias(still_gyr_radps=1e-9)
+    estimator = AttitudeEstimator(bias=no_rest)
+    # the last half second still has the error of the whole windows before
+    state, attitude = estimator.step(estimator.init(), cut_uniform(block, [5950])[0])
+    prior = np.sqrt(np.dot(no_rest.prior_prob, np.square(no_rest.prior_std_radps)))
+    np.testing.assert_allclose(attitude.yaw_bias_std_radps[:100], prior, rtol=1e-9)
+    assert attitude.yaw_bias_std_radps[-1] < 0.2 * prior
+    cov = state.bias.bias_cov_radps2
+    about_x = np.sqrt(cov[0, 0])
+    assert about_x > 2 * attitude.yaw_bias_std_radps[-1]
+    up = attitude.up_sensor[-1]
+    assert np.sqrt(up @ cov @ up) == pytest.approx(attitude.yaw_bias_std_radps[-1], rel=1e-9)
+
+
+def test_a_filter_saved_in_the_middle_goes_on_with_the_same_bits() -> None:
+    block, _, _ = a_walk(70, 4, np.array([0.01, 0.02, -0.01]))
+    first, second = cut_uniform(block, [3333])
+    estimator = AttitudeEstimator()
+    state, _ = estimator.step(estimator.init(), first)
+    _, kept = estimator.step(state, second)
+    _, loaded = estimator.step(from_bytes(to_bytes(state)), second)
+    for name in AttitudeBlock.__slots__:
+        np.testing.assert_array_equal(getattr(loaded, name), getattr(kept, name))
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_walking_in_pieces_is_walking_as_a_whole(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    block, _, _ = a_walk(60, seed, rng.normal(scale=0.02, size=3))
+    block = replace(block, angular_rate_known=block.time_s < 50, magnetic_field_known=(block.time_s % 30) > 3)
+    state, [whole] = attitude_of(block)
+    cuts = [*range(0, 6000, 10)] if seed == 0 else list(rng.integers(0, 6000, 300))
+    pieces_state, pieces = attitude_of(block, cuts)
+    for name in AttitudeBlock.__slots__:
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
+    np.testing.assert_array_equal(pieces_state.bias.mean, state.bias.mean)
+    np.testing.assert_array_equal(pieces_state.bias.cov, state.bias.cov)
+
+
+def test_a_real_walk_through_corridors_keeps_its_right_angles(data_dir: Path) -> None:
+    # uncorrected, the gyroscope of this recording is off by 28 degrees at the end
+    recording = pdr.read(data_dir / "humolire" / "humolire_user1_straight.zip")
+    _, blocks = condition(Conditioner(), [merge_streams(recording)])
+    estimator, state, headings = AttitudeEstimator(), AttitudeEstimator().init(), []
+    for block in blocks:
+        state, attitude = estimator.step(state, block)
+        headings.append(attitude.device_heading_rad)
+    time_s, heading = np.concatenate([b.time_s for b in blocks]), np.concatenate(headings)
+    legs = recording.truth.segments
+    waypoints = recording.truth.waypoints
+    errors = []
+    for leg in legs[legs.end_s - legs.start_s > 5]:
+        a, b = (int(np.argmin(np.abs(waypoints.time_s - t))) for t in (leg.start_s, leg.end_s))
+        east, north = waypoints.east_m[b] - waypoints.east_m[a], waypoints.north_m[b] - waypoints.north_m[a]
+        inside = (time_s > leg.start_s + 1) & (time_s < leg.end_s - 1)
+        off = np.exp(1j * (heading[inside] - np.arctan2(east, north))).mean()
+        errors.append(np.angle(off))
+    error = np.unwrap(errors)
+    assert len(error) >= 8
+    assert np.rad2deg(np.std(error)) < 6
+    assert np.rad2deg(abs(error[-1] - error[-4])) < 6
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_the_attitude_does_not_depend_on_how_samples_arrive(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    block = samples(np.array([0.0, 0.6, 0.8]), rng.normal(size=700))
+    noisy = UniformBlock(
+        block.time_s,
+        block.specific_force_mps2 + rng.normal(size=(700, 3)),
+        block.angular_rate_radps + rng.normal(size=(700, 3)),
+        rng.random(700) > 0.1,
+        block.magnetic_field_ut,
+        block.magnetic_field_known,
+        np.inf,
+    )
+    _, [whole] = attitude_of(noisy)
+    _, pieces = attitude_of(noisy, list(rng.integers(0, 700, 80)))
+    for name in AttitudeBlock.__slots__:
+        np.testing.assert_array_equal(np.concatenate([getattr(p, name) for p in pieces]), getattr(whole, name))
+
+
+def test_a_step_changes_neither_the_samples_nor_the_old_state() -> None:
+    estimator = AttitudeEstimator()
+    block = samples(np.array([0.0, 0.6, 0.8]), np.full(200, 0.1))
+    force, rate = block.specific_force_mps2.copy(), block.angular_rate_radps.copy()
+    state, _ = estimator.step(estimator.init(), block)
+    _, once = estimator.step(state, block)
+    _, again = estimator.step(state, block)
+    np.testing.assert_array_equal(once.device_heading_rad, again.device_heading_rad)
+    np.testing.assert_array_equal(once.up_sensor, again.up_sensor)
+    np.testing.assert_array_equal(block.specific_force_mps2, force)
+    np.testing.assert_array_equal(block.angular_rate_radps, rate)

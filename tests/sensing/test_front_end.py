@@ -1,0 +1,158 @@
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from helpers import cut_randomly, sensed
+
+import pdr_filter as pdr
+from pdr_filter import recipes
+from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.contexts.stage import WindowContext, known_context
+from pdr_filter.sensing.front_end import Gap, Sensing
+from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.samples import Samples
+from pdr_filter.values.step import Step
+
+WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
+
+
+@dataclass(frozen=True)
+class Announcements:
+    """A context stage that says what it was told to say at some samples of the segment."""
+
+    at: tuple[tuple[int, str, str], ...]
+    rate_hz: float = 100.0
+
+    def init(self) -> int:
+        return 0
+
+    def after_gap(self, state: int) -> int:
+        return 0
+
+    def step(
+        self, state: int, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[int, list[tuple[int, WindowContext]]]:
+        end = state + len(block.time_s)
+        said = [
+            (
+                i,
+                known_context(
+                    float(block.time_s[i - state]), {context: 1.0}, {mode: 1.0} if mode else {}, CONTEXTS, ""
+                ),
+            )
+            for i, context, mode in self.at
+            if state <= i < end
+        ]
+        return end, said
+
+
+class Listener(WaveletStepDetector):
+    """A step detector that keeps what it hears of modes."""
+
+    heard: list[ModeBlock]
+
+    def step(self, state, block, attitude, modes):  # type: ignore[no-untyped-def]
+        self.heard.append(modes)
+        return super().step(state, block, attitude, modes)
+
+
+def modes_heard(blocks: list) -> tuple[np.ndarray, np.ndarray]:
+    listener = Listener()
+    object.__setattr__(listener, "heard", [])
+    stage = Announcements(((123, "walking", "pocket"), (457, "walking", ""), (460, "stationary", "texting")))
+    sensed(Sensing(steps=listener, contexts=stage), blocks)
+    return tuple(np.concatenate([getattr(m, name) for m in listener.heard]) for name in ("context", "carrying_mode"))
+
+
+def test_a_step_detector_hears_of_a_mode_from_its_window_on_however_samples_arrive() -> None:
+    samples = pdr.merge_streams(simulate([Leg("walking", distance_m=10.0)]))
+    for blocks in ([samples], cut_randomly(samples, 1), cut_randomly(samples, 2, mean_length=3)):
+        context, carrying_mode = modes_heard(blocks)
+        assert (context[:123] == -1).all()
+        assert (context[123:460] == WALKING).all()
+        assert (context[460:] == CONTEXTS.index("stationary")).all()
+        assert (carrying_mode[:123] == -1).all()
+        assert (carrying_mode[123:457] == POCKET).all()
+        assert (carrying_mode[457:460] == -1).all()  # all modes alike: none has half
+        assert (carrying_mode[460:] == TEXTING).all()
+
+
+@pytest.mark.parametrize("name", sorted(recipes.RECIPES))
+def test_every_recipe_gives_the_same_track_however_samples_arrive(name: str) -> None:
+    walk = simulate(
+        [Leg("walking", distance_m=15.0), Leg("walking", distance_m=10.0, turn_rad=1.5, carrying_mode="pocket")], seed=4
+    )
+    config = recipes.for_recording(name, walk)
+    whole = pdr.track(walk, config)
+    online, updates = pdr.OnlineFilter(config), []
+    for i, block in enumerate(cut_randomly(pdr.merge_streams(walk), 7)):
+        updates += online.push(
+            block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
+        )
+        if i % 5 == 2:
+            online = pdr.OnlineFilter.load(online.save())
+    final = [u for u in [*updates, *online.finish()] if u.is_final]
+    np.testing.assert_array_equal([u.position_m for u in final], whole.position_m)
+    np.testing.assert_array_equal([u.step.time_s for u in final], whole.time_s)
+    assert whole.n_steps > 20
+
+
+@pytest.mark.parametrize("name", sorted(recipes.RECIPES))
+def test_every_recipe_walks_about_as_far_as_the_person_and_survives_a_gap(name: str) -> None:
+    walk = simulate([Leg("walking", distance_m=40.0)], seed=2)
+    assert walk.gyroscope is not None
+
+    def with_gap(samples: Samples) -> Samples:
+        keep = (samples.time_s < 12.0) | (samples.time_s > 14.0)
+        return Samples(samples.time_s[keep], samples.values[keep])
+
+    torn = replace(walk, accelerometer=with_gap(walk.accelerometer), gyroscope=with_gap(walk.gyroscope))
+    for recording, missing_m in ((walk, 0.0), (torn, 4.0)):
+        track = pdr.track(recording, recipes.for_recording(name, recording))
+        assert np.isfinite(track.position_m).all()
+        # martinelli2018 takes hand-held walking for stairs, as real walks show too
+        least = 0.3 if name == "martinelli2018" else 0.7
+        assert least * (40.0 - missing_m) < track.distance_m < 1.3 * 40.0
+
+
+def test_parts_of_recipes_combine() -> None:
+    walk = simulate([Leg("walking", distance_m=30.0)], seed=5)
+    default = recipes.default()
+    for name in ("guo2018", "tian2016", "susi2013", "zhou2019", "martinelli2018"):
+        other = recipes.for_recording(name, walk)
+        steps = replace(default, sensing=replace(default.sensing, steps=other.sensing.steps))
+        contexts = replace(default, sensing=replace(default.sensing, contexts=other.sensing.contexts))
+        for config in (steps, contexts):
+            assert 0.3 * 30.0 < pdr.track(walk, config).distance_m < 1.4 * 30.0, (name, config)
+
+
+def test_events_come_in_the_order_in_which_they_became_known_and_steps_before_the_gap() -> None:
+    walk = simulate([Leg("walking", distance_m=30.0)], seed=6)
+    block = pdr.merge_streams(walk)
+    block = replace(block, time_s=np.where(block.time_s > 12.0, block.time_s + 5.0, block.time_s))
+    events = sensed(recipes.default().sensing, [block])
+    known_s = [k for k, _ in events]
+    assert known_s == sorted(known_s)
+    [gap] = [i for i, (_, e) in enumerate(events) if isinstance(e, Gap)]
+    assert events[gap][1].duration_s == pytest.approx(5.0, abs=0.2)
+    assert all(e.time_s < 12.1 for _, e in events[:gap] if isinstance(e, Step))
+    assert all(e.time_s > 17.0 for _, e in events[gap:] if isinstance(e, Step))
+
+
+def test_stages_of_different_rates_are_refused() -> None:
+    with pytest.raises(ValueError, match="one rate_hz"):
+        Sensing(attitude=AttitudeEstimator(rate_hz=50.0))
+
+
+def test_a_recipe_for_the_foot_does_not_say_that_it_fits_no_foot() -> None:
+    walk = simulate([Leg("walking", distance_m=10.0)])
+    worn = replace(walk, meta={**walk.meta, "placement": "on the left foot"})
+    for name, complains in (("zhou2019", False), ("default", True)):
+        notes = pdr.track(worn, recipes.for_recording(name, worn)).notes
+        assert any("for a carried phone" in note for note in notes) == complains
