@@ -2,146 +2,44 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-import numpy as np
-from numpy.typing import ArrayLike
+from pdr_filter.io import writers
+from pdr_filter.report import trust
+from pdr_filter.values.track_rows import TrackRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
-from pdr_filter.values.arrays import FloatArray, Table, read_only
-from pdr_filter.values.fixes import FixResult
-from pdr_filter.values.windows import Windows
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
-class Track:
-    """Where the pedestrian walked: one row for each step, positions in metres with covariance.
-
-    East and north are relative to the start; "north" is true north only where an absolute heading was available,
-    otherwise the direction of the device's heading at the start.
-
-    `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
-    lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
-    from one context to another, the past is seen anew and a position may move by more or less than its step length.
-    """
-
-    name: str
-    time_s: FloatArray  # (K,) foot contacts
-    position_m: FloatArray  # (K, 2) east, north
-    position_cov_m2: FloatArray  # (K, 2, 2)
-    step_length_m: FloatArray  # (K,)
-    walking_heading_rad: FloatArray  # (K,) clockwise from north (or from the first heading)
-    step_speed_mps: FloatArray  # (K,) length over duration of each step
-    step_speed_std_mps: FloatArray  # (K,)
-    smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
-    smoothed_speed_std_mps: FloatArray  # (K,)
-    context_prob: FloatArray  # (K, C)
-    contexts: tuple[str, ...]
-    mode_prob: FloatArray  # (K, M)
-    modes: tuple[str, ...]
-    steps: Table  # (K,) rows of Step
-    windows: Windows
-    start_time_s: float
-    duration_s: float
-    weighting: str
-    notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
-    fixes: tuple[FixResult, ...] = field(default=())
-    start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
-
-    def __repr__(self) -> str:
-        return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
-
-    @property
-    def n_steps(self) -> int:
-        """Number of steps."""
-        return len(self.time_s)
-
-    @property
-    def distance_m(self) -> float:
-        """Walked distance: the sum of the step lengths."""
-        return float(self.step_length_m.sum())
-
-    @property
-    def mode_entropy(self) -> FloatArray:
-        """Entropy of the mode probabilities after each step, shape (K,), nats: 0 where one mode is certain."""
-        p = self.mode_prob
-        return -(p * np.log(p, where=p > 0, out=np.zeros_like(p))).sum(axis=1)
-
-    @property
-    def effective_modes(self) -> FloatArray:
-        """Number of modes that are as good as alive after each step, shape (K,): e to the entropy, 1 to M."""
-        return np.exp(self.mode_entropy)
+class Track(TrackRows):
+    """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
 
     def report(self) -> str:
         """What the track is, how sure it is, and where not to trust it; see `pdr_filter.report.trust`."""
-        from pdr_filter.report import trust
-
         return trust.report(self)
-
-    def speed_mps(self, t: ArrayLike) -> FloatArray:
-        """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero."""
-        at = np.asarray(t, dtype=float)
-        if self.n_steps == 0:
-            return np.zeros_like(at)
-        index = np.searchsorted(self.time_s, at)  # the first contact at or after t ends the step that t is in
-        inside = np.minimum(index, self.n_steps - 1)
-        duration = np.asarray(self.steps.duration_s)[inside]
-        walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
-        return np.where(walking, self.step_length_m[inside] / duration, 0.0)
-
-    def context_seconds(self) -> dict[str, float]:
-        """Seconds spent in each context: every window votes for its most probable one."""
-        if len(self.windows) == 0:
-            return dict.fromkeys(self.contexts, 0.0)
-        starts = np.concatenate([[self.start_time_s], self.windows.time_s[:-1]])
-        seconds = np.minimum(self.windows.time_s - starts, 2.0)  # the first window, or the first after a gap, is 2 s
-        best = self.windows.context_prob.argmax(axis=1)
-        return {name: float(seconds[best == c].sum()) for c, name in enumerate(self.contexts)}
-
-    def summary(self) -> dict[str, Any]:
-        """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts."""
-        end = self.position_m[-1] if self.n_steps else np.zeros(2)
-        return {
-            "name": self.name,
-            "n_steps": self.n_steps,
-            "distance_m": round(self.distance_m, 3),
-            "duration_s": round(self.duration_s, 3),
-            "end_east_m": round(float(end[0]), 3),
-            "end_north_m": round(float(end[1]), 3),
-            "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
-        }
 
     def to_csv(self, path: str | Path) -> Path:
         """Write one line for each step and return the path; see `pdr_filter.io.writers.write_csv`."""
-        from pdr_filter.io import writers
-
         return writers.write_csv(self, path)
 
     def to_parquet(self, path: str | Path) -> Path:
         """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""
-        from pdr_filter.io import writers
-
         return writers.write_parquet(self, path)
 
     def to_geojson(self, path: str | Path, origin: tuple[float, float]) -> Path:
         """Write a GeoJSON line in WGS 84 and return the path; `origin` is (lat_deg, lon_deg) of the start."""
-        from pdr_filter.io import writers
-
         return writers.write_geojson(self, path, origin)
 
     def to_gpx(self, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
         """Write a GPX 1.1 track and return the path; `epoch_s` is the unix time of time zero."""
-        from pdr_filter.io import writers
-
         return writers.write_gpx(self, path, origin, epoch_s)
 
     def to_tum(self, path: str | Path) -> Path:
         """Write TUM lines (timestamp tx ty tz qx qy qz qw) and return the path."""
-        from pdr_filter.io import writers
-
         return writers.write_tum(self, path)
 
     def plot(self, path: str | Path | None = None) -> Figure:

@@ -15,12 +15,12 @@ from pdr_filter.filter.motion import Mode
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track as track_of
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray, Table, table
 from pdr_filter.values.step import Step
+from pdr_filter.values.track_rows import TrackRows
 
 
-def comparison_table(recording: Recording, tracks: Mapping[str, Track]) -> Table:
+def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> Table:
     """A row for each track of the recording: `name, n_steps, distance_m`, and what its truth says, NaN without.
 
     `step_error_percent`: number of steps against the true ones. `leg_error_percent`: steps' lengths in all truth
@@ -39,7 +39,7 @@ def comparison_table(recording: Recording, tracks: Mapping[str, Track]) -> Table
     )
 
 
-def straight_leg_error_percent(recording: Recording, track: Track) -> float:
+def straight_leg_error_percent(recording: Recording, track: TrackRows) -> float:
     """Error of the displacement over all truth segments of known distance together; ValueError without any.
 
     For segments that are walked straight: what `pdr_filter.calibrate` fits, and what a tape measure says.
@@ -52,7 +52,7 @@ def straight_leg_error_percent(recording: Recording, track: Track) -> float:
     return float(percent_error(found_m.sum(), known["distance_m"].sum()))
 
 
-def in_truth_frame(recording: Recording, track: Track) -> FloatArray:
+def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
     """Start and positions of a track (K + 1, 2), turned and moved onto all waypoints of the recording."""
     points = recording.truth.waypoints
     if points is None:
@@ -62,7 +62,7 @@ def in_truth_frame(recording: Recording, track: Track) -> FloatArray:
     return np.vstack([[0.0, 0.0], track.position_m]) @ rotation.T + shift_m
 
 
-def weighting_tracks(recording: Recording, config: Config) -> dict[str, Track]:
+def weighting_tracks(recording: Recording, config: Config) -> dict[str, TrackRows]:
     """Tracks of the recording with HC, WC and IMM, all else alike."""
     return {name: track_of(recording, config, weighting=name) for name in WEIGHTINGS}
 
@@ -91,7 +91,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
     return second / first
 
 
-def epoch_distances(track: Track, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
+def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
     """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
 
     Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
@@ -99,7 +99,7 @@ def epoch_distances(track: Track, modes: Sequence[Mode]) -> tuple[FloatArray, Fl
 
     Parameters
     ----------
-    track : Track
+    track : TrackRows
     modes : sequence of Mode
         One for each context, as in `config.tracker.modes`.
     """
@@ -118,7 +118,7 @@ def _step(row: np.record) -> Step:
     return Step(**values, from_rest=bool(row["from_rest"]))
 
 
-def _row(recording: Recording, track: Track) -> tuple[float, float, float, float]:
+def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, float]:
     steps, segments, points = recording.truth.steps, recording.truth.segments, recording.truth.waypoints
     count = legs = rmse = end = np.nan
     if steps is not None and len(steps):

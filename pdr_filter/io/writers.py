@@ -15,9 +15,9 @@ import numpy as np
 import pymap3d
 
 from pdr_filter import __version__
-from pdr_filter.tracks import Track
 from pdr_filter.values.angles import yaw_from_heading
 from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.track_rows import TrackRows
 
 _NORTH = (
     "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "
@@ -29,7 +29,7 @@ GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
 MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
 
 
-def write_csv(track: Track, path: str | Path) -> Path:
+def write_csv(track: TrackRows, path: str | Path) -> Path:
     """Write one line for each step under a header with units, and return the path; only the header if no step.
 
     Columns: time_s, east_m, north_m, cov_ee_m2, cov_en_m2, cov_nn_m2, step_length_m, walking_heading_rad,
@@ -44,7 +44,7 @@ def write_csv(track: Track, path: str | Path) -> Path:
     return _write(path, text.getvalue())
 
 
-def write_parquet(track: Track, path: str | Path) -> Path:
+def write_parquet(track: TrackRows, path: str | Path) -> Path:
     """Write the columns of `write_csv` with all their digits, and return the path.
 
     What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame: name, weighting,
@@ -79,7 +79,7 @@ def pandas_for_parquet(path: str | Path) -> Any:
     return pandas
 
 
-def _columns(track: Track) -> dict[str, FloatArray]:
+def _columns(track: TrackRows) -> dict[str, FloatArray]:
     """Name and values of each column, one row a step."""
     covariance = track.position_cov_m2.reshape(-1, 4)
     return {
@@ -98,7 +98,7 @@ def _columns(track: Track) -> dict[str, FloatArray]:
     }
 
 
-def write_geojson(track: Track, path: str | Path, origin: tuple[float, float]) -> Path:
+def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float]) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
     The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
@@ -106,7 +106,7 @@ def write_geojson(track: Track, path: str | Path, origin: tuple[float, float]) -
 
     Parameters
     ----------
-    track : Track
+    track : TrackRows
     path : str or Path
     origin : tuple of float
         Latitude and longitude of the start, degrees WGS 84.
@@ -133,12 +133,12 @@ def write_geojson(track: Track, path: str | Path, origin: tuple[float, float]) -
     return _write(path, json.dumps(collection, allow_nan=False) + "\n")
 
 
-def write_gpx(track: Track, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
+def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
     Parameters
     ----------
-    track : Track
+    track : TrackRows
     path : str or Path
     origin : tuple of float
         Latitude and longitude of the start, degrees WGS 84.
@@ -162,7 +162,7 @@ def write_gpx(track: Track, path: str | Path, origin: tuple[float, float], epoch
     return _write(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
 
 
-def write_tum(track: Track, path: str | Path) -> Path:
+def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
     East, north, zero; the quaternion turns the x axis about up into the walking direction (yaw = pi/2 - heading). The
@@ -182,12 +182,12 @@ def write_tum(track: Track, path: str | Path) -> Path:
     return _write(path, "".join(lines))
 
 
-def _vertex_times(track: Track) -> FloatArray:
+def _vertex_times(track: TrackRows) -> FloatArray:
     """Times of the start and of all steps, (K + 1,)."""
     return np.concatenate([[track.start_time_s], track.time_s])
 
 
-def _geodetic(track: Track, origin: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+def _geodetic(track: TrackRows, origin: Sequence[float]) -> tuple[FloatArray, FloatArray]:
     """Latitude and longitude in degrees of the start and of all steps, (K + 1,) each."""
     lat_deg, lon_deg = origin
     if not (-90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):

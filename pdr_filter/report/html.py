@@ -18,8 +18,8 @@ import numpy as np
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import ReadingReport, reading_report
 from pdr_filter.report import trust
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values.track_rows import TrackRows
 
 # Of the contexts, the same as in `pdr_filter.report.plotting`, which loads matplotlib.
 _COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
@@ -80,7 +80,7 @@ footer { color: #888; font-size: 12px; margin-top: 2.5em; }
 """
 
 
-def write_report(track: Track, path: str | Path, recording: Recording | None = None) -> Path:
+def write_report(track: TrackRows, path: str | Path, recording: Recording | None = None) -> Path:
     """Write the page of `html_report` and return its path; folders are created."""
     path = Path(path)
     path.parent.mkdir(parents=True, exist_ok=True)
@@ -88,12 +88,12 @@ def write_report(track: Track, path: str | Path, recording: Recording | None = N
     return path
 
 
-def html_report(track: Track, recording: Recording | None = None) -> str:
+def html_report(track: TrackRows, recording: Recording | None = None) -> str:
     """The page: way with 95 % ellipses, where not to trust it, contexts, speed, step lengths, how it was read.
 
     Parameters
     ----------
-    track : Track
+    track : TrackRows
     recording : Recording, optional
         What it was made from, for the part about the reading.
     """
@@ -134,7 +134,7 @@ def _sentence(note: str) -> str:
     return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
 
 
-def _facts(track: Track) -> str:
+def _facts(track: TrackRows) -> str:
     minutes, seconds = divmod(round(track.duration_s), 60)
     lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
     facts = [_count(track.n_steps, "step"), f"{track.distance_m:,.1f} m", lasted, f"weighting {track.weighting}"]
@@ -170,7 +170,7 @@ def _colour(i: int) -> str:
     return _COLOURS[i % len(_COLOURS)]
 
 
-def _context_legend(track: Track) -> str:
+def _context_legend(track: TrackRows) -> str:
     if not track.n_steps:
         return ""
     occurring = np.unique(track.context_prob.argmax(axis=1))
@@ -183,7 +183,7 @@ def _key(colour: str) -> str:
     return f"<span class='key' style='background:{colour}'></span>"
 
 
-def _context_table(track: Track) -> str:
+def _context_table(track: TrackRows) -> str:
     seconds = track.context_seconds()
     total_s = sum(seconds.values())
     if total_s <= 0:
@@ -307,7 +307,7 @@ def _words(words: str) -> str:
     return f"<p class='facts'>{_text(words)}</p>"
 
 
-def _map(track: Track) -> str:
+def _map(track: TrackRows) -> str:
     usable: BoolArray = np.all(np.abs(track.position_m) < _FARTHEST_M, axis=1)  # NaN is not
     if not usable.any():
         return _words("There are no steps: nothing to draw.")
@@ -349,7 +349,7 @@ def _map(track: Track) -> str:
     return _svg(_TOP + inner_height + _BOTTOM, f"Way of {_count(track.n_steps, 'step')}, seen from above", *parts)
 
 
-def _ellipse_rows(track: Track, usable: BoolArray) -> list[int]:
+def _ellipse_rows(track: TrackRows, usable: BoolArray) -> list[int]:
     """The last step, and one every so many metres before it."""
     usable = usable & (np.abs(track.position_cov_m2) < _FARTHEST_M**2).all(axis=(1, 2))
     if not usable.any():
@@ -360,7 +360,7 @@ def _ellipse_rows(track: Track, usable: BoolArray) -> list[int]:
     return sorted(i for i in {*rows, int(np.flatnonzero(usable)[-1])} if usable[i])
 
 
-def _ellipse(track: Track, row: int, x: _Axis, y: _Axis, m_per_pixel: float) -> str:
+def _ellipse(track: TrackRows, row: int, x: _Axis, y: _Axis, m_per_pixel: float) -> str:
     variance, direction = np.linalg.eigh(track.position_cov_m2[row])
     half_m = _SCALE_95 * np.sqrt(np.maximum(variance, 0.0))
     # Counter-clockwise from east on the map; pixels grow downwards, so the turn is negative.
@@ -374,7 +374,7 @@ def _ellipse(track: Track, row: int, x: _Axis, y: _Axis, m_per_pixel: float) -> 
     )
 
 
-def _time_axis(track: Track) -> tuple[_Axis, float, str]:
+def _time_axis(track: TrackRows) -> tuple[_Axis, float, str]:
     """Axis of the whole recording, seconds of its unit, and its name."""
     unit_s, name = (60.0, "time (min)") if track.duration_s > 600 else (1.0, "time (s)")
     ends_s = [track.start_time_s + track.duration_s, *track.time_s[-1:], *track.windows.time_s[-1:]]
@@ -382,7 +382,7 @@ def _time_axis(track: Track) -> tuple[_Axis, float, str]:
     return _Axis(track.start_time_s / unit_s, end_s / unit_s, _LEFT, _WIDTH - _RIGHT), unit_s, name
 
 
-def _contexts(track: Track) -> str:
+def _contexts(track: TrackRows) -> str:
     windows = track.windows
     if not len(windows):
         return _words("There are no context windows.")
@@ -425,7 +425,7 @@ def _columns(start_x: FloatArray, end_x: FloatArray, prob: FloatArray) -> tuple[
     return start_x[first], end_x[first + count - 1], np.add.reduceat(prob, first, axis=0) / count[:, np.newaxis]
 
 
-def _speed(track: Track) -> str:
+def _speed(track: TrackRows) -> str:
     speed, std = track.smoothed_speed_mps, track.smoothed_speed_std_mps
     usable = np.isfinite(speed) & np.isfinite(std) & np.isfinite(track.time_s)
     if not usable.any():
@@ -452,7 +452,7 @@ def _speed(track: Track) -> str:
     return _svg(_TOP + height + _BOTTOM, "Walking speed over time", *parts) + _words(words)
 
 
-def _step_lengths(track: Track) -> str:
+def _step_lengths(track: TrackRows) -> str:
     length_m = track.step_length_m[np.isfinite(track.step_length_m)]
     if not len(length_m):
         return _words("There are no steps.")

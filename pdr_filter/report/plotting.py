@@ -15,9 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.windows import Windows
 
 # Chosen by search over the usual colour-blind safe palettes: any two differ by 18 or more in CIE Lab for normal sight
@@ -43,14 +43,14 @@ def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:
     return {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(contexts)}
 
 
-def plot_track(track: Track, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
+def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
     """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
 
     The figure belongs to no window and to no pyplot state, so nothing has to be closed.
 
     Parameters
     ----------
-    track : Track
+    track : TrackRows
     path : str or Path, optional
         Where to save it; the suffix gives the format. Folders are created.
     reference_m : (N, 2), optional
@@ -71,7 +71,7 @@ def plot_track(track: Track, path: str | Path | None = None, reference_m: FloatA
     return figure
 
 
-def plot_plane(axes: Axes, track: Track, reference_m: FloatArray | None = None) -> None:
+def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:
     """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
     way = np.vstack([track.start_position_m, track.position_m])
     colours = context_colours(track.contexts)
@@ -99,7 +99,7 @@ def plot_plane(axes: Axes, track: Track, reference_m: FloatArray | None = None) 
     )
 
 
-def plot_contexts(axes: Axes, track: Track) -> None:
+def plot_contexts(axes: Axes, track: TrackRows) -> None:
     """Draw the context probabilities of the windows as a stack over time, steps as ticks above it."""
     windows = track.windows
     in_minutes = track.duration_s > 600
@@ -138,7 +138,7 @@ def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArr
     return np.insert(time_s, breaks, starts_s[breaks // 2]), np.insert(prob, breaks, np.nan, axis=0)
 
 
-def _draw_ellipses(axes: Axes, track: Track) -> None:
+def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
     """95 % ellipses at the end and every so many metres before it."""
     walked_m = np.cumsum(track.step_length_m)
     marks_m = np.arange(1, _N_ELLIPSES) * _round_up(walked_m[-1] / _N_ELLIPSES)
@@ -186,7 +186,7 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _plane_legend(track: Track, has_reference: bool) -> list[Line2D | Patch]:
+def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]:
     visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
     occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
     handles: list[Line2D | Patch] = [
@@ -204,7 +204,7 @@ def _plane_legend(track: Track, has_reference: bool) -> list[Line2D | Patch]:
     return handles
 
 
-def _write_title(axes: Axes, track: Track) -> None:
+def _write_title(axes: Axes, track: TrackRows) -> None:
     minutes, seconds = divmod(round(track.duration_s), 60)
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
     steps = f"{track.n_steps} step" if track.n_steps == 1 else f"{track.n_steps:,} steps"

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.track_rows import TrackRows
 
 _STATIONARY = CONTEXTS.index("stationary")
 # Shorter doubts are ordinary: a turn, a door.
@@ -17,7 +17,7 @@ _MIN_RIDE_S = 20.0
 _DOUBTFUL_MODES = 1.9
 
 
-def doubts(track: Track) -> list[str]:
+def doubts(track: TrackRows) -> list[str]:
     """Sentences about the stretches of a track that mean little, each with its times; empty if there are none."""
     windows = track.windows
     told: list[str] = []
@@ -68,7 +68,7 @@ def doubts(track: Track) -> list[str]:
     return told
 
 
-def report(track: Track) -> str:
+def report(track: TrackRows) -> str:
     """The track in a few lines: what it is, how sure it is, and where not to trust it."""
     lines = [
         f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
@@ -89,7 +89,7 @@ def report(track: Track) -> str:
     return "\n".join(lines)
 
 
-def _has_step(track: Track) -> BoolArray:
+def _has_step(track: TrackRows) -> BoolArray:
     """Whether a step ended within three seconds of the middle of each window."""
     middle = track.windows.time_s - 1.0
     first, last = np.searchsorted(track.time_s, middle - 3.0), np.searchsorted(track.time_s, middle + 3.0)
@@ -108,7 +108,7 @@ def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
     return [(a, b) for a, b in _stretches(time_s, holds) if b - a >= _MIN_DOUBT_S]
 
 
-def _names(track: Track, start_s: float, end_s: float) -> str:
+def _names(track: TrackRows, start_s: float, end_s: float) -> str:
     inside = (track.time_s >= start_s) & (track.time_s <= end_s)
     prob = track.mode_prob[inside].mean(axis=0)
     best = np.argsort(prob)[::-1][:2]

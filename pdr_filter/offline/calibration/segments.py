@@ -15,10 +15,10 @@ import numpy as np
 
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.step import Step
+from pdr_filter.values.track_rows import TrackRows
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
 # at each end (measured on 133 straight legs of one person; docs/methods/calibration.md).
@@ -241,7 +241,7 @@ class _Stretch:
 
 
 def segments_of(
-    recording: Recording, track: Track, anchor_std_m: float | None = None, measure: str = "displacement"
+    recording: Recording, track: TrackRows, anchor_std_m: float | None = None, measure: str = "displacement"
 ) -> tuple[list[Segment], list[str]]:
     """Segments of a recording, and in words what was left out or taken otherwise.
 
@@ -251,7 +251,7 @@ def segments_of(
     Parameters
     ----------
     recording : Recording
-    track : Track
+    track : TrackRows
         Its track: steps, headings, contexts.
     anchor_std_m : float, optional
         Standard deviation of the distances of `segments` and `waypoints`; else `ANCHOR_STD_M` and `WAYPOINT_STD_M`.
@@ -315,7 +315,7 @@ def segments_of(
     return segments, [f"{recording.name}: {note}" for note in notes]
 
 
-def step_contexts(track: Track) -> FloatArray:
+def step_contexts(track: TrackRows) -> FloatArray:
     """Probabilities of `CONTEXTS` of each step (K, C): the filter's by mode, else the windows'."""
     prob = np.zeros((track.n_steps, len(CONTEXTS)))
     for m, mode in enumerate(track.modes):
