@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 from pdr_filter.filter.tracking import Tracker
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.walking_direction import WalkingDirection
 
 
 @dataclass(frozen=True, eq=False)
@@ -24,6 +25,14 @@ class Config:
     needs: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
+
+    def __post_init__(self) -> None:
+        heading, drift = self.sensing.heading, self.tracker.noise.heading_drift
+        if isinstance(heading, WalkingDirection) and heading.drift != drift:
+            raise ValueError(
+                f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
+                "one HeadingDrift to both"
+            )
 
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
