@@ -4,7 +4,7 @@ C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometric
 that belongs to a filter with one Gaussian for each mode. Backwards from the last step, each pair of modes (j at k, i
 at k + 1) has its own Rauch-Tung-Striebel step, and the pairs are merged by their probabilities. With one mode it is the
 Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model; with
-both it is an approximation, because the filter is (tests/offline/test_imm_smoother.py shows how good).
+both it is an approximation, because the filter is (tests/offline/smoothing/test_imm_smoother.py shows how good).
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from pdr_filter.values.arrays import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class ModeEstimates:
     """Of each mode at one time."""
 
     mean: FloatArray  # (M, n)
@@ -37,7 +37,7 @@ class Transition:
     Q: FloatArray  # (M, n, n)
 
 
-def smooth(filtered: Sequence[Estimate], transitions: Sequence[Transition]) -> list[Estimate]:
+def smooth_imm(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:
     """Smoothed estimates, one for each filtered one; the last is the filtered one itself.
 
     w_ji = p_s(i) mu_j pi_ji / sum_j mu_j pi_ji (Kim's eq. 2.20, with the pair's likelihood already in mu);
@@ -59,7 +59,7 @@ def smooth(filtered: Sequence[Estimate], transitions: Sequence[Transition]) -> l
     return smoothed[::-1]
 
 
-def _back(now: Estimate, to_next: Transition, later: Estimate) -> Estimate:
+def _back(now: ModeEstimates, to_next: Transition, later: ModeEstimates) -> ModeEstimates:
     """Smoothed estimate at one time from the smoothed one of the next."""
     F, Q = to_next.F[None], to_next.Q[None]  # (1, i, n, n)
     P = now.cov[:, None]  # (j, 1, n, n)
@@ -83,4 +83,4 @@ def _back(now: Estimate, to_next: Transition, later: Estimate) -> Estimate:
     # A mode that is impossible in hindsight keeps what the filter said of it: nothing depends on it.
     mean = np.where(possible[:, None], mean, now.mean)
     merged = np.where(possible[:, None, None], 0.5 * (merged + merged.swapaxes(-1, -2)), now.cov)
-    return Estimate(mean, merged, prob / prob.sum())
+    return ModeEstimates(mean, merged, prob / prob.sum())

@@ -255,7 +255,7 @@ def turned(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 
 
-def advance(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """States (n, 4) at the end of sums of steps (n, 2) that begin at states (n, 4), and their derivative (n, 4, 4).
 
     F = d x_b / d x_a: the position follows the heading offset by J e^s R D and the log scale by e^s R D.
@@ -299,13 +299,13 @@ def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -
     """
     i = intervals.index
     start = node_mean[:-1]
-    ahead, F_ab = advance(start, intervals.total_m)
-    f_k, F_ak = advance(start[i], intervals.sum_m)
+    ahead, F_ab = end_states(start, intervals.total_m)
+    f_k, F_ak = end_states(start[i], intervals.sum_m)
     T = frame(start)
     Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
     whiten = intervals.whiten @ np.linalg.inv(T)
     remaining = intervals.total_m[i] - intervals.sum_m
-    Phi = advance(start[i], remaining)[1]
+    Phi = end_states(start[i], remaining)[1]
     G = Q_ak @ Phi.swapaxes(-1, -2) @ (whiten.swapaxes(-1, -2) @ whiten)[i]
     mean = f_k + np.einsum("kab,kb->ka", G, (node_mean[1:] - ahead)[i])
     ends = np.concatenate([F_ak - G @ F_ab[i], G], axis=-1)

@@ -11,7 +11,7 @@ from pdr_filter.config import Config
 from pdr_filter.filter import imm
 from pdr_filter.filter.tracking import TrackerState
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.smoothing.imm_smoother import Estimate, Transition, smooth
+from pdr_filter.offline.smoothing.imm_smoother import ModeEstimates, Transition, smooth_imm
 from pdr_filter.recording_run import watched_track
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.tracks import Track
@@ -54,26 +54,26 @@ def smoothed_track(recording: Recording, config: Config | None = None, fixes: Se
     if track.n_steps == 0:
         return track
     tracker = used.tracker
-    filtered: list[Estimate] = []
+    filtered: list[ModeEstimates] = []
     transitions: list[Transition] = []
     for state, event in passages:
         if isinstance(event, Step):
             ahead = tracker.prediction(state, event)
-            filtered.append(Estimate(ahead.mean, ahead.cov, state.mode_prob))
+            filtered.append(ModeEstimates(ahead.mean, ahead.cov, state.mode_prob))
             transitions.append(Transition(tracker.transition_prob, ahead.mixed, ahead.predicted, ahead.F, ahead.Q))
         else:
             grown = tracker.on_gap(state, event.duration_s)[0].cov - state.cov
             stay = np.broadcast_to(np.eye(state.mean.shape[1]), state.cov.shape)
-            filtered.append(Estimate(state.mean, state.cov, state.mode_prob))
+            filtered.append(ModeEstimates(state.mean, state.cov, state.mode_prob))
             transitions.append(Transition(np.eye(len(state.mode_prob)), state.mean, state.mean, stay, grown))
-    filtered.append(Estimate(last.mean, last.cov, last.mode_prob))
+    filtered.append(ModeEstimates(last.mean, last.cov, last.mode_prob))
     is_step = [isinstance(event, Step) for _, event in passages]
     shared_cov = [state.shared_m.T @ state.shared_m for state in (*(s for s, _ in passages[1:]), last)]
-    return _with_hindsight(track, smooth(filtered, transitions), is_step, np.stack(shared_cov)[is_step])
+    return _with_hindsight(track, smooth_imm(filtered, transitions), is_step, np.stack(shared_cov)[is_step])
 
 
 def _with_hindsight(
-    track: Track, smoothed: Sequence[Estimate], is_step: Sequence[bool], shared_cov_m2: FloatArray
+    track: Track, smoothed: Sequence[ModeEstimates], is_step: Sequence[bool], shared_cov_m2: FloatArray
 ) -> Track:
     combined = [imm.combine(e.mean, e.cov, e.mode_prob) for e in smoothed]
     position = np.stack([x[:2] for x, _ in combined])
