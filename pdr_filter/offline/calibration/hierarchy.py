@@ -21,7 +21,7 @@ _SINGULAR = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class PeoplePosterior:
     """Normal posterior of the population and of each person.
 
     Parameters
@@ -51,22 +51,21 @@ class SingularError(ValueError):
         self.indices = indices
 
 
-def solve(
+def solve_people(
     information: FloatArray,
     vector: FloatArray,
     prior_mean: FloatArray,
     prior_precision: FloatArray,
     personal: IntArray,
     between_precision: FloatArray,
-) -> Posterior:
+) -> PeoplePosterior:
     """Posterior of a person's parameters t_s and the population's y, for data that are already summed.
 
     Minimises over y (P,) and t_s (Q,), with theta_s = y but for theta_s[personal] = t_s,
 
         sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
 
-    as a `gtsam.GaussianFactorGraph` eliminated person by person. Covariances come from the eliminated graph: each
-    conditional is R t_s + S y = d, so t_s has (R'R)^-1 of its own and -R^-1 S of y's.
+    as a `gtsam.GaussianFactorGraph` eliminated person by person.
 
     Parameters
     ----------
@@ -77,7 +76,7 @@ def solve(
     personal : (Q,)
         Which parameters are each person's own.
     between_precision : (Q, Q)
-        W, inverse of the covariance between people; zero rows for parameters in which people tell nothing of each
+        W, inverse of the covariance between people; zero rows for parameters in which people say nothing of each
         other. The population's value of such a parameter is the mean of the people's.
 
     Raises
@@ -85,7 +84,6 @@ def solve(
     SingularError
         Parameters that neither data nor priors determine.
     """
-    n_people, n_params = vector.shape
     free = np.diagonal(between_precision) == 0  # nothing ties these to the population
     weight = np.einsum("sii->i", information) + prior_precision
     weight[personal] += np.diagonal(between_precision)
@@ -95,15 +93,34 @@ def solve(
     W = between_precision * scale[personal][:, None] * scale[personal]
     precision = prior_precision * scale**2
     precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)  # overwritten below: only keeps y regular
-    mean = prior_mean / scale
+    found = _eliminated(G, g, prior_mean / scale, precision, personal, W)
+    y, y_cov, theta, cov = found.population, found.population_cov, found.people, found.people_cov
+    n_people = len(theta)
+    if free.any() and n_people:
+        alone = personal[free]
+        spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
+        y[alone] = theta[:, alone].mean(axis=0)
+        y_cov[alone, :] = y_cov[:, alone] = 0.0
+        y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
+    both = scale[:, None] * scale
+    own = both[np.ix_(personal, personal)]
+    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, found.deviation_cov * own)
 
-    graph = _graph(G, g, mean, precision, personal, W)
+
+def _eliminated(
+    G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
+) -> PeoplePosterior:
+    """Posterior from the eliminated graph, for parameters of unit size.
+
+    Each conditional is R t_s + S y = d, so that t_s has a covariance (R'R)^-1 of its own and -R^-1 S of y's.
+    """
+    n_people, n_params = g.shape
     ordering = gtsam.Ordering()
     for key in (*range(1, n_people + 1), _POPULATION):
         if key == _POPULATION or len(personal):
             ordering.push_back(key)
     try:
-        net: Any = graph.eliminateSequential(ordering)
+        net: Any = _graph(G, g, mean, precision, personal, W).eliminateSequential(ordering)
     except RuntimeError as error:
         raise SingularError(_undetermined(G, precision, personal, W)) from error
     R, _, d = _parts(net.at(net.size() - 1))
@@ -129,15 +146,7 @@ def solve(
     cov[:, personal[:, None], personal] += own_cov
     apart = follow[:, personal] - np.eye(n_params)[personal]
     deviation_cov = own_cov + apart @ y_cov @ apart.transpose(0, 2, 1)
-    if free.any() and n_people:
-        alone = personal[free]
-        spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
-        y[alone] = theta[:, alone].mean(axis=0)
-        y_cov[alone, :] = y_cov[:, alone] = 0.0
-        y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
-    both = scale[:, None] * scale
-    own = both[np.ix_(personal, personal)]
-    return Posterior(y * scale, y_cov * both, theta * scale, cov * both, deviation_cov * own)
+    return PeoplePosterior(y, y_cov, theta, cov, deviation_cov)
 
 
 def _graph(

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.calibration import Calibration, load_calibration
+from pdr_filter.calibration import TYPICAL_STEP, Calibration, load_calibration
 from pdr_filter.filter.step_length import (
     BounceStepLength,
     ChenStepLength,
@@ -20,7 +20,7 @@ from pdr_filter.filter.step_length import (
 )
 from pdr_filter.io.recording import Recording, Subject, Truth
 from pdr_filter.offline.calibration import estimation
-from pdr_filter.offline.calibration.estimation import Hierarchy, estimate
+from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import (
     calibrate,
     calibrate_segments,
@@ -30,7 +30,6 @@ from pdr_filter.offline.calibration.fit import (
 )
 from pdr_filter.offline.calibration.priors import (
     DEFAULT_PRIORS,
-    TYPICAL_STEP,
     StepLengthPrior,
     eq12_priors,
     prior,
@@ -143,7 +142,7 @@ def test_without_priors_it_is_the_normal_equations_of_eq_16() -> None:
     sums, full = design(np.random.default_rng(0))
     d = sums.distance_m
     k = np.linalg.solve(full.T @ full, full.T @ d)
-    found = estimate(sums, EQ16, loss="none")
+    found = estimate_parameters(sums, EQ16, loss="none")
     np.testing.assert_allclose(found.people[:, 0], k[:15], rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.people[:, 1:], np.tile(k[15:], (15, 1)), rtol=0, atol=1e-9)
     np.testing.assert_allclose(found.population[0], k[:15].mean(), rtol=0, atol=1e-9)
@@ -158,7 +157,7 @@ def test_without_priors_it_is_the_normal_equations_of_eq_16() -> None:
 
 def test_the_error_with_a_segment_left_out_is_that_of_a_fit_without_it() -> None:
     sums, full = design(np.random.default_rng(1), 4, 6)
-    found = estimate(sums, EQ16, loss="none")
+    found = estimate_parameters(sums, EQ16, loss="none")
     for i in range(len(sums)):
         others = np.arange(len(sums)) != i
         k = np.linalg.lstsq(full[others], sums.distance_m[others], rcond=None)[0]
@@ -181,7 +180,7 @@ def test_people_recordings_and_priors_are_those_of_one_dense_solution() -> None:
     rng = np.random.default_rng(2)
     sums, _ = design(rng, 5, 12)
     sums = replace(sums, recording=3 * sums.subject + rng.integers(0, 3, len(sums)), anchor_std_m=np.full(60, 0.35))
-    found = estimate(sums, HELD, loss="none")
+    found = estimate_parameters(sums, HELD, loss="none")
     # unknown: population (3), deviations of k0 (5); recordings in the covariance of the data
     rows = sums.regressors[:, 0]
     both = np.hstack([rows, rows[:, :1] * np.eye(5)[sums.subject]])
@@ -202,24 +201,24 @@ def test_people_recordings_and_priors_are_those_of_one_dense_solution() -> None:
 
 def test_a_person_left_out_gets_what_a_calibration_without_the_person_gives() -> None:
     sums, _ = design(np.random.default_rng(3), 5, 12)
-    found = estimate(sums, HELD, loss="none")
+    found = estimate_parameters(sums, HELD, loss="none")
     others = np.flatnonzero(sums.subject != 2)
-    without = estimate(sums.rows(others), HELD, loss="none")
+    without = estimate_parameters(sums.rows(others), HELD, loss="none")
     own = sums.subject == 2
     np.testing.assert_allclose(found.stranger_m[own], sums.regressors[own, 0] @ without.population, rtol=1e-5)
 
 
 def test_cutting_the_work_in_pieces_changes_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
     sums, _ = design(np.random.default_rng(4))
-    whole = estimate(sums, HELD)
+    whole = estimate_parameters(sums, HELD)
     monkeypatch.setattr(estimation, "_CHUNK_SEGMENTS", 50)
-    np.testing.assert_allclose(estimate(sums, HELD).people, whole.people, rtol=1e-12)
+    np.testing.assert_allclose(estimate_parameters(sums, HELD).people, whole.people, rtol=1e-12)
 
 
 def test_the_order_of_the_segments_changes_nothing() -> None:
     sums, _ = design(np.random.default_rng(5))
     order = np.random.default_rng(6).permutation(len(sums))
-    a, b = estimate(sums, HELD), estimate(sums.rows(order), HELD)
+    a, b = estimate_parameters(sums, HELD), estimate_parameters(sums.rows(order), HELD)
     np.testing.assert_allclose(b.people, a.people, rtol=1e-9)
     np.testing.assert_allclose(b.left_out_m, a.left_out_m[order], rtol=1e-6)
 
@@ -349,7 +348,7 @@ def test_95_percent_intervals_of_500_calibrations_have_the_truth_in_92_to_98_per
     shared: list[np.ndarray] = []
     for _ in range(500):
         sums, prior, population, people = simulated(rng, 3, 8)
-        found = estimate(sums, prior)
+        found = estimate_parameters(sums, prior)
         own.append(np.abs(found.people - people)[:, 0] < 1.96 * np.sqrt(found.people_cov[:, 0, 0]))
         shared.append(np.abs(found.population - population) < 1.96 * np.sqrt(np.diagonal(found.population_cov)))
     assert 0.92 < np.mean(own) < 0.98
@@ -369,7 +368,7 @@ def test_a_person_never_does_worse_than_the_population_on_average_and_shrinks_to
         wanted = np.tile([1, 3, 12], 4)
         for s, n in enumerate(wanted):
             keep[np.flatnonzero(sums.subject == s)[:n]] = True
-        found = estimate(sums.rows(keep), prior)
+        found = estimate_parameters(sums.rows(keep), prior)
         for s, n in enumerate(wanted):
             errors[n].append(float((found.people[s] - people[s]) @ typical))
             population.append(float((found.population - people[s]) @ typical))
@@ -381,7 +380,7 @@ def test_a_person_never_does_worse_than_the_population_on_average_and_shrinks_to
 def test_somebody_without_segments_has_the_population_s_parameters_and_spread() -> None:
     sums, prior, _, _ = simulated(np.random.default_rng(13), 6, 10)
     sums = replace(sums, subjects=(*sums.subjects, "nobody"))
-    found = estimate(sums, prior)
+    found = estimate_parameters(sums, prior)
     np.testing.assert_allclose(found.people[6], found.population, atol=1e-12)
     np.testing.assert_allclose(found.people_cov[6], found.population_cov + found.between_cov, rtol=1e-3, atol=1e-12)
 
@@ -664,7 +663,7 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
 def test_loading_a_calibration_and_filtering_with_it_needs_no_gtsam(calibration: Calibration, tmp_path: Path) -> None:
     path = calibration.save(tmp_path / "me")
     code = (
-        "import sys, pdr_filter as pdr; from pdr_filter.offline.calibration.fit import load_calibration\n"
+        "import sys, pdr_filter as pdr; from pdr_filter.calibration import load_calibration\n"
         f"c = load_calibration({str(path)!r}); c.config(pdr.recipes.default()); print(c.report())\n"
         "assert not {'gtsam', 'matplotlib'} & set(sys.modules), 'loaded'"
     )
