@@ -21,7 +21,7 @@ from pdr_filter.values.step import Step
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
-# What a mode may be of besides a context: motion of the phone that moves nobody, as the gate against it calls it.
+# Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
 IRREGULAR = "irregular"
 
 
@@ -124,7 +124,7 @@ class MotionNoise:
         Spread of people about the population's step lengths: 8 %.
     log_scale_drift_per_sqrt_step : float
         How fast a person's scale wanders. It keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2,
-        which forgets in 13,000 steps, so that after a day nothing is less known than of a stranger.
+        which forgets in 13,000 steps, so that after a day the scale is not less known than that of a stranger.
     gap_speed_mps : float
         In a gap the pedestrian may have gone anywhere at this speed (one standard deviation).
     """

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people
+from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust import moments, next_stage, weights
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
@@ -29,7 +29,7 @@ class Hierarchy:
     mean, std : (P,)
         Of the population; std 0 holds a parameter, inf knows nothing of it.
     between_std : (P,)
-        How people differ at the start; 0 for shared parameters, inf for people who tell nothing about each other.
+        How people differ at the start; 0 for shared parameters, inf for people who are independent of each other.
     step_std_m : (C,)
         Of a single step in each of `CONTEXTS`.
     recording_std : float
@@ -57,7 +57,7 @@ class ParameterEstimate:
     population, population_cov : (P,), (P, P)
     people, people_cov : (S, P), (S, P, P)
     between_cov : (P, P)
-        Between people; infinite on the diagonal where people tell nothing about each other.
+        Between people; infinite on the diagonal where people are independent of each other.
     recording_std : float
         Of one person's scale between recordings.
     noise_factor : (C,)
@@ -168,7 +168,7 @@ class _Task:
         self.free = np.flatnonzero(~self.fixed)
         between_std = prior.between_std[self.free]
         self.personal = np.flatnonzero(between_std > 0)
-        self.alone = np.isinf(between_std[self.personal])  # no person tells anything of another one
+        self.alone = np.isinf(between_std[self.personal])  # independent of what others have
         with np.errstate(divide="ignore"):
             self.precision = 1 / prior.std[self.free] ** 2
         order = np.lexsort((sums.recording, sums.subject))
@@ -225,7 +225,7 @@ class _Task:
             recording = (prior.recording_dof * prior.recording_std**2 + found) / (prior.recording_dof + n_recordings)
         if np.isfinite(prior.between_dof) and len(self.personal):
             apart = posterior.people[:, self.personal] - posterior.population[self.personal]
-            scatter = apart.T @ apart + posterior.deviation_cov.sum(axis=0)
+            scatter = apart.T @ apart + posterior.apart_cov.sum(axis=0)
             start = self.start_variances.between
             between = (prior.between_dof * start + scatter) / (prior.between_dof + self.n_people)
             between[self.alone] = between[:, self.alone] = 0.0
@@ -240,7 +240,7 @@ class _Task:
         others = np.full_like(theta, np.nan)
         if self.n_people > 1 and not self.alone.any():
             W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
-            others = _without_each(posterior, self.G, self.g, self.personal, W)
+            others = without_each(posterior, self.G, self.g, self.personal, W)
         predicted, left_out, stranger, misfit, weight = (np.empty(self.n_segments) for _ in range(5))
         for chunk in self.chunks:
             rows = chunk.rows
@@ -375,35 +375,6 @@ def _linearised(
     along = vector / np.maximum(size, 1e-12)[:, None]
     row = along[:, :1] * A[:, 0] + along[:, 1:] * A[:, 1]
     return row, distance - (along * offset).sum(axis=1)
-
-
-def _without_each(
-    posterior: PeoplePosterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
-) -> FloatArray:
-    """Population's parameters from all people but one, (S, F): the person's message taken from the population's sum."""
-    n_params = g.shape[1]
-    shared = np.delete(np.arange(n_params), personal)
-    message, message_vector = np.zeros_like(G), np.zeros_like(g)
-    message[:, shared[:, None], shared] = G[:, shared[:, None], shared]
-    message_vector[:, shared] = g[:, shared]
-    if len(personal):
-        cross = np.zeros((len(g), len(personal), n_params))
-        cross[:, :, shared] = G[:, personal[:, None], shared]
-        cross[:, :, personal] = -W
-        message[:, personal[:, None], personal] += W
-        own = G[:, personal[:, None], personal] + W
-        gain = np.linalg.solve(own, cross)
-        message -= cross.transpose(0, 2, 1) @ gain
-        message_vector -= np.einsum("sqp,sq->sp", gain, g[:, personal])
-    scale = np.sqrt(np.diagonal(posterior.population_cov))
-    total = np.linalg.inv(posterior.population_cov / scale[:, None] / scale)
-    left = total - message * scale[:, None] * scale
-    left_vector = total @ (posterior.population / scale) - message_vector * scale
-    result = np.full((len(g), n_params), np.nan)
-    for s, (matrix, vector) in enumerate(zip(left, left_vector, strict=True)):
-        if np.linalg.eigvalsh(matrix)[0] > 1e-9:
-            result[s] = np.linalg.solve(matrix, vector) * scale
-    return result
 
 
 @dataclass(frozen=True, slots=True, eq=False)

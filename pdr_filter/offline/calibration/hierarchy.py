@@ -32,7 +32,7 @@ class PeoplePosterior:
     people : (S, P)
         Each person's parameters: own ones, and the population's where these are shared.
     people_cov : (S, P, P)
-    deviation_cov : (S, Q, Q)
+    apart_cov : (S, Q, Q)
         Covariance of each person's own parameters less the population's.
     """
 
@@ -40,7 +40,7 @@ class PeoplePosterior:
     population_cov: FloatArray
     people: FloatArray
     people_cov: FloatArray
-    deviation_cov: FloatArray
+    apart_cov: FloatArray
 
 
 class SingularError(ValueError):
@@ -76,8 +76,8 @@ def solve_people(
     personal : (Q,)
         Which parameters are each person's own.
     between_precision : (Q, Q)
-        W, inverse of the covariance between people; zero rows for parameters in which people say nothing of each
-        other. The population's value of such a parameter is the mean of the people's.
+        W, inverse of the covariance between people; zero rows for parameters in which people are independent of
+        each other. The population's value of such a parameter is the mean of the people's.
 
     Raises
     ------
@@ -104,7 +104,7 @@ def solve_people(
         y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
     both = scale[:, None] * scale
     own = both[np.ix_(personal, personal)]
-    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, found.deviation_cov * own)
+    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, found.apart_cov * own)
 
 
 def _eliminated(
@@ -145,35 +145,64 @@ def _eliminated(
     cov = follow @ y_cov @ follow.transpose(0, 2, 1)
     cov[:, personal[:, None], personal] += own_cov
     apart = follow[:, personal] - np.eye(n_params)[personal]
-    deviation_cov = own_cov + apart @ y_cov @ apart.transpose(0, 2, 1)
-    return PeoplePosterior(y, y_cov, theta, cov, deviation_cov)
+    return PeoplePosterior(y, y_cov, theta, cov, own_cov + apart @ y_cov @ apart.transpose(0, 2, 1))
 
 
 def _graph(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> gtsam.GaussianFactorGraph:
     n_params = g.shape[1]
-    shared = np.delete(np.arange(n_params), personal)
     graph = gtsam.GaussianFactorGraph()
-    unit = gtsam.noiseModel.Unit.Create(n_params)
     root = np.sqrt(precision)
+    unit = gtsam.noiseModel.Unit.Create(n_params)
     graph.add(gtsam.JacobianFactor(_POPULATION, np.diag(root), root * mean, unit))
     if len(personal) == 0:
         for G_s, g_s in zip(G, g, strict=True):
             graph.add(gtsam.HessianFactor(_POPULATION, G_s, g_s, 0.0))
         return graph
-    G12, G22, g2 = np.zeros((len(g), len(personal), n_params)), np.zeros_like(G), np.zeros_like(g)
-    G12[:, :, shared] = G[:, personal][:, :, shared]
-    G22[:, shared[:, None], shared] = G[:, shared][:, :, shared]
-    g2[:, shared] = g[:, shared]
-    # t - y[personal] has precision W: the tie of a person to the population, in the same factor as the person's data
-    G11 = G[:, personal][:, :, personal] + W
-    G12[:, :, personal] -= W
-    G22[:, personal[:, None], personal] += W
-    g1 = g[:, personal]
-    for s in range(len(g)):
-        graph.add(gtsam.HessianFactor(s + 1, _POPULATION, G11[s], G12[s], g1[s], G22[s], g2[s], 0.0))
+    blocks = _blocks(G, g, personal, W)
+    for s, (own, cross, own_vector, rest, rest_vector) in enumerate(zip(*blocks, strict=True), 1):
+        graph.add(gtsam.HessianFactor(s, _POPULATION, own, cross, own_vector, rest, rest_vector, 0.0))
     return graph
+
+
+def _blocks(
+    G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Quadratic forms of people in (t_s, y): of t_s, mixed, the vector of t_s, of y, and the vector of y.
+
+    t_s - y[personal] has precision W: the tie of a person to the population is with the person's data.
+    """
+    n_people, n_params = g.shape
+    shared = np.delete(np.arange(n_params), personal)
+    cross = np.zeros((n_people, len(personal), n_params))
+    rest, rest_vector = np.zeros_like(G), np.zeros_like(g)
+    cross[:, :, shared] = G[:, personal][:, :, shared]
+    cross[:, :, personal] -= W
+    rest[:, shared[:, None], shared] = G[:, shared][:, :, shared]
+    rest[:, personal[:, None], personal] += W
+    rest_vector[:, shared] = g[:, shared]
+    return G[:, personal][:, :, personal] + W, cross, g[:, personal], rest, rest_vector
+
+
+def without_each(
+    posterior: PeoplePosterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
+) -> FloatArray:
+    """Population's parameters from all people but one, (S, P): the person's message taken from the population's sum."""
+    own, cross, own_vector, message, message_vector = _blocks(G, g, personal, W)
+    if len(personal):
+        gain = np.linalg.solve(own, cross)
+        message -= cross.transpose(0, 2, 1) @ gain
+        message_vector -= np.einsum("sqp,sq->sp", gain, own_vector)
+    scale = np.sqrt(np.diagonal(posterior.population_cov))
+    total = np.linalg.inv(posterior.population_cov / scale[:, None] / scale)
+    left = total - message * scale[:, None] * scale
+    left_vector = total @ (posterior.population / scale) - message_vector * scale
+    result = np.full_like(g, np.nan)
+    for s, (matrix, vector) in enumerate(zip(left, left_vector, strict=True)):
+        if np.linalg.eigvalsh(matrix)[0] > 1e-9:
+            result[s] = np.linalg.solve(matrix, vector) * scale
+    return result
 
 
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:

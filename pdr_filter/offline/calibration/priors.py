@@ -38,8 +38,8 @@ class StepLengthPrior:
     mean, std : (p,)
         Of the population. Std 0 holds a parameter at its mean, inf knows nothing.
     between_std : (p,)
-        How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one of which
-        no person tells anything about another (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the
+        How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one in
+        which people are independent of each other (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the
         spread starts.
     step_std_m : float
         Of single steps about the model.
@@ -78,7 +78,7 @@ def prior(
 def weak_prior(
     model: StepLengthModel, mean: ArrayLike | None = None, personal: tuple[int, ...] = (0,), step: Step = TYPICAL_STEP
 ) -> StepLengthPrior:
-    """Prior for any model, of a size that only decides between parameters that say the same.
+    """Prior for any model, of a size that only decides between parameters with the same effect.
 
     Each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m; with a `mean`, each term is uncertain by
     0.35 m. People differ by 6.5 % of a step in each of the `personal` parameters, if there is one, and by less in each

@@ -52,7 +52,7 @@ class Segment:
     Parameters
     ----------
     subject, recording : str
-        Who, and where it was recorded: segments of one recording share what was odd on that day.
+        Who, and where it was recorded: segments of one recording share its error of scale.
     distance_m : float
         Displacement from anchor to anchor, or walked distance if `heading_rad` is None.
     steps : (n,) of Step
@@ -135,17 +135,8 @@ class SegmentSums:
                 raise ValueError(f"{name} must be ({n},), got {getattr(self, name).shape}")
         if not (np.isfinite(self.regressors).all() and np.isfinite(self.offset_m).all()):
             raise ValueError("regressors and offset_m must be finite: leave out segments without features")
-        for name in ("distance_m", "n_steps"):
-            values: FloatArray = getattr(self, name)
-            bad = ~(values > 0)
-            if bad.any():
-                i = int(bad.argmax())
-                raise ValueError(
-                    f"{name} must be positive, but segment {i} has {values[i]}: leave out segments without steps or "
-                    "without length"
-                )
-        if not (self.anchor_std_m >= 0).all():
-            raise ValueError("anchor_std_m must not be negative")
+        if not ((self.distance_m > 0).all() and (self.n_steps > 0).all() and (self.anchor_std_m >= 0).all()):
+            raise ValueError("distance_m and n_steps must be positive, anchor_std_m not negative")
 
     def __len__(self) -> int:
         return len(self.distance_m)

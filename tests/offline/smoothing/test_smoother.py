@@ -11,7 +11,6 @@ from simulated_steps import Walk, simulated_walk
 import pdr_filter as pdr
 from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
-from pdr_filter.offline.smoothing.equations import linearised
 from pdr_filter.offline.smoothing.imm_smoother import ModeEstimates, Transition, smooth_imm
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
@@ -23,7 +22,7 @@ from pdr_filter.offline.smoothing.observations import (
 from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
-from pdr_filter.offline.smoothing.solve import solve
+from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import table
