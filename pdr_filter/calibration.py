@@ -33,21 +33,12 @@ TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0,
 
 @dataclass(frozen=True, eq=False)
 class Person:
-    """What was found of one person.
-
-    Parameters
-    ----------
-    id : str
-    height_m : float or None
-        The models' height; the parameters belong to it.
-    k, k_cov : dict
-        Parameters (p,) of each context with their covariance (p, p). Of contexts without segments it is the
-        population's with the spread between people.
-    n_segments : int
-    """
+    """What was found of one person."""
 
     id: str
-    height_m: float | None
+    height_m: float | None  # that of the models; the parameters belong to it
+    # Parameters (p,) of each context and their covariance (p, p). Of contexts without segments they are the
+    # population's, with the spread between people.
     k: Mapping[str, FloatArray]
     k_cov: Mapping[str, FloatArray]
     n_segments: int

@@ -51,16 +51,10 @@ class HeadingDrift:
         yaw_bias_std_radps: _Number,
         besides_rad2_per_s: float | FloatArray = 0.0,
     ) -> tuple[FloatArray, FloatArray]:
-        """Variance gained in a time with angular rate, and in the part of it without.
+        """Variance gained in a time while the angular rate was measured, and in the part of it while it was not.
 
-        Parameters
-        ----------
-        elapsed_s, unknown_s : float or array
-            The whole time, and how much of it was without angular rate; more than the whole counts as the whole.
-        yaw_bias_std_radps : float or array
-            Standard deviation of the gyroscope's bias about the vertical.
-        besides_rad2_per_s : float or array
-            Another random walk, such as a mode's own.
+        `yaw_bias_std_radps` is the standard deviation of the gyroscope's bias about the vertical, `besides_rad2_per_s`
+        another random walk, such as a mode's own.
         """
         unknown = np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2

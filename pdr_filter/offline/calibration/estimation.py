@@ -22,27 +22,15 @@ _CHUNK_SEGMENTS = 4096
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Hierarchy:
-    """Prior of all parameters (P,) and of all variances.
+    """Prior of all parameters (P,) and of all variances."""
 
-    Parameters
-    ----------
-    mean, std : (P,)
-        Of the population; std 0 holds a parameter, inf knows nothing of it.
-    between_std : (P,)
-        How people differ at the start; 0 for shared parameters, inf for people who are independent of each other.
-    step_std_m : (C,)
-        Of a single step in each of `CONTEXTS`.
-    recording_std : float
-        How one person's scale differs between recordings, relative.
-    between_dof, recording_dof, noise_dof : float
-        How many people, recordings and segments these three are worth; inf holds them, 0 takes them from the data.
-    """
-
-    mean: FloatArray
-    std: FloatArray
+    mean: FloatArray  # (P,) of the population
+    std: FloatArray  # (P,) 0 holds a parameter, inf knows nothing of it
+    # (P,) how people differ at the start; 0 for shared parameters, inf for people who are independent of each other
     between_std: FloatArray
-    step_std_m: FloatArray
-    recording_std: float
+    step_std_m: FloatArray  # (C,) of a single step in each of `CONTEXTS`
+    recording_std: float  # how one person's scale differs between recordings, relative
+    # How many people, recordings and segments these three are worth; inf holds them, 0 takes them from the data.
     between_dof: float = 10.0
     recording_dof: float = 10.0
     noise_dof: float = 4.0
@@ -50,41 +38,20 @@ class Hierarchy:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ParameterEstimate:
-    """What the segments say; covariances given the variances found.
+    """Parameters of the population and S people from N segments; covariances given the variances found."""
 
-    Parameters
-    ----------
-    population, population_cov : (P,), (P, P)
-    people, people_cov : (S, P), (S, P, P)
-    between_cov : (P, P)
-        Between people; infinite on the diagonal where people are independent of each other.
-    recording_std : float
-        Of one person's scale between recordings.
-    noise_factor : (C,)
-        Variance of the segments of each context over that expected.
-    predicted_m, left_out_m, stranger_m : (N,)
-        Length of each segment with the person's parameters; with those from all other segments; with the population's
-        from all other people (NaN if there are none).
-    misfit : (N,)
-        Residual over its standard deviation, less what the whole recording has in common.
-    weight : (N,)
-        Of each segment, 1 for one that fits.
-    n_iterations : int
-    converged : bool
-    """
-
-    population: FloatArray
-    population_cov: FloatArray
-    people: FloatArray
-    people_cov: FloatArray
-    between_cov: FloatArray
-    recording_std: float
-    noise_factor: FloatArray
-    predicted_m: FloatArray
-    left_out_m: FloatArray
-    stranger_m: FloatArray
-    misfit: FloatArray
-    weight: FloatArray
+    population: FloatArray  # (P,)
+    population_cov: FloatArray  # (P, P)
+    people: FloatArray  # (S, P)
+    people_cov: FloatArray  # (S, P, P)
+    between_cov: FloatArray  # (P, P) infinite on the diagonal where people are independent of each other
+    recording_std: float  # of one person's scale between recordings
+    noise_factor: FloatArray  # (C,) variance of the segments of each context over that expected
+    predicted_m: FloatArray  # (N,) length of each segment with the person's parameters
+    left_out_m: FloatArray  # (N,) the same with those from all other segments
+    stranger_m: FloatArray  # (N,) with the population's from all other people; NaN if there are none
+    misfit: FloatArray  # (N,) residual over its standard deviation, less what the whole recording has in common
+    weight: FloatArray  # (N,) 1 for a segment that fits
     n_iterations: int
     converged: bool
 

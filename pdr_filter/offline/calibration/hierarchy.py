@@ -22,25 +22,13 @@ _SINGULAR = 1e-7
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PeoplePosterior:
-    """Normal posterior of the population and of each person.
+    """Normal posterior of the population and of each person."""
 
-    Parameters
-    ----------
-    population : (P,)
-        Mean of the population's parameters.
-    population_cov : (P, P)
-    people : (S, P)
-        Each person's parameters: own ones, and the population's where these are shared.
-    people_cov : (S, P, P)
-    apart_cov : (S, Q, Q)
-        Covariance of each person's own parameters less the population's.
-    """
-
-    population: FloatArray
-    population_cov: FloatArray
-    people: FloatArray
-    people_cov: FloatArray
-    apart_cov: FloatArray
+    population: FloatArray  # (P,) mean of the population's parameters
+    population_cov: FloatArray  # (P, P)
+    people: FloatArray  # (S, P) each person's own parameters, and the population's where these are shared
+    people_cov: FloatArray  # (S, P, P)
+    apart_cov: FloatArray  # (S, Q, Q) of each person's own parameters less the population's
 
 
 class SingularError(ValueError):

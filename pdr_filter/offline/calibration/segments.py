@@ -94,32 +94,19 @@ class Segment:
 class SegmentSums:
     """All that a calibration needs of N segments, as arrays: predicted length = | regressors @ theta + offset_m |.
 
-    theta (P,) are the parameters of all contexts, one after the other (`Layout`), of the segment's subject.
-
-    Parameters
-    ----------
-    regressors : (N, 2, P)
-        Sums over the steps of context probability times regressors times (sin, cos) of the heading. For summed lengths
-        the second row is zero.
-    offset_m : (N, 2)
-        Zero for models that are linear in theta.
-    distance_m, anchor_std_m, n_steps : (N,)
-        Known length, its standard deviation, number of steps.
-    context : (N,)
-        Index of the context that most of the steps are of, into `CONTEXTS`.
-    subject, recording : (N,)
-        Index into `subjects` and `recordings`.
-    subjects, recordings : tuple of str
+    theta (P,) are the parameters of all contexts, one after the other (`slices_of`), of the segment's subject.
     """
 
+    # (N, 2, P) sums over the steps of context probability times regressors times (sin, cos) of the heading. For summed
+    # lengths the second row is zero.
     regressors: FloatArray
-    offset_m: FloatArray
-    distance_m: FloatArray
-    anchor_std_m: FloatArray
-    n_steps: FloatArray
-    context: IntArray
-    subject: IntArray
-    recording: IntArray
+    offset_m: FloatArray  # (N, 2) zero for models that are linear in theta
+    distance_m: FloatArray  # (N,) known length
+    anchor_std_m: FloatArray  # (N,) its standard deviation
+    n_steps: FloatArray  # (N,)
+    context: IntArray  # (N,) index of the context that most of the steps are of, into `CONTEXTS`
+    subject: IntArray  # (N,) index into `subjects`
+    recording: IntArray  # (N,) index into `recordings`
     subjects: tuple[str, ...]
     recordings: tuple[str, ...]
 

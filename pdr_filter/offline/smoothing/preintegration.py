@@ -82,8 +82,7 @@ def increments(
     The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture:
     residual of the length along the step, heading of the step across it, and how the modes differ. The covariance of a
     fit's parameters is an error that all steps share, not one of each step: it is returned as the mean of
-    J cov J' / L^2, to be added to the variance of the log scale (deviation: with several parameters the shared error is
-    not one factor).
+    J cov J' / L^2, to be added to the variance of the log scale. With several parameters that is an approximation.
 
     Parameters
     ----------
@@ -91,10 +90,8 @@ def increments(
         K rows of `Step`.
     mode_prob : (K, M)
         Probability of each mode at each step.
-    modes : sequence of Mode
-        Step lengths, heading offsets, and the scatter of headings.
-    noise : MotionNoise
-        Drifts.
+    modes, noise
+        Those of the tracker.
     gap_before_s : (K,)
         Time without samples before each step, 0 for none.
     previous_s : float, optional

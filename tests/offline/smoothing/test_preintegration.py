@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
-from pdr_filter.filter.motion import Directions, Mode, MotionNoise, linearise
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, grow_over_gap, linearise
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
 from pdr_filter.values.step import Step, step_table
@@ -66,8 +66,14 @@ def test_a_turned_and_scaled_walk_has_the_turned_and_scaled_sum_and_covariance()
 
 
 def test_an_increment_is_the_step_of_the_filter() -> None:
-    step = Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7)
-    mode = Mode("walking", "walking", known_length(0.7, 0.06))
+    step = replace(
+        Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7),
+        heading_unknown_s=0.2,
+        yaw_bias_std_radps=0.01,
+    )
+    mode = Mode(
+        "sideways", "sideways", known_length(0.7, 0.06), 1.5, heading_drift_rad_per_sqrt_s=0.02, extra_noise_m=0.05
+    )
     noise = MotionNoise()
     found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
     mean, _, added_cov = linearise(
@@ -75,9 +81,18 @@ def test_an_increment_is_the_step_of_the_filter() -> None:
     )
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
     np.testing.assert_allclose(found.cov_m2[0], added_cov[0, :2, :2])
-    np.testing.assert_allclose(found.drift_var_rad2[0], added_cov[0, 2, 2])
+    np.testing.assert_allclose(found.drift_var_rad2[0] + found.unknown_var_rad2[0], added_cov[0, 2, 2])
+    np.testing.assert_allclose(found.unknown_var_rad2[0], 0.2)
     np.testing.assert_allclose(found.scale_drift_var[0], added_cov[0, 3, 3])
     assert shared == pytest.approx(0.0, abs=1e-15)
+
+
+def test_a_gap_before_a_step_adds_what_it_adds_in_the_filter() -> None:
+    step = Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7)
+    mode, noise = Mode("walking", "walking", known_length(0.7, 0.06)), MotionNoise()
+    found, _ = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.array([1.5]))
+    grown = grow_over_gap(np.zeros((1, 4, 4)), 1.5, noise)[0]
+    np.testing.assert_allclose([found.gap_var_m2[0], found.jump_var_rad2[0]], [grown[0, 0], grown[2, 2]])
 
 
 def test_without_angular_rate_mean_and_covariance_are_those_of_simulated_walks() -> None:
