@@ -23,6 +23,7 @@ from pdr_filter.offline.calibration.segments import (
 )
 from pdr_filter.values.arrays import FloatArray, Table, read_only, table
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.notes import Note
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -208,14 +209,14 @@ class Calibration:
         used = self.contexts
         modes = tuple(
             replace(mode, step_length=fits[mode.context]) if mode.context in used else mode
-            for mode in config.tracker.modes
+            for mode in config.model.modes
         )
-        noise = replace(config.tracker.noise, log_scale_std=self.scale_std(subject))
+        noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         known = subject is not None and subject.id in self.subject_ids
         who = f"of {subject.id}" if subject is not None and known else "of the calibrated population"
-        note = f"step lengths {who}: {', '.join(used) or 'none calibrated'}"
-        notes = tuple(n for n in config.notes if "height is not known" not in n or not known)
-        return replace(config, tracker=replace(config.tracker, modes=modes, noise=noise), notes=(*notes, note))
+        note = Note("step lengths", f"step lengths {who}: {', '.join(used) or 'none calibrated'}")
+        notes = tuple(n for n in config.notes if n.about != "height" or not known)
+        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
 
     def report(self) -> str:
         """Parameters, errors and doubts as text."""

@@ -225,7 +225,7 @@ def fit_tempering(
     transition_prob : (C, C)
         Between windows.
     floor : float
-        Of the probabilities, as in `Tracker`.
+        Of the probabilities, as in `PedestrianModel`.
     evidence_exponents, prior_exponents : (A,), (B,)
         To choose from.
     """
@@ -286,14 +286,14 @@ def _check_labels(label: IntArray, n_contexts: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transitions:
-    """What `Tracker` needs besides a classifier, and where it comes from: `recipes.with_transitions` takes it.
+    """What a `PedestrianModel` needs besides a classifier, and where it comes from: `recipes.with_transitions` takes it.
 
     Parameters
     ----------
     transition_prob : (C, C)
         Between `CONTEXTS` from one step to the next; rows from, sum to one.
     evidence_exponent, prior_exponent : float
-        Of the evidence of a window, as in `Tracker`.
+        Of the evidence of a window, as in `PedestrianModel`.
     counts : (C, C)
         Of `count_transitions`, what the matrix was estimated from; zeros if there was nothing.
     card : dict

@@ -12,6 +12,7 @@ from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at, rigid_fit
 from pdr_filter.filter.motion import Mode
+from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track as track_of
@@ -72,11 +73,7 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
     0 is always WC, 1 is HC (Martinelli et al. 2018, Fig. 14).
     """
-    weighted = config.with_weighting("wc")
-    tracks = [
-        track_of(recording, replace(weighted, tracker=replace(weighted.tracker, wc_threshold=float(t))))
-        for t in thresholds
-    ]
+    tracks = [track_of(recording, replace(config, tracker=WeightedTracker(config.model, float(t)))) for t in thresholds]
     return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
 
 
@@ -101,7 +98,7 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     ----------
     track : TrackRows
     modes : sequence of Mode
-        One for each context, as in `config.tracker.modes`.
+        One for each context, as in `config.model.modes`.
     """
     if sorted(m.context for m in modes) != sorted(track.contexts):
         raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")

@@ -58,7 +58,7 @@ def doubts(track: TrackRows) -> list[str]:
             for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
             if b - a > 60.0
         ]
-    rejected = [fix for fix in track.fixes if not fix.accepted]
+    rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if rejected:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
         told.append(

@@ -29,7 +29,7 @@ from pdr_filter.classifiers.transitions import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.filter.tracking import Tracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, with_context_model
@@ -99,7 +99,7 @@ def train_evidence(
     progress : callable, optional
         Called with what is done and the fraction of the whole, 0 to 1.
     """
-    found = estimate(labelled_sequences(changing, model_without, progress), default().tracker)
+    found = estimate(labelled_sequences(changing, model_without, progress), default().model)
     found.save(out_dir)
     return found.card
 
@@ -196,8 +196,8 @@ def contexts_at(recording: Recording, time_s: FloatArray) -> IntArray:
 # --- The estimate ----------------------------------------------------------------------------------------------------
 
 
-def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitions:
-    """Transitions and exponents that the sequences show; those of the default tracker where they show too little.
+def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
+    """Transitions and exponents that the sequences show; those of the default where they show too little.
 
     The matrix is estimated from `MIN_CHANGES` changes of context on: one person's sequences give that person's. The
     exponents are chosen if there are also `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who
@@ -227,7 +227,7 @@ def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitio
     return Transitions(transition_prob, evidence_exponent, prior_exponent, counts, card)
 
 
-def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[str, float]:
+def held_out_log_loss(sequences: LabelledSequences, default: PedestrianModel) -> dict[str, float]:
     """Log loss of filtered windows, mean over people: minus the log probability of the true context.
 
     `default`: the default matrix and exponents. `held_out_default_exponents`: the matrix from all other people's

@@ -33,13 +33,13 @@ from pathlib import Path
 
 import numpy as np
 from accuracy import aligned
+from pdr_filter.filter.tracking import Tracker, TrackerState, present_position
 from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.filter import imm
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE
 from pdr_filter.filter.step_length import length_and_jacobian
-from pdr_filter.filter.tracking import Tracker, TrackerState, present_position
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS

@@ -24,6 +24,8 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pdr_filter.filter.tracking import StepUpdate
+from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
@@ -40,10 +42,8 @@ from pdr_filter.classifiers.transitions import (
 )
 from pdr_filter.config import Config
 from pdr_filter.filter.imm import lagged_mode_prob
-from pdr_filter.filter.tracking import StepUpdate
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext

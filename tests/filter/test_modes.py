@@ -9,10 +9,10 @@ import pytest
 from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
 
 from pdr_filter.filter.motion import IRREGULAR, Mode
 from pdr_filter.filter.step_length import known_length
-from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
 from pdr_filter.filter.weighting import ModeEvidence, carrying_log_evidence
 from pdr_filter.sensing.contexts.stage import CARRYING_STAY_PROB, WindowContext, follow_mode
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS

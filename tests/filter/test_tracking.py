@@ -8,10 +8,6 @@ import pytest
 from helpers import a_step
 from hypothesis import given, settings
 from hypothesis import strategies as st
-
-from pdr_filter.filter.alignment import Alignment
-from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
-from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.filter.tracking import (
     StepUpdate,
     Tracker,
@@ -21,6 +17,10 @@ from pdr_filter.filter.tracking import (
     even_transitions,
     present_position,
 )
+
+from pdr_filter.filter.alignment import Alignment
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
+from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.fixes import PositionFix

@@ -21,11 +21,11 @@ import pytest
 from helpers import a_step
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
 
 from pdr_filter.filter import imm
 from pdr_filter.filter.motion import Mode
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit
-from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
 from pdr_filter.filter.weighting import HC, context_weights, weighted_distances
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.contexts import CONTEXTS

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
-from pdr_filter.filter.tracking import StepUpdate
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, bridge, increments, joined
 from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, Problem, Solution, estimate, filtered_at, pose_problem
 from pdr_filter.values.angles import wrap_angle

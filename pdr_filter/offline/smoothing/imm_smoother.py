@@ -10,34 +10,13 @@ both it is an approximation, because the filter is (tests/offline/test_imm_smoot
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.filter.imm import ModeEstimates, Transition
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
-    """Of each mode at one time."""
-
-    mean: FloatArray  # (M, n)
-    cov: FloatArray  # (M, n, n)
-    mode_prob: FloatArray  # (M,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Transition:
-    """From one time to the next, linearised: x = a_i + F_i (x_before - b_i) + noise of Q_i in mode i."""
-
-    transition_prob: FloatArray  # (M, M) from mode j to mode i
-    origin: FloatArray  # (M, n) b_i, about which mode i was linearised
-    predicted: FloatArray  # (M, n) a_i, where that leads
-    F: FloatArray  # (M, n, n)
-    Q: FloatArray  # (M, n, n)
-
-
-def smooth(filtered: Sequence[Estimate], transitions: Sequence[Transition]) -> list[Estimate]:
+def smooth(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:
     """Smoothed estimates, one for each filtered one; the last is the filtered one itself.
 
     w_ji = p_s(i) mu_j pi_ji / sum_j mu_j pi_ji (Kim's eq. 2.20, with the pair's likelihood already in mu);
@@ -59,7 +38,7 @@ def smooth(filtered: Sequence[Estimate], transitions: Sequence[Transition]) -> l
     return smoothed[::-1]
 
 
-def _back(now: Estimate, to_next: Transition, later: Estimate) -> Estimate:
+def _back(now: ModeEstimates, to_next: Transition, later: ModeEstimates) -> ModeEstimates:
     """Smoothed estimate at one time from the smoothed one of the next."""
     F, Q = to_next.F[None], to_next.Q[None]  # (1, i, n, n)
     P = now.cov[:, None]  # (j, 1, n, n)
@@ -83,4 +62,4 @@ def _back(now: Estimate, to_next: Transition, later: Estimate) -> Estimate:
     # A mode that is impossible in hindsight keeps what the filter said of it: nothing depends on it.
     mean = np.where(possible[:, None], mean, now.mean)
     merged = np.where(possible[:, None, None], 0.5 * (merged + merged.swapaxes(-1, -2)), now.cov)
-    return Estimate(mean, merged, prob / prob.sum())
+    return ModeEstimates(mean, merged, prob / prob.sum())
