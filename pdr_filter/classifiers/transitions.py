@@ -286,7 +286,7 @@ def _check_labels(label: IntArray, n_contexts: int) -> None:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Transitions:
-    """What a `PedestrianModel` needs besides a classifier, and where it comes from: `recipes.with_transitions` takes it.
+    """What a `PedestrianModel` needs besides a classifier and where it is from: `recipes.with_transitions` takes it.
 
     Parameters
     ----------

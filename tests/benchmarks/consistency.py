@@ -33,13 +33,16 @@ from pathlib import Path
 
 import numpy as np
 from accuracy import aligned
-from pdr_filter.filter.tracking import Tracker, TrackerState, present_position
 from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.filter import imm
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.pedestrian import PedestrianState, present_position
 from pdr_filter.filter.step_length import length_and_jacobian
+from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
@@ -55,24 +58,22 @@ WAYPOINT_STD_M = {"humolire": 0.7, "ms_indoor": 1.0}
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
 
-def own_model(context: str | None = None) -> Tracker:
-    """The default recipe's tracker with evidence that means what it says; of one known context if one is named.
+def own_model(context: str | None = None) -> PedestrianModel:
+    """The default recipe's model with evidence that means what it says; of one known context if one is named.
 
     Evidence is not tempered, the prior divided out whole, and a detected step says nothing: windows of the simulated
     classifier do not overlap, and steps are drawn in every context alike.
     """
-    tracker = replace(
-        pdr.recipes.default().tracker,
+    model = replace(
+        pdr.recipes.default().model,
         evidence_exponent=1.0,
         prior_exponent=1.0,
         evidence_floor=1e-12,
         step_log_odds_stationary=0.0,
     )
     if context is None:
-        return tracker
-    return replace(
-        tracker, modes=tuple(m for m in tracker.modes if m.context == context), transition_prob=np.ones((1, 1))
-    )
+        return model
+    return replace(model, modes=tuple(m for m in model.modes if m.context == context), transition_prob=np.ones((1, 1)))
 
 
 @dataclass(frozen=True)
@@ -116,9 +117,9 @@ def root(cov: FloatArray) -> FloatArray:
 
 
 def simulated_walk(
-    tracker: Tracker, n_steps: int, rng: np.random.Generator, *, anew: bool = False, overlapping: bool = False
+    model: PedestrianModel, n_steps: int, rng: np.random.Generator, *, anew: bool = False, overlapping: bool = False
 ) -> Walk:
-    """A walk of the tracker's own model.
+    """A walk of the model.
 
     Parameters
     ----------
@@ -128,14 +129,14 @@ def simulated_walk(
         Windows of 2 s end every second, so that neighbours share half of their noise; else every second step has one
         of its own.
     """
-    noise, modes = tracker.noise, tracker.modes
+    noise, modes = model.noise, model.modes
     offset = noise.initial_heading_offset_std_rad * rng.normal()
     scale = noise.log_scale_std * rng.normal()
     fits = [m.step_length for m in modes]
     roots = [root(f.theta_cov) for f in fits]
     off = [r @ rng.normal(size=len(r)) for r in roots]
-    into = np.cumsum(tracker.transition_prob, axis=1)
-    mode = int(np.searchsorted(np.cumsum(tracker.init().mode_prob), rng.random()))
+    into = np.cumsum(model.transition_prob, axis=1)
+    mode = int(np.searchsorted(np.cumsum(model.long_run_mode_prob), rng.random()))
     cadence_hz, heading_rad, time_s = rng.uniform(1.7, 2.1), 0.0, 0.0
     position_m = np.zeros(2)
     steps, states, chosen = [], [], []
@@ -195,7 +196,7 @@ def normalised(error: FloatArray, cov: FloatArray) -> float:
 
 
 def filtered_errors(
-    tracker: Tracker,
+    model: PedestrianModel,
     walk: Walk,
     rng: np.random.Generator,
     check_every: int,
@@ -207,19 +208,21 @@ def filtered_errors(
 
     A check comes before the fix of its step. A late fix is of a time before, and its NIS is left out.
     """
-    state, found, nis, right = tracker.init(), [], [], 0
+    tracker = ImmTracker(model)
+    state, found, nis, right, rejected = tracker.init(), [], [], 0, 0
     windows = list(walk.windows)
     times = np.array([s.time_s for s in walk.steps])
     for k, step in enumerate(walk.steps):
         while windows and windows[0].time_s <= step.detected_time_s:
             state, _ = tracker.on_window(state, windows.pop(0))
-        state, updates = tracker.on_step(state, step)
-        right += int(updates[-1].mode_prob.argmax() == walk.modes[k])
+        state, output = tracker.on_step(state, step)
+        known = state.pedestrian
+        right += int(output.updates[-1].mode_prob.argmax() == walk.modes[k])
         if (k + 1) % check_every == 0:
-            x, P = imm.combine(state.mean, state.cov, state.mode_prob)
+            x, P = imm.combine(known.mean, known.cov, known.prob)
             error = walk.state[k] - x
             seen = P.copy()
-            seen[:2, :2] = present_position(state)[1]
+            seen[:2, :2] = present_position(known)[1]
             found.append(
                 (normalised(error[:2], seen[:2, :2]), normalised(error[:2], P[:2, :2]), normalised(error, seen))
             )
@@ -227,16 +230,17 @@ def filtered_errors(
             of_s = step.time_s - late_s
             truth_m = np.array([np.interp(of_s, times, walk.state[:, i]) for i in (0, 1)])
             fix = PositionFix(of_s, truth_m + fix_std_m * rng.normal(size=2), fix_std_m**2 * np.eye(2), step.time_s)
-            position_m, cov_m2 = present_position(state)
+            position_m, cov_m2 = present_position(known)
             if late_s == 0:
                 nis.append(normalised(fix.position_m - position_m, cov_m2 + fix.cov_m2))
-            state, _ = tracker.on_fix(state, fix)
-    return found, nis, right / len(walk.steps), state.rejected_fixes
+            state, outcome, _ = tracker.on_fix(state, fix)
+            rejected += outcome == "rejected"
+    return found, nis, right / len(walk.steps), rejected
 
 
 def errors_of_walks(
-    drawn_from: Tracker,
-    tracker: Tracker,
+    drawn_from: PedestrianModel,
+    model: PedestrianModel,
     n_walks: int,
     n_steps: int,
     *,
@@ -248,12 +252,12 @@ def errors_of_walks(
     anew: bool = False,
     overlapping: bool = False,
 ) -> Errors:
-    """Errors of the tracker on walks drawn from another (or the same) one."""
+    """Errors of the IMM of a model on walks drawn from another (or the same) one."""
     nees, nis, right, rejected = [], [], [], 0
     for n in range(n_walks):
         rng = np.random.default_rng([seed, n])
         walk = simulated_walk(drawn_from, n_steps, rng, anew=anew, overlapping=overlapping)
-        found, of_fixes, share, lost = filtered_errors(tracker, walk, rng, check_every, fix_every, fix_std_m, late_s)
+        found, of_fixes, share, lost = filtered_errors(model, walk, rng, check_every, fix_every, fix_std_m, late_s)
         nees.append(found)
         nis.append(of_fixes)
         right.append(share)
@@ -287,7 +291,7 @@ def line(name: str, errors: Errors) -> str:
 
 def simulated(n_walks: int) -> None:
     """Row by row further from the model."""
-    exact, shipped = own_model(), pdr.recipes.default().tracker
+    exact, shipped = own_model(), pdr.recipes.default().model
     tempered = replace(exact, evidence_exponent=0.5, evidence_floor=shipped.evidence_floor)
     walking = own_model("walking")
     detected = np.where([m.context == "stationary" for m in exact.modes], np.exp(shipped.step_log_odds_stationary), 1.0)
@@ -429,46 +433,54 @@ def day(
         yield from until(clock_s, "stationary")
 
 
-def sizes(state: TrackerState) -> tuple[int, int, int, int]:
+Tracker = ImmTracker | WeightedTracker
+State = ImmState | WeightedState
+
+
+def sizes(state: State) -> tuple[int, int, int, int]:
     """Numbers in all arrays of the state, windows, rows of the trail, waiting steps."""
-    own = sum(v.size for f in fields(TrackerState) if isinstance(v := getattr(state, f.name), np.ndarray))
+    known = state.pedestrian
+    own = sum(v.size for f in fields(PedestrianState) if isinstance(v := getattr(known, f.name), np.ndarray))
     of_windows = sum(w.prob.size + w.training_prior.size + w.carrying_prob.size for w in state.windows)
-    return own + of_windows, len(state.windows), len(state.trail), len(state.pending)
+    waiting = state.pending if isinstance(state, WeightedState) else ()
+    return own + of_windows, len(state.windows), len(known.trail), len(waiting)
 
 
-def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[TrackerState, list[tuple[int, int, int, int]]]:
-    """The state at the end, and the sizes at every twentieth step."""
-    state, found = tracker.init(), []
+def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[tuple[int, int, int, int]], int]:
+    """The state at the end, the sizes at every twentieth step, and the number of rejected fixes."""
+    state, found, rejected = tracker.init(), [], 0
     for event in day(n_steps, day_s):
         if isinstance(event, PositionFix):
-            state, _ = tracker.on_fix(state, event)
+            state, outcome, _ = tracker.on_fix(state, event)
+            rejected += outcome == "rejected"
         elif isinstance(event, WindowContext):
             state, _ = tracker.on_window(state, event)
         else:
             state, _ = tracker.on_step(state, event)
-            if state.n_final % 20 == 0:
+            if state.pedestrian.n_final % 20 == 0:
                 found.append(sizes(state))
-    return state, found
+    return state, found, rejected
 
 
 def whole_day() -> None:
     """Sizes of the first and last tenth, and the end."""
     for weighting in ("imm", "wc"):
-        tracker = replace(pdr.recipes.default().tracker, weighting=weighting)
+        tracker = pdr.recipes.default().with_weighting(weighting).tracker
         begin = time.perf_counter()
-        state, found = run_day(tracker, 60_000, 86_400.0)
+        state, found, rejected = run_day(tracker, 60_000, 86_400.0)
         took = time.perf_counter() - begin
+        known = state.pedestrian
         tenth = len(found) // 10
         first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
-        asymmetry = np.abs(state.cov - state.cov.swapaxes(-1, -2)).max() / np.abs(state.cov).max()
-        std = np.sqrt(np.diagonal(state.cov, axis1=1, axis2=2).max(axis=0))
+        asymmetry = np.abs(known.cov - known.cov.swapaxes(-1, -2)).max() / np.abs(known.cov).max()
+        std = np.sqrt(np.diagonal(known.cov, axis1=1, axis2=2).max(axis=0))
         print(
-            f"{weighting}: {state.n_final} steps in {took:.0f} s with the measuring; largest state (numbers, windows, "
+            f"{weighting}: {known.n_final} steps in {took:.0f} s with the measuring; largest state (numbers, windows, "
             f"trail, waiting) {first.tolist()} in the first tenth, {last.tolist()} in the last; at the end smallest "
-            f"eigenvalue {np.linalg.eigvalsh(state.cov).min():.1e}, asymmetry {asymmetry:.0e}, probabilities sum to "
-            f"1 {state.mode_prob.sum() - 1:+.0e}, heading std {std[HEADING_OFFSET]:.2f} rad, scale std "
+            f"eigenvalue {np.linalg.eigvalsh(known.cov).min():.1e}, asymmetry {asymmetry:.0e}, probabilities sum to "
+            f"1 {known.prob.sum() - 1:+.0e}, heading std {std[HEADING_OFFSET]:.2f} rad, scale std "
             f"{std[LOG_SCALE]:.3f}, "
-            f"{state.rejected_fixes} fixes rejected",
+            f"{rejected} fixes rejected",
             flush=True,
         )
 

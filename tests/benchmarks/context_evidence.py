@@ -17,7 +17,6 @@ import os
 
 os.environ.setdefault("OMP_NUM_THREADS", "1")
 
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -71,8 +70,8 @@ def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sense
 def at_steps(walk: Sensed, evidence_exponent: float, prior_exponent: float) -> tuple[FloatArray, FloatArray]:
     """Times (K,) and mode probabilities (K, C) of the steps."""
     _, config, events = walk
-    tracker = replace(config.tracker, evidence_exponent=evidence_exponent, prior_exponent=prior_exponent)
-    updates = tracked(events, replace(config, tracker=tracker), "imm")
+    config = config.with_model(evidence_exponent=evidence_exponent, prior_exponent=prior_exponent)
+    updates = tracked(events, config, "imm")
     return np.array([u.step.time_s for u in updates]), np.array([u.mode_prob for u in updates]).reshape(
         -1, len(CONTEXTS)
     )

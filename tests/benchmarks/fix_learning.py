@@ -42,7 +42,7 @@ def main() -> None:
     parser.add_argument("--fix-std", type=float, default=1.0)
     args = parser.parse_args()
     config = pdr.recipes.default()
-    stiff = replace(config.tracker, noise=replace(config.tracker.noise, log_scale_std=1e-4))
+    stiff = config.with_model(noise=replace(config.model.noise, log_scale_std=1e-4))
     rows: dict[str, list[tuple[float, float]]] = {"no fixes": [], "fixes, scale not learnt": [], "fixes": []}
     for path in sorted((args.data / "humolire").glob("*.zip")):
         recording = pdr.read(path)
@@ -57,7 +57,7 @@ def main() -> None:
         cov = args.fix_std**2 * np.eye(2)
         fixes = [pdr.PositionFix(float(t), p, cov) for t, p in zip(points.time_s, turned, strict=True) if t <= first]
         rows["no fixes"].append(errors(recording, alone, turned, first))
-        for name, used in (("fixes, scale not learnt", replace(config, tracker=stiff)), ("fixes", config)):
+        for name, used in (("fixes, scale not learnt", stiff), ("fixes", config)):
             rows[name].append(errors(recording, pdr.track(recording, used, fixes=fixes), turned, first))
     print(
         "| | distance of the rest %: bias, spread, RMS | position RMSE of the rest m: median, largest |\n|---|---|---|"

@@ -41,7 +41,7 @@ from pdr_filter.classifiers.transitions import (
     fit_tempering,
 )
 from pdr_filter.config import Config
-from pdr_filter.filter.imm import lagged_mode_prob
+from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.recipes import context_transitions, default, with_context_model
@@ -70,7 +70,7 @@ BLOCK_S = 0.1
 # Two seconds of walking: what a final step of HC and WC waits too.
 LAG_STEPS = 4
 STATIONARY = CONTEXTS.index("stationary")
-TRACKER = default().tracker
+MODEL = default().model
 # Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
 N_WALKS = 2
 PARTS: tuple[tuple[tuple[str, str], float], ...] = (
@@ -219,7 +219,7 @@ class Said:
     @property
     def lagged(self) -> FloatArray:
         """Of each step with the evidence of some more, (K, C)."""
-        return lagged_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
+        return smoothed_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
 
     @property
     def lagged_known_s(self) -> FloatArray:
@@ -427,13 +427,12 @@ def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
     )
     result: list[Said] = []
     for said in (s for s in all_said if s.person in fold):
-        tracker = replace(
-            said.config.tracker,
+        config = said.config.with_model(
             transition_prob=transition_prob,
             evidence_exponent=exponents.evidence_exponent,
             prior_exponent=exponents.prior_exponent,
         )
-        updates = tracked(said.events, replace(said.config, tracker=tracker), "imm")
+        updates = tracked(said.events, config, "imm")
         result.append(replace(said, learnt=np.array([u.mode_prob for u in updates])))
     return result
 
@@ -468,7 +467,7 @@ def real(data: Path, cache: Path | None) -> list[Said]:
     sequences = labelled(all_said)
     between = np.linalg.matrix_power(context_transitions(), 2)
     chosen = fit_tempering(sequences, between)
-    plain = filter_windows(sequences, between, TRACKER.evidence_exponent, TRACKER.prior_exponent, 0.01)
+    plain = filter_windows(sequences, between, MODEL.evidence_exponent, MODEL.prior_exponent, 0.01)
     use = sequences.label != UNKNOWN
     loss = -np.log(plain[use, sequences.label[use]]).mean()
     right = {
@@ -478,7 +477,7 @@ def real(data: Path, cache: Path | None) -> list[Said]:
     print(
         f"tempering on these windows: evidence {chosen.evidence_exponent:.1f}, prior {chosen.prior_exponent:.1f}, log "
         f"loss {chosen.log_loss:.3f}, on people left out of the choice {chosen.held_out_log_loss:.3f}; with the "
-        f"default {TRACKER.evidence_exponent} and {TRACKER.prior_exponent} {loss:.3f}; without steps, accuracy of "
+        f"default {MODEL.evidence_exponent} and {MODEL.prior_exponent} {loss:.3f}; without steps, accuracy of "
         "windows " + ", ".join(f"{name} {value:.4f}" for name, value in right.items())
     )
     return all_said
@@ -536,8 +535,8 @@ def tracked(events: list[Event], config: Config, weighting: str, change: Change 
             state, new = tracker.on_gap(state, event.duration_s)
         else:
             state, new = tracker.on_step(state, event)
-        updates += [u for u in new if u.is_final]
-    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
+        updates += [u for u in new.updates if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1].updates if u.is_final]
 
 
 def distances_m(events: list[Event], config: Config, walk: Recording, change: Change | None = None) -> dict[str, float]:

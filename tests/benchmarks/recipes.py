@@ -149,7 +149,7 @@ def context_scores(walk: Walk, found: Found) -> Values:
     label = str(walk.recording.truth.labels.context[0])
     if label == "stationary":
         return {"still_m_per_min": 60 * float(found.step_length_m.sum()) / walk.recording.duration_s}
-    modes = np.array([m.context for m in found.config.tracker.modes])
+    modes = np.array([m.context for m in found.config.model.modes])
     right = modes[found.mode_prob.argmax(axis=1)] == label
     return {"right_percent": 100 * float(right.mean()) if len(right) else 0.0}
 
@@ -175,7 +175,7 @@ def found_by(config: pdr.Config, weighting: str, events: list[object]) -> Found:
         np.array([u.step.time_s for u in updates]),
         np.array([u.position_m for u in updates]).reshape(-1, 2),
         np.array([u.step_length_m for u in updates]),
-        np.array([u.mode_prob for u in updates]).reshape(-1, len(config.tracker.modes)),
+        np.array([u.mode_prob for u in updates]).reshape(-1, len(config.model.modes)),
     )
 
 

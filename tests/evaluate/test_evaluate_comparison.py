@@ -94,7 +94,7 @@ def test_in_the_frame_of_the_truth_it_is_as_far_off_as_the_table_says(
 def test_the_sweep_goes_from_always_weighted_to_the_highest(
     walk: pdr.Recording, config: pdr.Config, by_weighting: dict[str, pdr.Track]
 ) -> None:
-    found = comparison.threshold_sweep(walk, config, (0.0, config.tracker.wc_threshold, 1.0))
+    found = comparison.threshold_sweep(walk, config, (0.0, 0.8, 1.0))
     assert found.distance_m[1] == by_weighting["wc"].distance_m
     assert found.distance_m[2] == pytest.approx(by_weighting["hc"].distance_m, rel=1e-9)
     assert found.distance_m[0] != pytest.approx(found.distance_m[2], rel=1e-3)
@@ -110,11 +110,11 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
     config: pdr.Config, by_weighting: dict[str, pdr.Track]
 ) -> None:
     hc = by_weighting["hc"]
-    distance_m, prob = comparison.epoch_distances(hc, config.tracker.modes)
+    distance_m, prob = comparison.epoch_distances(hc, config.model.modes)
     assert distance_m.shape == (len(prob) - 1, len(CONTEXTS))
     ends_s = hc.windows.time_s
     inside = (hc.time_s > ends_s[0]) & (hc.time_s <= ends_s[-1])
-    static = config.tracker.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
+    static = config.model.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
     assert distance_m[:, CONTEXTS.index("upstairs")].sum() == pytest.approx(static * inside.sum())
     totals = weighted_distances(distance_m, prob, HC)
     assert totals.total_final_m[-1] == pytest.approx(hc.step_length_m[inside].sum(), rel=0.1)
@@ -122,4 +122,4 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
 
 def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:
     with pytest.raises(ValueError, match="one mode for each"):
-        comparison.epoch_distances(by_weighting["hc"], config.tracker.modes[:-1])
+        comparison.epoch_distances(by_weighting["hc"], config.model.modes[:-1])

@@ -410,7 +410,7 @@ class _Walk:
 def _walk(recording: Recording, config: Config) -> _Walk:
     """The walk of a recording; its true distance, where it has no positions, that of its steps in the true contexts."""
     found: Track = track(recording, config.with_weighting("imm"))
-    modes: tuple[Mode, ...] = config.tracker.modes
+    modes: tuple[Mode, ...] = config.model.modes
     distance_m, context_prob = epoch_distances(found, modes)
     ends_s = found.windows.time_s
     context = _context_at(recording, 0.5 * (ends_s[1:] + ends_s[:-1]))
@@ -453,8 +453,8 @@ def _calibrated(config: Config, walk: Recording) -> Config:
         # of few parts the smallest solution: the change with cadence and variance is then not known, and small
         theta = np.linalg.lstsq(np.array(rows), np.full(len(rows), 10.0), rcond=1e-3)[0]
         fits[context] = StepLengthFit(FrequencyVarianceStepLength(), theta, np.zeros((3, 3)), 0.06)
-    modes = tuple(replace(m, step_length=fits.get(m.context, m.step_length)) for m in config.tracker.modes)
-    return replace(config, tracker=replace(config.tracker, modes=modes))
+    modes = tuple(replace(m, step_length=fits.get(m.context, m.step_length)) for m in config.model.modes)
+    return config.with_model(modes=modes)
 
 
 # --- Tables ----------------------------------------------------------------------------------------------------------

@@ -52,7 +52,7 @@ from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import Samples
 
 WALKING, UPSTAIRS, RUNNING = (CONTEXTS.index(c) for c in ("walking", "upstairs", "running"))
-DEFAULT = default().tracker
+DEFAULT = default().model
 
 
 def as_of(recording: Recording, dataset: str, person: str) -> Recording:
@@ -390,19 +390,19 @@ def test_a_configuration_takes_matrix_and_exponents_and_keeps_all_else(tmp_path:
     config = default()
     for given in (some(), some().save(tmp_path), str(tmp_path / "transitions.json")):
         changed = with_transitions(config, given)
-        np.testing.assert_array_equal(changed.tracker.transition_prob, some().transition_prob)
-        assert (changed.tracker.evidence_exponent, changed.tracker.prior_exponent) == (0.7, 0.1)
-        assert changed.sensing is config.sensing and changed.tracker.modes is config.tracker.modes
-        assert changed.tracker.noise == config.tracker.noise and changed.name == config.name
+        np.testing.assert_array_equal(changed.model.transition_prob, some().transition_prob)
+        assert (changed.model.evidence_exponent, changed.model.prior_exponent) == (0.7, 0.1)
+        assert changed.sensing is config.sensing and changed.model.modes is config.model.modes
+        assert changed.model.noise == config.model.noise and changed.name == config.name
 
 
 def test_transitions_follow_the_order_of_the_modes() -> None:
     config = default()
     order = [3, 1, 5, 0, 4, 2]
-    modes = tuple(config.tracker.modes[i] for i in order)
+    modes = tuple(config.model.modes[i] for i in order)
     matrix = estimate_transitions(np.arange(36.0).reshape(6, 6), context_transitions())
-    tracker = replace(config.tracker, modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
-    changed = with_transitions(replace(config, tracker=tracker), some(transition_prob=matrix)).tracker
+    config = config.with_model(modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
+    changed = with_transitions(config, some(transition_prob=matrix)).model
     for i, before in enumerate(modes):
         for j, after in enumerate(modes):
             expected = matrix[CONTEXTS.index(before.context), CONTEXTS.index(after.context)]
@@ -411,9 +411,9 @@ def test_transitions_follow_the_order_of_the_modes() -> None:
 
 def test_modes_that_are_not_the_contexts_each_once_are_refused() -> None:
     config = default()
-    two = replace(config.tracker, modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
+    two = config.with_model(modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
     with pytest.raises(ValueError, match=r"'default' has modes of \['stationary', 'walking'\]"):
-        with_transitions(replace(config, tracker=two), some())
+        with_transitions(two, some())
 
 
 def test_with_the_default_transitions_the_track_is_the_same_and_with_others_its_contexts_are_not(

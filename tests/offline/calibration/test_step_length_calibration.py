@@ -631,9 +631,9 @@ def test_the_filter_walks_a_calibrated_length_with_its_uncertainty(walk: tuple[R
     assert any("step lengths of simulated: walking" in note for note in own.notes)
     stranger = found.config(pdr.recipes.default(), Subject(id="somebody"))
     known = found.config(pdr.recipes.default(), recording.subject)
-    assert known.tracker.noise.log_scale_std < 0.6 * stranger.tracker.noise.log_scale_std
+    assert known.model.noise.log_scale_std < 0.6 * stranger.model.noise.log_scale_std
     # contexts without segments keep their lengths
-    for before, after in zip(pdr.recipes.default().tracker.modes, known.tracker.modes, strict=True):
+    for before, after in zip(pdr.recipes.default().model.modes, known.model.modes, strict=True):
         assert (after.step_length is before.step_length) == (after.context != "walking")
 
 

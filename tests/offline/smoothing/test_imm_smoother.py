@@ -9,7 +9,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
 from pdr_filter.filter import imm
-from pdr_filter.offline.smoothing.imm_smoother import Estimate, Transition, smooth
+from pdr_filter.filter.imm import ModeEstimates, Transition
+from pdr_filter.offline.smoothing.imm_smoother import smooth
 
 H = np.array([[1.0, 0.0]])
 R = np.array([[0.5]])
@@ -17,7 +18,7 @@ R = np.array([[0.5]])
 
 def forward(
     F: np.ndarray, Q: np.ndarray, M: np.ndarray, prior: np.ndarray, measured: np.ndarray
-) -> tuple[list[Estimate], list[Transition]]:
+) -> tuple[list[ModeEstimates], list[Transition]]:
     """The filter over measurements of the first state, one at each time; the modes differ in F (M, n, n) and Q."""
     n_modes, n = len(F), F.shape[1]
     mean, cov, prob = np.zeros((n_modes, n)), np.tile(np.eye(n), (n_modes, 1, 1)), prior
@@ -29,7 +30,7 @@ def forward(
             transitions.append(Transition(M, origin, mean, F, Q))
         mean, cov, log_likelihood, _ = imm.update(mean, cov, np.array([z]), H, R)
         prob = imm.update_mode_prob(prob, log_likelihood)
-        filtered.append(Estimate(mean, cov, prob))
+        filtered.append(ModeEstimates(mean, cov, prob))
     return filtered, transitions
 
 
@@ -95,7 +96,7 @@ def test_modes_that_move_alike_are_smoothed_as_by_forward_and_backward(seed: int
             prob = prob @ M
             transitions.append(Transition(M, np.zeros((3, 1)), np.zeros((3, 1)), still, still))
         prob = imm.update_mode_prob(prob, log_likelihood)
-        filtered.append(Estimate(np.zeros((3, 1)), still, prob))
+        filtered.append(ModeEstimates(np.zeros((3, 1)), still, prob))
     alpha, beta = [prior * np.exp(evidence[0])], [np.ones(3)]
     for log_likelihood in evidence[1:]:
         alpha.append((alpha[-1] @ M) * np.exp(log_likelihood))
@@ -125,8 +126,8 @@ def test_it_is_closer_to_the_exact_answer_than_the_filter() -> None:
 def test_a_mode_that_is_impossible_in_hindsight_has_no_probability_and_finite_numbers() -> None:
     still = np.eye(1)[None].repeat(2, axis=0)
     filtered = [
-        Estimate(np.zeros((2, 1)), still, np.array([0.5, 0.5])),
-        Estimate(np.zeros((2, 1)), still, np.array([1.0, 0.0])),
+        ModeEstimates(np.zeros((2, 1)), still, np.array([0.5, 0.5])),
+        ModeEstimates(np.zeros((2, 1)), still, np.array([1.0, 0.0])),
     ]
     smoothed = smooth(filtered, [Transition(np.eye(2), np.zeros((2, 1)), np.zeros((2, 1)), still, still)])
     np.testing.assert_allclose(smoothed[0].mode_prob, [1.0, 0.0])
@@ -136,6 +137,6 @@ def test_a_mode_that_is_impossible_in_hindsight_has_no_probability_and_finite_nu
 
 def test_the_numbers_of_estimates_and_transitions_have_to_fit() -> None:
     still = np.eye(1)[None]
-    one = Estimate(np.zeros((1, 1)), still, np.ones(1))
+    one = ModeEstimates(np.zeros((1, 1)), still, np.ones(1))
     with pytest.raises(ValueError, match="2 estimates need 1 transitions, got 0"):
         smooth([one, one], [])

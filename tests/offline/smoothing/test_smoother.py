@@ -9,9 +9,9 @@ from scipy.optimize import approx_fprime
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
+from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
-from pdr_filter.offline.smoothing.imm_smoother import Estimate, Transition
 from pdr_filter.offline.smoothing.imm_smoother import smooth as rts
 from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
 from pdr_filter.offline.smoothing.smoother import (
@@ -78,7 +78,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
 
     steps, x, state_cov = walk.steps, problem.start_mean, problem.start_cov
     at = {round(f.time_s, 3): f for f in fixes}
-    estimates, transitions = [Estimate(x[None], state_cov[None], np.ones(1))], []
+    estimates, transitions = [ModeEstimates(x[None], state_cov[None], np.ones(1))], []
     for k in range(len(steps)):
         start = found.mean[problem.intervals.index[k]]
         own_frame = frame(start[None])[0]
@@ -97,7 +97,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
         if fix is not None:
             gain = state_cov[:, :2] @ np.linalg.inv(state_cov[:2, :2] + fix.cov_m2)
             x, state_cov = x + gain @ (fix.position_m - x[:2]), state_cov - gain @ state_cov[:2]
-        estimates.append(Estimate(x[None], state_cov[None], np.ones(1)))
+        estimates.append(ModeEstimates(x[None], state_cov[None], np.ones(1)))
     expected = rts(estimates, transitions)[1:]
     np.testing.assert_allclose(mean, [e.mean[0] for e in expected], atol=1e-9)
     np.testing.assert_allclose(cov, [e.cov[0] for e in expected], atol=1e-9)
