@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Any
+from typing import Any, cast
 
 from pdr_filter.filter.alignment import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
 from pdr_filter.sensing.features.barometric import ClimbRate
@@ -25,7 +26,7 @@ class Config:
 
     name: str
     sensing: Sensing
-    tracker: ImmTracker | WeightedTracker
+    tracker: Tracker
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
@@ -38,7 +39,7 @@ class Config:
 
     def with_model(self, **changes: Any) -> Config:
         """The same with other values of some fields of the model."""
-        return replace(self, tracker=replace(self.tracker, model=replace(self.model, **changes)))
+        return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
 
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""

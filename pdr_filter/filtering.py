@@ -9,9 +9,8 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.filter.imm_tracker import ImmState, Passage
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filter.weighted_tracker import WeightedState
+from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
@@ -58,7 +57,7 @@ class State:
     """Everything about a filter that changes."""
 
     sensing: SensingState
-    tracker: ImmState | WeightedState
+    tracker: TrackerState
     barometer: ClimbState
     seen: WindowCounts = WindowCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
@@ -248,11 +247,11 @@ def due_s(config: Config, fix: Fix) -> float:
 
 def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
     if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
-        tracker, outcome, nis = state.tracker, "rejected", np.inf
+        outcome, nis = "rejected", np.inf
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
-    n_rejected = state.n_rejected_fixes + (outcome == "rejected")
-    state = replace(state, tracker=tracker, n_rejected_fixes=n_rejected)
+        state = replace(state, tracker=tracker)
+    state = replace(state, n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"))
     return state, FixResult.of(fix, now_s, outcome, nis)
 
 

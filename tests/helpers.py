@@ -9,9 +9,10 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_filter.filter.imm_tracker import ImmTracker, TrackerOutput
+from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.tracker import TrackerOutput
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording

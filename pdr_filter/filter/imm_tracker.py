@@ -25,6 +25,7 @@ from pdr_filter.filter.pedestrian import (
     with_step,
 )
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
+from pdr_filter.filter.tracker import Passage, TrackerOutput
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.fixes import Fix, FixOutcome
@@ -33,24 +34,6 @@ from pdr_filter.values.step import Step
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
 _STANDSTILL_LOG_EVIDENCE = 12.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Passage:
-    """How one step or gap led the modes on: what a smoother needs."""
-
-    before: ModeEstimates  # with all that is known until then, the walking heading of the step included
-    transition: Transition
-    shared_cov_m2: FloatArray  # (2, 2) after it, of the errors that all steps share
-    is_step: bool
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class TrackerOutput:
-    """What one event brought."""
-
-    updates: tuple[StepUpdate, ...] = ()
-    passages: tuple[Passage, ...] = ()
 
 
 @dataclass(frozen=True, slots=True, eq=False)

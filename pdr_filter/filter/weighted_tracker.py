@@ -12,7 +12,6 @@ import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
 from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
-from pdr_filter.filter.imm_tracker import Passage, TrackerOutput
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, bound_heading_variance, linearise
 from pdr_filter.filter.pedestrian import (
@@ -30,6 +29,7 @@ from pdr_filter.filter.pedestrian import (
     with_step,
 )
 from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, window_after, window_around, with_window
+from pdr_filter.filter.tracker import Passage, TrackerOutput
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.arrays import FloatArray, read_only

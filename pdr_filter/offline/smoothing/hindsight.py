@@ -10,7 +10,7 @@ import numpy as np
 from pdr_filter.config import Config
 from pdr_filter.filter import imm
 from pdr_filter.filter.imm import ModeEstimates
-from pdr_filter.filter.imm_tracker import Passage
+from pdr_filter.filter.tracker import Passage
 from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.imm_smoother import smooth
