@@ -120,7 +120,7 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
     """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
 
-    Give the pressure of a time before the other samples of that time: a window that is classified is not seen anew.
+    Give the pressure of a time before the other samples of that time: a window is classified once.
     """
     barometer, climbs = config.climb_rate.step(state.barometer, time_s, pressure_hpa)
     return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))

@@ -71,7 +71,7 @@ class OnlineFilter:
         return self._advance(imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)).updates
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
-        """Take samples of a barometer, (N,) each: the climb rate tells stairs from flat walking.
+        """Take samples of a barometer, (N,) each: the climb rate distinguishes stairs from flat walking.
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """

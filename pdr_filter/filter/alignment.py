@@ -41,7 +41,7 @@ class Alignment:
     track_centre_m: FloatArray  # (2,)
     world_centre_m: FloatArray  # (2,)
     centre_var_m2: float
-    n_steps: int  # steps that were told in the frame of the start
+    n_steps: int  # steps that were reported in the frame of the start
 
     @property
     def rotation(self) -> FloatArray:

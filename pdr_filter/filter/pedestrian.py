@@ -140,7 +140,7 @@ def with_step(
     `combined` is the combined mean (4,) and covariance (4, 4) after the step. The errors that all steps share add up as
     vectors, not as variances (`shared_m`): what the linear covariance does not know along and across the step, of
     length and direction given (`motion.second_order_errors`); and for each mode the error due to the parameters of its
-    length model, in the mode's own direction. The parameters are off once for a person: taken anew at each step, as if
+    length model, in the mode's own direction. The parameters are off once for a person: drawn again at each step, as if
     they were noise, a run of 300 steps would be ten times too sure.
     """
     x, P = combined

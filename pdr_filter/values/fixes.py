@@ -44,7 +44,7 @@ class PositionFix:
         _check_times(self.time_s, self.received_time_s)
 
 
-# A deviation beyond this says nothing, and its square must stay a number.
+# A standard deviation beyond this says nothing, and its square must stay a number.
 _MAX_STD = 1e100
 
 
@@ -115,7 +115,7 @@ class Standstill:
     time_s, end_s : float
         Begin and end, on the time base of the samples.
     received_time_s : float, optional
-        When it became known, not before `time_s`; steps that were told before are not taken back.
+        When it became known, not before `time_s`; steps that were reported before are not taken back.
     """
 
     time_s: float
