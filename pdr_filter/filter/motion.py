@@ -123,8 +123,8 @@ class MotionNoise:
         How well the phone's first heading is the person's.
     bias_correlation_s : float
         How long an error of the gyroscope's bias lasts; its variance enters the heading as a random walk with this
-        memory. It is short, because the standard deviation at the start is that of a mixture: few phones are off by 0.05 rad/s,
-        most by less than 0.002. With both values the errors of real hand-held walks are about as large as predicted
+        memory. It is short, because the standard deviation at the start is that of a mixture: few phones are off by
+        0.05 rad/s, most by less than 0.002. With both values the errors of real hand-held walks are about as large as predicted
         (docs/benchmarks.md).
     log_scale_std : float
         Spread of people about the population's step lengths: 8 %.
