@@ -14,8 +14,8 @@ from .io.recording import MissingSensorError as MissingSensorError
 from .io.recording import Recording as Recording
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.fixed_lag import FixedLagSmoother as FixedLagSmoother
-from .offline.smoothing.smoother import Smoothed as Smoothed
-from .offline.smoothing.smoother import smooth as smooth
+from .offline.smoothing.smooth import Smoothed as Smoothed
+from .offline.smoothing.smooth import smooth as smooth
 from .online import OnlineFilter as OnlineFilter
 from .recording_run import classify as classify
 from .recording_run import detect_steps as detect_steps

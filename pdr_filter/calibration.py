@@ -7,6 +7,7 @@ import io
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
+from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,20 +17,19 @@ from pdr_filter.config import Config
 from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Subject
-from pdr_filter.offline.calibration.priors import TYPICAL_STEP
-from pdr_filter.offline.calibration.segments import (
-    of_height,
-    slices_of,
-)
 from pdr_filter.values.arrays import FloatArray, Table, read_only, table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.notes import Note
+from pdr_filter.values.step import Step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
 FORMAT_VERSION = 1
+_MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
+# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
+TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 
 
 @dataclass(frozen=True, eq=False)
@@ -135,6 +135,11 @@ class Calibration:
         return tuple(c for c in self.models if c in found and c != "stationary")
 
     @property
+    def main_context(self) -> str:
+        """Walking if it was calibrated, else the first that was."""
+        return "walking" if "walking" in self.contexts or not self.contexts else self.contexts[0]
+
+    @property
     def k(self) -> dict[str, FloatArray]:
         """Parameters of the population in each context."""
         return self._by_context(self.theta)
@@ -192,12 +197,12 @@ class Calibration:
         It has how well the person is known (or how people differ, for somebody who was not calibrated), and how a
         person differs between recordings.
         """
-        context = "walking" if "walking" in self.contexts or not self.contexts else self.contexts[0]
+        context = self.main_context
         fit = self.fits(subject)[context]
         name = subject if isinstance(subject, str) else subject.id if subject else None
         cov = fit.theta_cov if name in self.subject_ids else fit.theta_cov + self.between[context]
-        length, jacobian = length_and_jacobian(fit.model, TYPICAL_STEP, fit.theta)
-        relative = float(np.sqrt(jacobian @ cov @ jacobian)) / max(float(length), 1e-3)
+        length_m, std_m = typical_step_m(fit.model, fit.theta, cov)
+        relative = std_m / max(length_m, 1e-3)
         return float(np.hypot(min(relative, 1.0), self.recording_std))
 
     def config(self, config: Config, subject: Subject | None = None) -> Config:
@@ -220,18 +225,30 @@ class Calibration:
 
     def report(self) -> str:
         """Parameters, errors and doubts as text."""
-        from pdr_filter.offline.calibration.report import text
-
-        return text(self)
+        notes = [f"- {note}" for note in self.notes[:_MOST_NOTES]]
+        if len(self.notes) > _MOST_NOTES:
+            notes.append(f"- and {len(self.notes) - _MOST_NOTES} more notes")
+        parts = [self._parameter_lines(), self._error_lines(), self._people_lines(), notes]
+        return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
     def _repr_markdown_(self) -> str:
         return f"```\n{self.report()}\n```"
 
     def plot(self, path: str | Path | None = None) -> Figure:
-        """Figure of people and residuals, saved if a path is given."""
-        from pdr_filter.offline.calibration.report import figure
+        """Known against predicted lengths of the segments and people with 95 % intervals, saved if a path is given.
 
-        return figure(self, path)
+        People are compared by the length in m of one and the same step, at one height, so that every model has the same
+        unit and people differ by their parameters alone: J cov J' is its variance, J = dL / dtheta.
+        """
+        from pdr_filter.report.calibration import plot_calibration
+
+        main = self.main_context
+        model, people = self.models[main], self.subjects
+        lengths = {name: typical_step_m(model, p.k[main], p.k_cov[main]) for name, p in people.items()}
+        # A parameter that is each person's own without a tie has an infinite spread: there is no band then.
+        spread = np.where(np.isfinite(self.between[main]), self.between[main], np.nan)
+        population = typical_step_m(model, self.k[main], spread)
+        return plot_calibration(self.segments, main, lengths, population, path)
 
     def save(self, path: str | Path) -> Path:
         """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""
@@ -263,11 +280,91 @@ class Calibration:
         target.write_text(text, encoding="utf-8")
         return target
 
+    def _parameter_lines(self) -> list[str]:
+        rows, n_people = self.segments, len(self.subject_ids)
+        lines = [
+            f"{len(rows)} segments, {rows.distance_m.sum():.0f} m, {len(set(rows.recording))} recordings, "
+            f"{n_people} {'person' if n_people == 1 else 'people'}",
+            "",
+            f"{'context':<12}{'segments':>9}  {'model':<28}{'population: k +- std (people differ by)'}",
+        ]
+        for name in self.contexts:
+            k, std = self.k[name], np.sqrt(np.diagonal(self.k_cov[name]))
+            between = np.sqrt(np.diagonal(self.between[name]))
+            values = ", ".join(
+                f"{a:.4g}" + (f" +- {b:.2g}" if b > 0 else " held") + (f" ({d:.2g})" if d > 0 else "")
+                for a, b, d in zip(k, std, between, strict=True)
+            )
+            lines.append(f"{name:<12}{self.n_segments[name]:>9.1f}  {type(self.models[name]).__name__:<28}{values}")
+            lines.append(f"{'':<23}residual {self.residual_std_m[name]:.3f} m a step")
+        return [*lines, f"between recordings of one person: {100 * self.recording_std:.1f} %"]
+
+    def _error_lines(self) -> list[str]:
+        lines = ["error of segments in %: bias, spread, RMS", f"{'':<34}{'bias':>7}{'spread':>8}{'RMS':>7}"]
+        for label, column in (
+            ("uncalibrated (prior)", "uncalibrated_m"),
+            ("calibrated, in sample", "predicted_m"),
+            ("calibrated, segment left out", "left_out_m"),
+            ("calibrated, person left out", "stranger_m"),
+        ):
+            bias, spread, rms = _errors_percent(self.segments[column], self.segments.distance_m)
+            missing = "needs two people" if len(self.subject_ids) < 2 else "not determined"
+            values = f"{bias:>+7.1f}{spread:>8.1f}{rms:>7.1f}" if np.isfinite(rms) else f"{missing:>22}"
+            lines.append(f"{label:<34}{values}")
+        return lines
+
+    def _people_lines(self) -> list[str]:
+        main, people, rows = self.main_context, self.subjects, cast(Any, self.segments)
+        lines = [f"{'person':<34}{'segments':>9}  k of {main} +- std{'':>10}left out: bias, RMS %"]
+        for name in self.subject_ids[:_MOST_PEOPLE]:
+            person = people[name]
+            own = rows[rows.subject == name]
+            bias, _, rms = _errors_percent(own.left_out_m, own.distance_m)
+            std = np.sqrt(np.diagonal(person.k_cov[main]))
+            values = ", ".join(f"{a:.4g} +- {b:.2g}" for a, b in zip(person.k[main], std, strict=True) if b > 0)
+            lines.append(f"{_shortened(name):<34}{person.n_segments:>9}  {values:<28}{bias:>+7.1f}{rms:>7.1f}")
+        if len(self.subject_ids) > _MOST_PEOPLE:
+            lines.append(f"and {len(self.subject_ids) - _MOST_PEOPLE} more people")
+        return lines
+
     def _by_context(self, theta: FloatArray) -> dict[str, FloatArray]:
         return {name: theta[part] for name, part in slices_of(self.models)[0].items()}
 
     def _blocks(self, cov: FloatArray) -> dict[str, FloatArray]:
         return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
+
+
+def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
+    """Where the parameters of each context are in theta (P,), and P."""
+    ends = np.cumsum([0, *(m.n_params for m in models.values())])
+    return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
+
+
+def of_height(model: StepLengthModel, height_m: float | None) -> StepLengthModel:
+    """The model for a person of this height; itself if it takes no height or none is known."""
+    if height_m is None or not hasattr(model, "height_m"):
+        return model
+    return replace(model, height_m=float(height_m))  # pyright: ignore[reportArgumentType, reportCallIssue, reportUnknownVariableType, reportGeneralTypeIssues, reportTypeVar]
+
+
+def typical_step_m(model: StepLengthModel, theta: FloatArray, cov: FloatArray) -> tuple[float, float]:
+    """Length of a typical step and its standard deviation under the covariance of theta, both in m."""
+    length, jacobian = length_and_jacobian(model, TYPICAL_STEP, theta)
+    return float(length), float(np.sqrt(jacobian @ cov @ jacobian))
+
+
+def _errors_percent(predicted_m: FloatArray, distance_m: FloatArray) -> tuple[float, float, float]:
+    """Bias, spread and RMS of the relative errors in %, NaN if there are none."""
+    error = 100 * (predicted_m / distance_m - 1)
+    error = error[np.isfinite(error)]
+    if len(error) == 0:
+        return np.nan, np.nan, np.nan
+    return float(error.mean()), float(error.std()), float(np.sqrt((error**2).mean()))
+
+
+def _shortened(name: str) -> str:
+    """A long name without its middle: its ends distinguish recordings."""
+    return name if len(name) <= 32 else f"{name[:19]}...{name[-10:]}"
 
 
 def load_calibration(path: str | Path) -> Calibration:

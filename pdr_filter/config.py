@@ -13,6 +13,7 @@ from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.walking_direction import WalkingDirection
 from pdr_filter.values.notes import Note
 
 
@@ -31,6 +32,14 @@ class Config:
     needs: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
+
+    def __post_init__(self) -> None:
+        heading, drift = self.sensing.heading, self.model.noise.heading_drift
+        if isinstance(heading, WalkingDirection) and heading.drift != drift:
+            raise ValueError(
+                f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
+                "one HeadingDrift to both"
+            )
 
     @property
     def model(self) -> PedestrianModel:

@@ -49,6 +49,7 @@ from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
@@ -173,19 +174,20 @@ def default(subject: Subject | None = None) -> Config:
     step scale, is 6.5 % for a known height and 8 % without (docs/methods/step_length.md).
     """
     height_m = subject.height_m if subject else None
+    drift = HeadingDrift()
     return Config(
         name="default",
         sensing=Sensing(
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
             contexts=learned_contexts(_model("context"), "invariant"),
-            heading=WalkingDirection(),
+            heading=WalkingDirection(drift=drift),
         ),
         tracker=ImmTracker(
             PedestrianModel(
                 modes=context_modes(bounce_fit(height_m)),
                 transition_prob=context_transitions(),
-                noise=MotionNoise(log_scale_std=0.08 if height_m is None else 0.065),
+                noise=MotionNoise(heading_drift=drift, log_scale_std=0.08 if height_m is None else 0.065),
             )
         ),
         notes=_height_note(height_m, _HEIGHT_M),

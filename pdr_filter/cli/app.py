@@ -307,7 +307,7 @@ def smooth(
     """Smooth a whole recording against its waypoints."""
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
-    from pdr_filter.offline.smoothing.smoother import waypoint_fixes
+    from pdr_filter.offline.smoothing.observations import waypoint_fixes
 
     with _one_line_errors(), _progress("smoothing"):
         recording = pdr.read(file, file_format)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -16,11 +16,12 @@ from pdr_filter.filter.step_length import StepLengthFit
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.step import Step
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
-# What a mode may be of besides a context: motion of the phone that moves nobody, as the gate against it calls it.
+# Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
 IRREGULAR = "irregular"
 
 
@@ -115,38 +116,33 @@ class MotionNoise:
 
     Parameters
     ----------
-    heading_drift_rad_per_sqrt_s : float
-        Random walk of the heading offset: what the bias does not explain, and the body's turning against the phone.
-    unknown_heading_rad_per_sqrt_s : float
-        The same while no angular rate is measured: after a few seconds nothing is known.
+    heading_drift : HeadingDrift
+        Of the heading offset in all modes.
     initial_heading_offset_std_rad : float
         How well the phone's first heading is the person's.
-    bias_correlation_s : float
-        How long an error of the gyroscope's bias lasts; its variance enters the heading as a random walk with this
-        memory. It is short, because the standard deviation at the start is that of a mixture: few phones are off by
-        0.05 rad/s, most by less than 0.002. With both values the errors of real hand-held walks are about as large as predicted
-        (docs/benchmarks.md).
     log_scale_std : float
         Spread of people about the population's step lengths: 8 %.
     log_scale_drift_per_sqrt_step : float
         How fast a person's scale wanders. It keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2,
-        which forgets in 13,000 steps, so that after a day nothing is less known than of a stranger.
+        which forgets in 13,000 steps, so that after a day the scale is not less known than that of a stranger.
     gap_speed_mps : float
         In a gap the pedestrian may have gone anywhere at this speed (one standard deviation).
     """
 
-    heading_drift_rad_per_sqrt_s: float = 0.008
-    unknown_heading_rad_per_sqrt_s: float = 1.0
+    heading_drift: HeadingDrift = field(default_factory=HeadingDrift)
     initial_heading_offset_std_rad: float = 0.15
-    bias_correlation_s: float = 3.0
     log_scale_std: float = 0.08
     log_scale_drift_per_sqrt_step: float = 0.001
     gap_speed_mps: float = 1.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
+            if name != "heading_drift" and not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be 0 or more and finite, got {value}")
+
+    def gap_var_m2(self, gap_s: FloatArray | float) -> FloatArray:
+        """Variance of the position along each axis that a time without samples adds."""
+        return np.asarray((self.gap_speed_mps * gap_s) ** 2)
 
     @property
     def log_scale_drift_var(self) -> float:
@@ -250,46 +246,73 @@ def linearise(
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Predicted means (..., M, 4), F (..., M, 4, 4) and Q (..., M, 4, 4) of a step, one length for each mode.
 
-    p_k = p_{k-1} + L e^s [sin psi, cos psi], psi = device heading + heading offset state + the mode's own offset;
-    s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}, and Q from the variances of length and direction:
-    Q_p = (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v' + var(extra) I, u along and v across the step. The heading
-    offset wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the
-    table drifts too.
+    p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}. The heading offset
+    wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table
+    drifts too.
     """
     elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
-    scaled_m = length_m * np.exp(mean[..., LOG_SCALE])
-    psi = step.device_heading_rad + mean[..., HEADING_OFFSET] + directions.heading_offset_rad
-    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
-    across = np.stack([np.cos(psi), -np.sin(psi)], axis=-1)  # d along / d psi
-    displacement = scaled_m[..., None] * along
-
+    move = step_motion(
+        step.device_heading_rad, mean[..., HEADING_OFFSET], mean[..., LOG_SCALE], length_m, length_var_m2, directions
+    )
     predicted_mean = mean.copy()
-    predicted_mean[..., :2] += displacement
+    predicted_mean[..., :2] += move.displacement_m
     predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
     F = np.broadcast_to(np.eye(N_STATES), (*mean.shape, N_STATES)).copy()
-    F[..., :2, HEADING_OFFSET] = scaled_m[..., None] * across
-    F[..., :2, LOG_SCALE] = displacement
+    F[..., :2, HEADING_OFFSET] = move.length_m[..., None] * move.across
+    F[..., :2, LOG_SCALE] = move.displacement_m
     F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
 
-    var_along = np.exp(2 * mean[..., LOG_SCALE]) * length_var_m2
-    var_across = scaled_m**2 * directions.heading_var_rad2
     Q = np.zeros_like(F)
     Q[..., :2, :2] = (
-        var_along[..., None, None] * along[..., :, None] * along[..., None, :]
-        + var_across[..., None, None] * across[..., :, None] * across[..., None, :]
+        move.var_along_m2[..., None, None] * move.along[..., :, None] * move.along[..., None, :]
+        + move.var_across_m2[..., None, None] * move.across[..., :, None] * move.across[..., None, :]
         + directions.extra_var_m2[..., None, None] * np.eye(2)
     )
-    unknown_s = np.minimum(step.heading_unknown_s, elapsed_s)
-    drift_rad2_per_s = (
-        noise.heading_drift_rad_per_sqrt_s**2
-        + 2 * noise.bias_correlation_s * step.yaw_bias_std_radps**2
-        + directions.drift_rad2_per_s
+    measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
+        elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
     )
-    Q[..., HEADING_OFFSET, HEADING_OFFSET] = (
-        drift_rad2_per_s * (elapsed_s - unknown_s) + noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s
-    )
+    Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
     Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
     return predicted_mean, F, Q
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepMotion:
+    """Where steps lead and how unsure that is, for arrays of steps or pedestrians (...) and M modes.
+
+    d = L e^s u, u = [sin psi, cos psi], psi = device heading + heading offset + the mode's own offset, and its
+    covariance (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step.
+    """
+
+    along: FloatArray  # (..., M, 2) u
+    across: FloatArray  # (..., M, 2) v = d u / d psi
+    length_m: FloatArray  # (..., M) L e^s
+    displacement_m: FloatArray  # (..., M, 2) d
+    var_along_m2: FloatArray  # (..., M)
+    var_across_m2: FloatArray  # (..., M)
+
+
+def step_motion(
+    device_heading_rad: FloatArray | float,
+    heading_offset_rad: FloatArray | float,
+    log_scale: FloatArray | float,
+    length_m: FloatArray,
+    length_var_m2: FloatArray,
+    directions: Directions,
+    weight: FloatArray | float = 1.0,
+) -> StepMotion:
+    """`StepMotion` of lengths (..., M); the variances are multiplied by a weight, a mode's probability in a mixture."""
+    scaled_m = length_m * np.exp(log_scale)
+    psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
+    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    return StepMotion(
+        along=along,
+        across=np.stack([along[..., 1], -along[..., 0]], axis=-1),
+        length_m=scaled_m,
+        displacement_m=scaled_m[..., None] * along,
+        var_along_m2=weight * (np.exp(2 * log_scale) * length_var_m2),
+        var_across_m2=weight * scaled_m**2 * directions.heading_var_rad2,
+    )
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
@@ -321,8 +344,8 @@ def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[
 def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:
     """Covariances (M, 4, 4) after a time without samples: any way walked, any turn taken."""
     grown = cov.copy()
-    walked = (noise.gap_speed_mps * gap_s) ** 2
+    walked = noise.gap_var_m2(gap_s)
     grown[:, EAST, EAST] += walked
     grown[:, NORTH, NORTH] += walked
-    grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.unknown_heading_rad_per_sqrt_s**2 * gap_s
+    grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.heading_drift.unmeasured_rad2(gap_s)
     return bound_heading_variance(grown)

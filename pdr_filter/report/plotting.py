@@ -64,11 +64,16 @@ def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: Fl
     _write_title(plane, track)
     _write_notes(figure, track.notes)
     if path is not None:
-        path = Path(path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
-            figure.savefig(path, dpi=120)
+        save(figure, path)
     return figure
+
+
+def save(figure: Figure, path: str | Path) -> None:
+    """Save a figure with its fonts; the suffix gives the format, folders are created."""
+    path = Path(path)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
+        figure.savefig(path, dpi=120)
 
 
 def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:

@@ -22,7 +22,7 @@ class TrackRows:
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
     lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
-    from one context to another, earlier steps count differently and a position may move by more or less than its length.
+    from one context to another, earlier steps count differently and a position may move by more or less than its step.
     """
 
     name: str

@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 import pdr_filter as pdr
 from pdr_filter.filter.step_length import KimStepLength, WeinbergStepLength
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.calibration.estimation import Estimate, Hierarchy
+from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.fit import DEFAULT_PRIORS, hierarchy_of, solve_sums
 from pdr_filter.offline.calibration.priors import StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
@@ -62,7 +62,7 @@ def percent(predicted: FloatArray, true: FloatArray) -> str:
     return f"{error.mean():+.1f}, {error.std():.1f}, {np.sqrt((error**2).mean()):.1f}"
 
 
-def fitted(sums: SegmentSums, priors: dict[str, StepLengthPrior]) -> Estimate:
+def fitted(sums: SegmentSums, priors: dict[str, StepLengthPrior]) -> ParameterEstimate:
     models = {name: p.model for name, p in priors.items()}
     return solve_sums(sums, hierarchy_of(priors), models)
 
@@ -254,8 +254,6 @@ def simulated(
 
 def coverage(n_runs: int = 500) -> None:
     """How often 95 % intervals have the truth."""
-    from pdr_filter.offline.calibration.estimation import estimate
-
     print(f"\n{n_runs} simulated calibrations: share of 95 % intervals with the truth; RMS error of k0 in cm")
     print("| people x segments | wrong segments | loss | k0 of people | k0 | k1 | k2 | people RMS | population RMS |")
     print("|---|---|---|---|---|---|---|---|---|")
@@ -272,7 +270,7 @@ def coverage(n_runs: int = 500) -> None:
         own, shared, square = [], [], []
         for _ in range(n_runs):
             sums, prior, population, people = simulated(rng, n_people, per_person, outliers)
-            e = estimate(sums, prior, loss)
+            e = estimate_parameters(sums, prior, loss)
             std = np.sqrt(np.diagonal(e.people_cov, axis1=1, axis2=2))
             own.append(np.abs(e.people - people)[:, 0] < 1.96 * std[:, 0])
             shared.append(np.abs(e.population - population) < 1.96 * np.sqrt(np.diagonal(e.population_cov)))
@@ -291,15 +289,13 @@ def coverage(n_runs: int = 500) -> None:
 
 def speed() -> None:
     """Time and memory."""
-    from pdr_filter.offline.calibration.estimation import estimate
-
     rng = np.random.default_rng(3)
     sums, prior, _, _ = simulated(rng, 15, 33, contexts=6)
-    estimate(sums, prior)
+    estimate_parameters(sums, prior)
     taken = []
     for loss in ("none", "gnc"):
         began = time.process_time()
-        e = estimate(sums, prior, loss)
+        e = estimate_parameters(sums, prior, loss)
         taken.append(f"{loss} {time.process_time() - began:.3f} s ({e.n_iterations} iterations)")
     print(f"\n15 people x 6 contexts x 33 segments, all variances estimated: {', '.join(taken)}")
     print("| segments | people | s of processor | iterations | us a segment | peak memory GiB |")
@@ -308,7 +304,7 @@ def speed() -> None:
         people = min(max(n // 200, 5), 5000)
         sums, prior, _, _ = simulated(rng, people, n // people // 6, contexts=6)
         began = time.process_time()
-        e = estimate(sums, prior)
+        e = estimate_parameters(sums, prior)
         seconds = time.process_time() - began
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
         print(

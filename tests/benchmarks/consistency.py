@@ -155,7 +155,7 @@ def simulated_walk(
         length_m = max(float(length_m), 0.0) + float(jacobian @ off[mode]) + fit.residual_std_m * rng.normal()
         psi = heading_rad + offset + modes[mode].heading_offset_rad + modes[mode].heading_std_rad * rng.normal()
         position_m = position_m + length_m * np.exp(scale) * np.array([np.sin(psi), np.cos(psi)])
-        offset += noise.heading_drift_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal()
+        offset += noise.heading_drift.random_walk_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal()
         scale = noise.log_scale_memory * scale + np.sqrt(noise.log_scale_drift_var) * rng.normal()
         states.append([*position_m, offset, scale])
     contexts = np.array([CONTEXTS.index(modes[m].context) for m in chosen])

@@ -24,7 +24,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pdr_filter.filter.tracking import StepUpdate
 from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
@@ -42,6 +41,7 @@ from pdr_filter.classifiers.transitions import (
 )
 from pdr_filter.config import Config
 from pdr_filter.filter.imm import smoothed_mode_prob
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.recipes import context_transitions, default, with_context_model

@@ -20,13 +20,16 @@ from pathlib import Path
 import gtsam
 import numpy as np
 from accuracy import aligned
+from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 
 import pdr_filter as pdr
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother
+from pdr_filter.offline.smoothing.observations import Observations, waypoint_fixes
 from pdr_filter.offline.smoothing.preintegration import bridge, frame
-from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
-from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, Problem, estimate, pose_problem, smooth, waypoint_fixes
+from pdr_filter.offline.smoothing.problem import NO_OFFSETS, Problem, pose_problem
+from pdr_filter.offline.smoothing.smooth import smooth
+from pdr_filter.offline.smoothing.solve import solve
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 from simulated_steps import Walk, simulated_walk
@@ -37,13 +40,14 @@ WIDE_RAD = float(np.pi / np.sqrt(3))
 def problem_of(walk: Walk, fixes: list[pdr.PositionFix]) -> Problem:
     centre = np.mean([f.position_m for f in fixes], axis=0)
     start_cov = np.diag(np.square([1000.0, 1000.0, WIDE_RAD, 0.06]))
-    return pose_problem(walk.steps, np.array([*centre, 0, 0]), start_cov, fixes, (), (), NO_OFFSETS, WIDE_RAD, 10.0)
+    start_mean, observed = np.array([*centre, 0, 0]), Observations(tuple(fixes))
+    return pose_problem(walk.steps, start_mean, start_cov, observed, NO_OFFSETS, WIDE_RAD, anchor_interval_s=10.0)
 
 
 def smoothed(walk: Walk, fixes: list[pdr.PositionFix]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     problem = problem_of(walk, fixes)
-    found = estimate(problem)
-    return *bridge(problem.intervals, found.mean, found.joint_cov), found.place_weight
+    found = solve(problem)
+    return *bridge(problem.intervals, found.mean, found.joint_cov), found.weight
 
 
 def by_custom_factors(walk: Walk, fixes: list[pdr.PositionFix], begin: np.ndarray) -> tuple[np.ndarray, int]:
@@ -109,7 +113,7 @@ def speed() -> None:
             print(f"| {n_steps} | {every / 2:.0f} s | {min(took):.2f} | - | - | - |", flush=True)
             continue
         problem = problem_of(walk, fixes)
-        begin = np.vstack([estimate(problem).mean[:1], mean])
+        begin = np.vstack([solve(problem).mean[:1], mean])
         start = time.perf_counter()
         single, iterations = by_custom_factors(walk, fixes, begin)
         custom = time.perf_counter() - start

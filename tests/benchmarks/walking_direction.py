@@ -98,8 +98,8 @@ def believed(steps: list[Step]) -> tuple[FloatArray, FloatArray, BoolArray]:
     result: list[tuple[float, float, bool]] = []
     for step in steps:
         elapsed_s = step.duration_s if last_s is None else step.time_s - last_s
-        variance += NOISE.heading_drift_rad_per_sqrt_s**2 * elapsed_s
-        variance += 2 * NOISE.bias_correlation_s * step.yaw_bias_std_radps**2 * elapsed_s
+        variance += NOISE.heading_drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
+        variance += 2 * NOISE.heading_drift.bias_correlation_s * step.yaw_bias_std_radps**2 * elapsed_s
         variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
         last_s = step.time_s
         if np.isfinite(step.walking_direction_std_rad):

@@ -29,9 +29,10 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.step import Step
 
-STILL = MotionNoise(heading_drift_rad_per_sqrt_s=0.0, log_scale_drift_per_sqrt_step=0.0)
+STILL = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.0), log_scale_drift_per_sqrt_step=0.0)
 NO_COV = np.zeros((1, 4, 4))
 
 
@@ -150,7 +151,7 @@ def test_n_equal_steps_add_up_in_closed_form() -> None:
 
 
 def test_heading_and_scale_drift_with_time_and_steps() -> None:
-    noise = MotionNoise(heading_drift_rad_per_sqrt_s=0.02, log_scale_drift_per_sqrt_step=0.003)
+    noise = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02), log_scale_drift_per_sqrt_step=0.003)
     _, cov = advance_one(np.zeros(4), step=a_step(duration_s=0.5), noise=noise)
     assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(0.02**2 * 0.5)
     assert cov[LOG_SCALE, LOG_SCALE] == pytest.approx(0.003**2)
@@ -195,7 +196,7 @@ def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_
     noise = MotionNoise()
     step = a_step(duration_s=0.5, heading_unknown_s=0.5)
     _, cov = advance_one(np.zeros(4), step=step, noise=noise)
-    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.unknown_heading_rad_per_sqrt_s**2 * 0.5)
+    assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5)
     mean = np.zeros(4)
     for _ in range(100):
         mean, cov = advance_one(mean, cov, step, noise=noise)
@@ -230,7 +231,7 @@ def test_every_mode_moves_on_its_own() -> None:
 
 @pytest.mark.parametrize("gap_s", [0.5, 2.0, 60.0])
 def test_a_gap_widens_the_position_by_the_way_that_may_have_been_walked(gap_s: float) -> None:
-    noise = MotionNoise(gap_speed_mps=1.2, unknown_heading_rad_per_sqrt_s=0.7)
+    noise = MotionNoise(HeadingDrift(unknown_rad_per_sqrt_s=0.7), gap_speed_mps=1.2)
     cov = np.tile(np.diag([1.0, 2.0, 0.01, 0.02]), (2, 1, 1))
     grown = grow_over_gap(cov, gap_s, noise)
     heading = min(0.01 + 0.7**2 * gap_s, np.pi**2 / 3)
@@ -259,7 +260,9 @@ def test_the_predicted_covariance_is_that_of_many_simulated_walks() -> None:
         length = (0.7 + 0.06 * rng.normal(size=n_walks)) * np.exp(walks[:, 3])
         psi = step.device_heading_rad + walks[:, 2] + 0.1 * rng.normal(size=n_walks)
         walks[:, :2] += length[:, None] * np.column_stack([np.sin(psi), np.cos(psi)])
-        walks[:, 2] += noise.heading_drift_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal(size=n_walks)
+        walks[:, 2] += (
+            noise.heading_drift.random_walk_rad_per_sqrt_s * np.sqrt(step.duration_s) * rng.normal(size=n_walks)
+        )
         walks[:, 3] += noise.log_scale_drift_per_sqrt_step * rng.normal(size=n_walks)
     error = (walks - mean)[:, :2]
     nees = np.einsum("ni,ij,nj->n", error, np.linalg.inv(cov[:2, :2]), error)
@@ -323,6 +326,8 @@ def test_noise_and_fits_that_cannot_be_are_refused() -> None:
         MotionNoise(log_scale_std=np.nan)
     with pytest.raises(ValueError, match="gap_speed_mps must be 0 or more and finite, got -1"):
         MotionNoise(gap_speed_mps=-1.0)
+    with pytest.raises(ValueError, match="bias_correlation_s must be"):
+        HeadingDrift(bias_correlation_s=-1.0)
     model = FrequencyVarianceStepLength()
     for theta_cov in (-np.eye(3), np.eye(3) * np.nan, np.array([[1.0, 0.5, 0], [0, 1.0, 0], [0, 0, 1.0]])):
         with pytest.raises(ValueError, match="theta_cov must be symmetric and not negative"):
@@ -336,7 +341,9 @@ def test_the_heading_wanders_while_nobody_steps() -> None:
     step = a_step(duration_s=0.5)
     arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), walking([0.0], [0.0]), noise)
     _, rested = advance(*arguments, elapsed_s=600.0)
-    assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(noise.heading_drift_rad_per_sqrt_s**2 * 600)
+    assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(
+        noise.heading_drift.random_walk_rad_per_sqrt_s**2 * 600
+    )
 
 
 # --- what samples show of the walking direction -----------------------------------------------------------------------
@@ -395,7 +402,7 @@ def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_be
 
 
 def test_a_bias_of_the_gyroscope_makes_the_heading_less_known_by_its_variance_and_memory() -> None:
-    noise = replace(STILL, bias_correlation_s=20.0)
+    noise = replace(STILL, heading_drift=HeadingDrift(random_walk_rad_per_sqrt_s=0.0, bias_correlation_s=20.0))
     step = replace(a_step(duration_s=0.5), yaw_bias_std_radps=0.01)
     _, cov = advance_one(np.zeros(4), step=step, noise=noise)
     assert cov[HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(2 * 20.0 * 0.01**2 * 0.5)

@@ -202,7 +202,7 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
             [
                 0,
                 0,
-                noise.heading_drift_rad_per_sqrt_s**2 * elapsed_s,
+                noise.heading_drift.random_walk_rad_per_sqrt_s**2 * elapsed_s,
                 noise.log_scale_drift_per_sqrt_step**2,
             ]
         )

@@ -4,29 +4,20 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import numpy as np
 
+from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
+from pdr_filter.offline.robust import moments, next_stage, weights
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 
-if TYPE_CHECKING:
-    from pdr_filter.offline.calibration.hierarchy import Posterior
-
-LOSSES = ("none", "huber", "cauchy", "gnc")
-# Tuning constants in standard deviations: Huber's and Cauchy's lose 5 % of efficiency on normal errors (Zhang,
-# "Parameter estimation techniques", Image and Vision Computing 15, 1997); Geman-McClure's, at the end of the graduated
-# non-convexity (Yang et al., "Graduated non-convexity for robust spatial perception", RA-L 5, 2020), about as much.
-_HUBER, _CAUCHY, _GEMAN_MCCLURE = 1.345, 2.385, 4.0
 # A residual of more than so many standard deviations is distrusted: one good segment in 370.
 DISTRUST = 3.0
 _MAX_ITERATIONS = 200
 _CHUNK_SEGMENTS = 4096
-_HUBER_ITERATIONS = 5  # a redescending loss needs a start that outliers did not choose
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +29,7 @@ class Hierarchy:
     mean, std : (P,)
         Of the population; std 0 holds a parameter, inf knows nothing of it.
     between_std : (P,)
-        How people differ at the start; 0 for shared parameters, inf for people who tell nothing about each other.
+        How people differ at the start; 0 for shared parameters, inf for people who are independent of each other.
     step_std_m : (C,)
         Of a single step in each of `CONTEXTS`.
     recording_std : float
@@ -58,7 +49,7 @@ class Hierarchy:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Estimate:
+class ParameterEstimate:
     """What the segments say; covariances given the variances found.
 
     Parameters
@@ -66,7 +57,7 @@ class Estimate:
     population, population_cov : (P,), (P, P)
     people, people_cov : (S, P), (S, P, P)
     between_cov : (P, P)
-        Between people; infinite on the diagonal where people tell nothing about each other.
+        Between people; infinite on the diagonal where people are independent of each other.
     recording_std : float
         Of one person's scale between recordings.
     noise_factor : (C,)
@@ -98,52 +89,19 @@ class Estimate:
     converged: bool
 
 
-def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
-    """Weights w(u) of residuals u in standard deviations; `mu` is the control parameter of the graduated non-convexity.
-
-    Huber min(1, k / |u|); Cauchy 1 / (1 + (u / k)^2); Geman-McClure (mu k^2 / (u^2 + mu k^2))^2, whose loss is convex
-    for large mu and redescending for 1.
-    """
-    if loss == "none":
-        return np.ones_like(misfit)
-    if loss == "huber":
-        return _HUBER / np.maximum(np.abs(misfit), _HUBER)
-    if loss == "cauchy":
-        return 1 / (1 + (misfit / _CAUCHY) ** 2)
-    if loss == "gnc":
-        return (mu * _GEMAN_MCCLURE**2 / (misfit**2 + mu * _GEMAN_MCCLURE**2)) ** 2
-    raise ValueError(f"loss must be one of {LOSSES}, got {loss!r}")
-
-
-@cache
-def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
-    """E w u^2 and the information factor of a loss on standard normal residuals.
-
-    The first makes the scale consistent: sum w u^2 / n tends to it. The second makes covariances right: with
-    psi = w u the variance of an M-estimate is E psi^2 / (E psi')^2 times that of least squares, E psi' = E w u^2
-    (Stein), while the weighted normal equations say 1 / E w. Their ratio (E w u^2)^2 / (E psi^2 E w) multiplies the
-    weights.
-    """
-    u = np.linspace(-9, 9, 20001)
-    density = np.exp(-0.5 * u**2) / np.sqrt(2 * np.pi) * (u[1] - u[0])
-    w = weights(u, loss, mu)
-    square, psi_square, mean = (float((density * f).sum()) for f in (w * u**2, (w * u) ** 2, w))
-    return square, square**2 / (psi_square * mean)
-
-
-def estimate(
+def estimate_parameters(
     sums: SegmentSums,
     prior: Hierarchy,
     loss: str = "gnc",
     relinearise: Callable[[FloatArray], SegmentSums] | None = None,
-) -> Estimate:
+) -> ParameterEstimate:
     """Maximum a posteriori of all parameters and variances by expectation-maximisation.
 
     Segment i of person s in recording w: distance_i = |A_i theta_s| (1 + rho_w) + e_i, with theta_s about the
     population (covariance B), rho_w ~ N(0, tau^2), e_i ~ N(0, phi_c (anchor_i^2 + n_i sigma_c^2)). Every iteration
     takes the direction of A_i theta_s from the last one (Gauss-Newton: the length of a vector changes only with the
-    component along it), integrates rho_w out exactly, solves for all theta (`hierarchy.solve`), and takes phi, tau, B
-    and the robust weights from the posterior of e, rho and theta_s - population.
+    component along it), integrates rho_w out exactly, solves for all theta (`hierarchy.solve_people`), and takes phi,
+    tau, B and the robust weights from the posterior of e, rho and theta_s - population.
 
     Parameters
     ----------
@@ -158,120 +116,171 @@ def estimate(
     hierarchy.SingularError
         Parameters that neither data nor priors determine.
     """
-    from pdr_filter.offline.calibration.hierarchy import solve  # loads gtsam
-
     weights(np.zeros(1), loss)
-    fixed = (prior.std == 0) & (prior.between_std == 0)
-    if ((prior.std == 0) & ~fixed).any():
-        raise ValueError("a parameter that is held for the population (std 0) cannot differ between people")
-    free = np.flatnonzero(~fixed)
-    personal = np.flatnonzero(prior.between_std[free] > 0)
-    alone = np.isinf(prior.between_std[free][personal])
-    order = np.lexsort((sums.recording, sums.subject))
-    chunks = [_Chunk(sums, rows, prior, fixed) for rows in _whole_people(sums.subject[order], order)]
-    n_people = len(sums.subjects)
-    counts = np.bincount(sums.context, minlength=len(CONTEXTS))
-    with np.errstate(divide="ignore"):
-        precision = 1 / prior.std[free] ** 2
-    start_between = np.diag(np.where(alone, 1.0, prior.between_std[free][personal]) ** 2)
-
-    theta = np.repeat(prior.mean[None, free], n_people, axis=0)
-    between, tau2, phi = start_between, prior.recording_std**2, np.ones(len(CONTEXTS))
-    posterior: Posterior | None = None
+    task = _Task(sums, prior)
+    theta, variances = task.start_theta, task.start_variances
+    posterior: PeoplePosterior | None = None
     about = theta
-    G, g = np.zeros((n_people, len(free), len(free))), np.zeros((n_people, len(free)))
     converged, iteration, settled_from = False, 0, 0
     stage, mu = "none", 1.0
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         if relinearise is not None and iteration > 1:
-            full = np.repeat(prior.mean[None], n_people, axis=0)
-            full[:, free] = theta
-            renewed = relinearise(full)
-            for chunk in chunks:
-                chunk.take(renewed, prior.mean, fixed)
+            task.take(relinearise(task.all_parameters(theta)))
         square, information = moments(stage, mu)
-        about, before = theta, posterior
-        for chunk in chunks:
-            chunk.normal_equations(about, phi * (1 / information), tau2, iteration == 1, G, g)
-        W = np.zeros_like(between)
-        W[np.ix_(~alone, ~alone)] = np.linalg.inv(between[np.ix_(~alone, ~alone)])
-        posterior = solve(G, g, prior.mean[free], precision, personal, W)
+        about, before, old = theta, posterior, variances
+        posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
-        # expectations, then what maximises the variances given them
-        old = (phi, tau2, between)
+        variances = task.variances(about, posterior, old, square)
+        # the weight of a segment is that of its misfit
+        largest = max(float(np.abs(chunk.misfit).max()) for chunk in task.chunks)
+        stage, mu, is_final = next_stage(loss, iteration, largest, mu)
+        for chunk in task.chunks:
+            chunk.w = weights(chunk.misfit, stage, mu)
+        settled_from = settled_from if is_final else iteration
+        if before is not None and iteration > settled_from + 1:
+            moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
+            converged = float(moved.max(initial=0.0)) < 1e-4 and variances.is_near(old)
+    assert posterior is not None
+    return task.result(about, posterior, variances, iteration, converged)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Variances:
+    noise: FloatArray  # (C,) phi: of the segments of each context over that expected
+    recording: float  # tau^2: of one person's scale between recordings
+    between: FloatArray  # (Q, Q) B: of people's own parameters; one on the diagonal where nothing ties them
+
+    def is_near(self, other: _Variances) -> bool:
+        """Whether none differs by more than one in 5000."""
+        own, others = (np.concatenate([v.noise, [v.recording], np.diagonal(v.between)]) for v in (self, other))
+        return bool((np.abs(own - others) <= 2e-4 * np.abs(others)).all())
+
+
+class _Task:
+    """What stays during the iterations: segments in pieces, priors, and which parameters are free and whose."""
+
+    def __init__(self, sums: SegmentSums, prior: Hierarchy) -> None:
+        self.prior, self.n_people = prior, len(sums.subjects)
+        self.fixed = (prior.std == 0) & (prior.between_std == 0)
+        if ((prior.std == 0) & ~self.fixed).any():
+            raise ValueError("a parameter that is held for the population (std 0) cannot differ between people")
+        self.free = np.flatnonzero(~self.fixed)
+        between_std = prior.between_std[self.free]
+        self.personal = np.flatnonzero(between_std > 0)
+        self.alone = np.isinf(between_std[self.personal])  # independent of what others have
+        with np.errstate(divide="ignore"):
+            self.precision = 1 / prior.std[self.free] ** 2
+        order = np.lexsort((sums.recording, sums.subject))
+        pieces = _whole_people(sums.subject[order], order)
+        self.chunks = [_Chunk(sums, rows, prior, self.fixed) for rows in pieces]
+        self.n_segments, self.counts = len(sums), np.bincount(sums.context, minlength=len(CONTEXTS))
+        self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
+        self.start_variances = _Variances(
+            np.ones(len(CONTEXTS)),
+            prior.recording_std**2,
+            np.diag(np.where(self.alone, 1.0, between_std[self.personal]) ** 2),
+        )
+        n_free = len(self.free)
+        self.G, self.g = np.zeros((self.n_people, n_free, n_free)), np.zeros((self.n_people, n_free))
+
+    def take(self, sums: SegmentSums) -> None:
+        """Go on with new regressors."""
+        for chunk in self.chunks:
+            chunk.take(sums, self.prior.mean, self.fixed)
+
+    def all_parameters(self, theta: FloatArray) -> FloatArray:
+        """Free parameters (S, F) among those that are held, (S, P)."""
+        full = np.repeat(self.prior.mean[None], len(theta), axis=0)
+        full[:, self.free] = theta
+        return full
+
+    def posterior(self, about: FloatArray, variances: _Variances, information: float, first: bool) -> PeoplePosterior:
+        """Of the population and all people, segments linearised about parameters (S, F)."""
+        for chunk in self.chunks:
+            chunk.normal_equations(
+                about, variances.noise * (1 / information), variances.recording, first, self.G, self.g
+            )
+        W = np.zeros_like(variances.between)
+        tied = np.ix_(~self.alone, ~self.alone)
+        W[tied] = np.linalg.inv(variances.between[tied])
+        return solve_people(self.G, self.g, self.prior.mean[self.free], self.precision, self.personal, W)
+
+    def variances(self, about: FloatArray, posterior: PeoplePosterior, old: _Variances, square: float) -> _Variances:
+        """What maximises the variances, given the expectations under a posterior; `square` is that of the loss."""
+        prior = self.prior
         excess, found, n_recordings = np.zeros(len(CONTEXTS)), 0.0, 0
-        for chunk in chunks:
-            chunk.expect(about, posterior, phi)
+        for chunk in self.chunks:
+            chunk.expect(about, posterior, old.noise)
             excess += np.bincount(
                 chunk.context, chunk.w * (chunk.error**2 + chunk.spread) / chunk.base_var, minlength=len(CONTEXTS)
             )
             found += chunk.rho_square
             n_recordings += len(chunk.kappa)
+        noise, recording, between = old.noise, old.recording, old.between
         if np.isfinite(prior.noise_dof):
-            total = prior.noise_dof + counts
-            phi = np.where(total > 0, (prior.noise_dof + excess / square) / np.where(total > 0, total, 1), 1.0)
-        if np.isfinite(prior.recording_dof) and tau2 > 0:
-            tau2 = (prior.recording_dof * prior.recording_std**2 + found) / (prior.recording_dof + n_recordings)
-        if np.isfinite(prior.between_dof) and len(personal):
-            apart = theta[:, personal] - posterior.population[personal]
-            scatter = apart.T @ apart + posterior.deviation_cov.sum(axis=0)
-            between = (prior.between_dof * start_between + scatter) / (prior.between_dof + n_people)
-            between[alone] = between[:, alone] = 0.0
-            between[alone, alone] = 1.0
-        # the weight of a segment is that of its misfit
-        largest = max(float(np.abs(chunk.misfit).max()) for chunk in chunks)
-        stage, mu, is_final = _stage(loss, iteration, largest, mu)
-        for chunk in chunks:
-            chunk.w = weights(chunk.misfit, stage, mu)
-        settled_from = settled_from if is_final else iteration
-        if before is not None and iteration > settled_from + 1:
-            moved = np.abs(theta - before.people) / np.sqrt(np.diagonal(posterior.people_cov, axis1=1, axis2=2))
-            converged = float(moved.max(initial=0.0)) < 1e-4 and _same(old, (phi, tau2, between))
-    assert posterior is not None
+            total = prior.noise_dof + self.counts
+            noise = np.where(total > 0, (prior.noise_dof + excess / square) / np.where(total > 0, total, 1), 1.0)
+        if np.isfinite(prior.recording_dof) and recording > 0:
+            recording = (prior.recording_dof * prior.recording_std**2 + found) / (prior.recording_dof + n_recordings)
+        if np.isfinite(prior.between_dof) and len(self.personal):
+            apart = posterior.people[:, self.personal] - posterior.population[self.personal]
+            scatter = apart.T @ apart + posterior.apart_cov.sum(axis=0)
+            start = self.start_variances.between
+            between = (prior.between_dof * start + scatter) / (prior.between_dof + self.n_people)
+            between[self.alone] = between[:, self.alone] = 0.0
+            between[self.alone, self.alone] = 1.0
+        return _Variances(noise, recording, between)
 
-    others = np.full_like(theta, np.nan)
-    if n_people > 1 and not alone.any():
-        others = _without_each(posterior, G, g, personal, np.linalg.inv(between) if len(personal) else between)
-    predicted, left_out, stranger, misfit, weight = (np.empty(len(sums)) for _ in range(5))
-    for chunk in chunks:
-        rows = chunk.rows
-        predicted[rows] = chunk.length(theta)
-        left_out[rows] = predicted[rows] - chunk.pull(about, posterior)
-        stranger[rows] = chunk.length(others)
-        misfit[rows], weight[rows] = chunk.misfit, chunk.w
-    n_params = len(prior.mean)
-    population, people = prior.mean.copy(), np.repeat(prior.mean[None], n_people, axis=0)
-    population[free], people[:, free] = posterior.population, posterior.people
-    between[alone, alone] = np.inf
-    between_cov = np.zeros((n_params, n_params))
-    between_cov[np.ix_(free[personal], free[personal])] = between
-    population_cov, people_cov = np.zeros((n_params, n_params)), np.zeros((n_people, n_params, n_params))
-    population_cov[np.ix_(free, free)] = posterior.population_cov
-    people_cov[:, free[:, None], free] = posterior.people_cov
-    return Estimate(
-        population=population,
-        population_cov=population_cov,
-        people=people,
-        people_cov=people_cov,
-        between_cov=between_cov,
-        recording_std=float(np.sqrt(tau2)),
-        noise_factor=phi,
-        predicted_m=predicted,
-        left_out_m=left_out,
-        stranger_m=stranger,
-        misfit=misfit,
-        weight=weight,
-        n_iterations=iteration,
-        converged=converged,
-    )
+    def result(
+        self, about: FloatArray, posterior: PeoplePosterior, variances: _Variances, n_iterations: int, converged: bool
+    ) -> ParameterEstimate:
+        """All parameters, those that are held among them, and what they make of each segment."""
+        theta, between = posterior.people, variances.between.copy()
+        others = np.full_like(theta, np.nan)
+        if self.n_people > 1 and not self.alone.any():
+            W = np.asarray(np.linalg.inv(between), dtype=float) if len(self.personal) else between
+            others = without_each(posterior, self.G, self.g, self.personal, W)
+        predicted, left_out, stranger, misfit, weight = (np.empty(self.n_segments) for _ in range(5))
+        for chunk in self.chunks:
+            rows = chunk.rows
+            predicted[rows] = chunk.length(theta)
+            left_out[rows] = predicted[rows] - chunk.pull(about, posterior)
+            stranger[rows] = chunk.length(others)
+            misfit[rows], weight[rows] = chunk.misfit, chunk.w
+        between[self.alone, self.alone] = np.inf
+        n_params = len(self.prior.mean)
+        people_cov = np.zeros((self.n_people, n_params, n_params))
+        people_cov[:, self.free[:, None], self.free] = posterior.people_cov
+        return ParameterEstimate(
+            population=self.all_parameters(posterior.population[None])[0],
+            population_cov=_among(n_params, self.free, posterior.population_cov),
+            people=self.all_parameters(theta),
+            people_cov=people_cov,
+            between_cov=_among(n_params, self.free[self.personal], between),
+            recording_std=float(np.sqrt(variances.recording)),
+            noise_factor=variances.noise,
+            predicted_m=predicted,
+            left_out_m=left_out,
+            stranger_m=stranger,
+            misfit=misfit,
+            weight=weight,
+            n_iterations=n_iterations,
+            converged=converged,
+        )
+
+
+def _among(n: int, index: IntArray, cov: FloatArray) -> FloatArray:
+    """A covariance of some parameters among n, zero for the others."""
+    full = np.zeros((n, n))
+    full[np.ix_(index, index)] = cov
+    return full
 
 
 def _whole_people(person: IntArray, order: IntArray) -> list[IntArray]:
     """Sorted rows in pieces of some thousands that cut nobody in two: temporary arrays stay in the cache."""
-    starts = np.concatenate([[0], np.flatnonzero(np.diff(person)) + 1, [len(person)]])
     cuts = [0]
-    for end in starts[1:]:
+    for end in _starts(person)[1:]:
         if end - cuts[-1] >= _CHUNK_SEGMENTS or end == len(person):
             cuts.append(int(end))
     return [order[a:b] for a, b in pairwise(cuts)]
@@ -314,58 +323,41 @@ class _Chunk:
         # Recordings: rho integrated out, a rank-one correction each. It scales the predicted length: with the known one
         # theta = 0 and rho = 1 would explain everything.
         self.size = self.distance if first else self.length(about)
-        self.a = group.sum_recordings(row * (self.size / self.variance)[:, None])
-        s = group.sum_recordings(self.size**2 / self.variance)
-        self.q = group.sum_recordings(self.size * target / self.variance)
+        self.a = _sums(row * (self.size / self.variance)[:, None], group.recordings)
+        s = _sums(self.size**2 / self.variance, group.recordings)
+        self.q = _sums(self.size * target / self.variance, group.recordings)
         self.kappa = tau2 / (1 + tau2 * s)
-        G[group.present] = group.gram(row, 1 / self.variance) - group.gram_of_recordings(self.a, self.kappa)
-        g[group.present] = group.sum_people(row * (target / self.variance)[:, None])
-        g[group.present] -= group.sum_recordings_of_people(self.a * (self.kappa * self.q)[:, None])
+        G[group.present] = _gram(row, 1 / self.variance, group.people)
+        G[group.present] -= _gram(self.a, self.kappa, group.recordings_of_people)
+        g[group.present] = _sums(row * (target / self.variance)[:, None], group.people)
+        g[group.present] -= _sums(self.a * (self.kappa * self.q)[:, None], group.recordings_of_people)
 
-    def expect(self, about: FloatArray, posterior: Posterior, phi: FloatArray) -> None:
+    def expect(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
         """Expectations of e_i (mean and variance) and of the sum of rho_w^2."""
-        group, theta = self.group, posterior.people
+        group, theta, cov = self.group, posterior.people, posterior.people_cov[self.group.present]
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
         rho = self.kappa * (self.q - np.einsum("wp,wp->w", self.a, theta[group.person_of_recording]))
         self.error = target - np.einsum("np,np->n", row, theta[group.person]) - self.size * rho[group.recording]
         tilted = self._tilted(row)
-        self.spread = group.bilinear(tilted, tilted, posterior.people_cov)
+        self.spread = _bilinear(tilted, tilted, cov, group.people)
         self.spread += self.size**2 * self.kappa[group.recording]
         self.misfit = self.error / np.sqrt(phi[self.context] * self.base_var)
-        rho_variance = self.kappa + self.kappa**2 * group.bilinear_of_recordings(self.a, posterior.people_cov)
+        rho_variance = self.kappa + self.kappa**2 * _bilinear(self.a, self.a, cov, group.recordings_of_people)
         self.rho_square = float((rho**2 + rho_variance).sum())
 
-    def pull(self, about: FloatArray, posterior: Posterior) -> FloatArray:
+    def pull(self, about: FloatArray, posterior: PeoplePosterior) -> FloatArray:
         """How much each segment draws its own prediction, (n,).
 
         theta without segment i = theta - C tilted_i' error_i / (variance_i - tilted_i C tilted_i' - size_i^2 kappa).
         """
-        row, _ = _linearised(self.A, self.offset, about[self.group.person], self.distance)
-        gain = self.group.bilinear(self._tilted(row), row, posterior.people_cov)
+        group = self.group
+        row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
+        gain = _bilinear(self._tilted(row), row, posterior.people_cov[group.present], group.people)
         return gain / np.maximum(self.variance - self.spread, 1e-6 * self.variance) * self.error
 
     def _tilted(self, row: FloatArray) -> FloatArray:
         """Derivative of -e_i with respect to theta, through rho_w as well."""
         return row - (self.size * self.kappa[self.group.recording])[:, None] * self.a[self.group.recording]
-
-
-def _stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[str, float, bool]:
-    """Loss and control parameter of the next iteration, and whether they are the final ones."""
-    if loss == "cauchy" and iteration < _HUBER_ITERATIONS:
-        return "huber", 1.0, False
-    if loss == "gnc":
-        # as convex at first as the largest residual needs; then 1.4 times less in each iteration
-        start = max(1.0, round(2 * (largest / _GEMAN_MCCLURE) ** 2, 1))
-        mu = start if iteration == 1 else max(1.0, round(mu / 1.4, 3))
-        return loss, mu, mu == 1.0
-    return loss, 1.0, True
-
-
-def _same(old: tuple[FloatArray, float, FloatArray], new: tuple[FloatArray, float, FloatArray]) -> bool:
-    """Whether variances changed by less than one in 5000."""
-    before = np.concatenate([old[0], [old[1]], np.diagonal(old[2])])
-    after = np.concatenate([new[0], [new[1]], np.diagonal(new[2])])
-    return bool((np.abs(after - before) <= 2e-4 * np.abs(before)).all())
 
 
 def _linearised(
@@ -385,84 +377,46 @@ def _linearised(
     return row, distance - (along * offset).sum(axis=1)
 
 
-def _without_each(posterior: Posterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray) -> FloatArray:
-    """Population's parameters from all people but one, (S, F): the person's message taken from the population's sum."""
-    n_params = g.shape[1]
-    shared = np.delete(np.arange(n_params), personal)
-    message, message_vector = np.zeros_like(G), np.zeros_like(g)
-    message[:, shared[:, None], shared] = G[:, shared[:, None], shared]
-    message_vector[:, shared] = g[:, shared]
-    if len(personal):
-        cross = np.zeros((len(g), len(personal), n_params))
-        cross[:, :, shared] = G[:, personal[:, None], shared]
-        cross[:, :, personal] = -W
-        message[:, personal[:, None], personal] += W
-        own = G[:, personal[:, None], personal] + W
-        gain = np.linalg.solve(own, cross)
-        message -= cross.transpose(0, 2, 1) @ gain
-        message_vector -= np.einsum("sqp,sq->sp", gain, g[:, personal])
-    scale = np.sqrt(np.diagonal(posterior.population_cov))
-    total = np.linalg.inv(posterior.population_cov / scale[:, None] / scale)
-    left = total - message * scale[:, None] * scale
-    left_vector = total @ (posterior.population / scale) - message_vector * scale
-    result = np.full((len(g), n_params), np.nan)
-    for s, (matrix, vector) in enumerate(zip(left, left_vector, strict=True)):
-        if np.linalg.eigvalsh(matrix)[0] > 1e-9:
-            result[s] = np.linalg.solve(matrix, vector) * scale
-    return result
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class _Groups:
-    """Sums over sorted segments by person and by recording of a person."""
+    """Who and what sorted segments belong to. Starts are those of runs of rows, with the number of rows at the end."""
 
     person: IntArray  # (n,)
     recording: IntArray  # (n,) numbered in order of appearance
     present: IntArray  # (S',) people that have segments here
-    person_start: IntArray  # (S' + 1,) first segment of each, and n
-    recording_start: IntArray  # (W,) first segment of each recording
     person_of_recording: IntArray  # (W,)
-    first_recording: IntArray  # (S' + 1,) of each person, and W
+    people: IntArray  # (S' + 1,) starts of people among the segments
+    recordings: IntArray  # (W + 1,) starts of recordings among the segments
+    recordings_of_people: IntArray  # (S' + 1,) starts of people among the recordings
 
-    @staticmethod
-    def of(person: IntArray, recording: IntArray) -> _Groups:
-        starts = np.concatenate([[0], np.flatnonzero(np.diff(person)) + 1, [len(person)]])
-        new = np.concatenate([[True], (np.diff(person) != 0) | (np.diff(recording) != 0)])
-        recording_start = np.flatnonzero(new)
-        owner = person[recording_start]
-        first = np.concatenate([[0], np.flatnonzero(np.diff(owner)) + 1, [len(owner)]])
-        return _Groups(person, np.cumsum(new) - 1, person[starts[:-1]], starts, recording_start, owner, first)
-
-    def sum_recordings(self, values: FloatArray) -> FloatArray:
-        return np.add.reduceat(values, self.recording_start, axis=0)
-
-    def sum_people(self, values: FloatArray) -> FloatArray:
-        return np.add.reduceat(values, self.person_start[:-1], axis=0)
-
-    def sum_recordings_of_people(self, values: FloatArray) -> FloatArray:
-        return np.add.reduceat(values, self.first_recording[:-1], axis=0)
-
-    def gram(self, rows: FloatArray, weight: FloatArray) -> FloatArray:
-        """Sums of weight row' row by person, (S', F, F)."""
-        return _gram(rows, weight, self.person_start)
-
-    def gram_of_recordings(self, rows: FloatArray, weight: FloatArray) -> FloatArray:
-        return _gram(rows, weight, self.first_recording)
-
-    def bilinear(self, left: FloatArray, right: FloatArray, cov: FloatArray) -> FloatArray:
-        """Left C right' of each segment, with the covariance of its person out of (S, F, F)."""
-        return _bilinear(left, right, cov[self.present], self.person_start)
-
-    def bilinear_of_recordings(self, rows: FloatArray, cov: FloatArray) -> FloatArray:
-        return _bilinear(rows, rows, cov[self.present], self.first_recording)
+    @classmethod
+    def of(cls, person: IntArray, recording: IntArray) -> _Groups:
+        """Groups of segments that are sorted by person, then recording."""
+        people, recordings = _starts(person), _starts(person, recording)
+        owner = person[recordings[:-1]]
+        number = np.repeat(np.arange(len(owner)), np.diff(recordings))
+        return cls(person, number, person[people[:-1]], owner, people, recordings, _starts(owner))
 
 
-def _gram(rows: FloatArray, weight: FloatArray, start: IntArray) -> FloatArray:
+def _starts(*labels: IntArray) -> IntArray:
+    """First row of each run of equal labels, and the number of rows."""
+    new = np.any([np.diff(label) != 0 for label in labels], axis=0)
+    return np.concatenate([[0], np.flatnonzero(new) + 1, [len(labels[0])]])
+
+
+def _sums(values: FloatArray, starts: IntArray) -> FloatArray:
+    """Sums of the rows of each group."""
+    return np.add.reduceat(values, starts[:-1], axis=0)
+
+
+def _gram(rows: FloatArray, weight: FloatArray, starts: IntArray) -> FloatArray:
+    """Sums of weight row' row of each group, (groups, F, F)."""
     weighted = rows * weight[:, None]
-    result = np.stack([weighted[a:b].T @ rows[a:b] for a, b in pairwise(start.tolist())])
+    result = np.stack([weighted[a:b].T @ rows[a:b] for a, b in pairwise(starts.tolist())])
     return 0.5 * (result + result.transpose(0, 2, 1))
 
 
-def _bilinear(left: FloatArray, right: FloatArray, cov: FloatArray, start: IntArray) -> FloatArray:
-    turned = np.concatenate([left[a:b] @ own for (a, b), own in zip(pairwise(start.tolist()), cov, strict=True)])
+def _bilinear(left: FloatArray, right: FloatArray, cov: FloatArray, starts: IntArray) -> FloatArray:
+    """Left C right' of each row, with the covariance of its group out of (groups, F, F)."""
+    turned = np.concatenate([left[a:b] @ own for (a, b), own in zip(pairwise(starts.tolist()), cov, strict=True)])
     return np.einsum("np,np->n", turned, right)

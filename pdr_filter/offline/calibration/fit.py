@@ -4,31 +4,23 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
-from typing import TYPE_CHECKING
+from typing import Any
 
 import numpy as np
 
+from pdr_filter import __version__
+from pdr_filter.calibration import Calibration, slices_of
 from pdr_filter.config import Config
 from pdr_filter.filter.step_length import StepLengthModel
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.calibration import priors as priors_module
-from pdr_filter.offline.calibration.estimation import DISTRUST, Estimate, Hierarchy, estimate
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior
-from pdr_filter.offline.calibration.segments import (
-    Segment,
-    SegmentSums,
-    integrate,
-    segments_of,
-    slices_of,
-)
+from pdr_filter.offline.calibration.estimation import DISTRUST, Hierarchy, ParameterEstimate, estimate_parameters
+from pdr_filter.offline.calibration.hierarchy import SingularError
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates
+from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray, table
+from pdr_filter.values.arrays import FloatArray, Table, table
 from pdr_filter.values.contexts import CONTEXTS
-
-if TYPE_CHECKING:
-    pass
-from pdr_filter.calibration import Calibration
 
 # One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
 RECORDING_STD = 0.025
@@ -137,7 +129,7 @@ def calibrate_segments(
 
 def compare_models(
     segments: Sequence[Segment],
-    candidates: Mapping[str, Mapping[str, StepLengthPrior]] | None = None,
+    models: Mapping[str, Mapping[str, StepLengthPrior]] | None = None,
     *,
     loss: str = "gnc",
     recording_std: float = RECORDING_STD,
@@ -147,10 +139,9 @@ def compare_models(
     By the RMS of the relative error of segments that none of them distrusts. The best for people and phones that were
     calibrated may be bad for others: `stranger_m` has that, for people.
     """
-    chosen = priors_module.candidates() if candidates is None else candidates
     found = {
         name: calibrate_segments(segments, priors, loss=loss, recording_std=recording_std)
-        for name, priors in chosen.items()
+        for name, priors in (candidates() if models is None else models).items()
     }
     good = ~np.any([c.segments.distrusted for c in found.values()], axis=0)
     if not good.any():
@@ -180,12 +171,10 @@ def solve_sums(
     models: Mapping[str, StepLengthModel],
     loss: str = "gnc",
     relinearise: Callable[[FloatArray], SegmentSums] | None = None,
-) -> Estimate:
-    """`estimate`, with names of the parameters in its complaints."""
-    from pdr_filter.offline.calibration.hierarchy import SingularError
-
+) -> ParameterEstimate:
+    """`estimate_parameters`, with names of the parameters in its error messages."""
     try:
-        return estimate(sums, hierarchy, loss, relinearise)
+        return estimate_parameters(sums, hierarchy, loss, relinearise)
     except SingularError as error:
         names = [f"{name} k{i}" for name, model in models.items() for i in range(model.n_params)]
         free = np.flatnonzero((hierarchy.std > 0) | (hierarchy.between_std > 0))
@@ -199,15 +188,44 @@ def solve_sums(
 def _assemble(
     segments: Sequence[Segment],
     sums: SegmentSums,
-    found: Estimate,
+    found: ParameterEstimate,
     models: Mapping[str, StepLengthModel],
     priors: Mapping[str, StepLengthPrior],
     notes: Sequence[str],
 ) -> Calibration:
-    start = np.concatenate([priors[name].mean for name in models])
+    rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
+    heights = {s.subject: s.height_m for s in segments}
+    return Calibration(
+        models=dict(models),
+        theta=found.population,
+        theta_cov=found.population_cov,
+        between_cov=found.between_cov,
+        people=found.people,
+        people_cov=found.people_cov,
+        subject_ids=sums.subjects,
+        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in sums.subjects]),
+        residual_std_m={
+            name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[CONTEXTS.index(name)])) for name in models
+        },
+        recording_std=found.recording_std,
+        n_segments=_shares(segments, models),
+        segments=rows,
+        notes=(*notes, *_notes(rows, found, models)),
+        card={
+            "date": date.today().isoformat(),
+            "pdr_filter": __version__,
+            "people": len(sums.subjects),
+            "recordings": len(sums.recordings),
+            "segments": len(segments),
+            "metres": round(float(sums.distance_m.sum()), 1),
+        },
+    )
+
+
+def _table(segments: Sequence[Segment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
+    """The table `Calibration.segments`; `start` are the parameters before the calibration (P,)."""
     vector = sums.regressors @ start + sums.offset_m
-    distrusted = np.abs(found.misfit) > DISTRUST
-    rows = table(
+    return table(
         {
             "subject": np.array([s.subject for s in segments]),
             "recording": np.array([s.recording for s in segments]),
@@ -223,50 +241,31 @@ def _assemble(
             "uncalibrated_m": np.hypot(vector[:, 0], vector[:, 1]),
             "misfit": found.misfit,
             "weight": found.weight,
-            "distrusted": distrusted,
+            "distrusted": np.abs(found.misfit) > DISTRUST,
         }
     )
-    share = {name: 0.0 for name in models}
-    heights = {s.subject: s.height_m for s in segments}
+
+
+def _shares(segments: Sequence[Segment], names: Iterable[str]) -> dict[str, float]:
+    """How many segments each context had, in shares of their steps."""
+    share = np.zeros(len(CONTEXTS))
     for segment in segments:
         weight = segment.inside @ segment.context_prob
-        for name in models:
-            share[name] += float(weight[CONTEXTS.index(name)] / max(float(weight.sum()), 1e-9))
-    remarks = [*notes]
-    if not found.converged:
-        remarks.append(f"the variances still changed after {found.n_iterations} iterations")
-    for i in np.flatnonzero(distrusted)[np.argsort(-np.abs(found.misfit[distrusted]))]:
-        remarks.append(
-            f"distrusted: {segments[i].name}: {sums.distance_m[i]:.2f} m given, {found.predicted_m[i]:.2f} m walked by "
-            f"its steps, {abs(found.misfit[i]):.1f} standard deviations, weight {found.weight[i]:.2f}"
-        )
-    without = [c for c in models if c != "stationary" and CONTEXTS.index(c) not in set(sums.context.tolist())]
-    if without:
-        remarks.append(f"no segments of {', '.join(without)}: the filter keeps the lengths that it had")
-    from pdr_filter import __version__
+        share += weight / max(float(weight.sum()), 1e-9)
+    return {name: float(share[CONTEXTS.index(name)]) for name in names}
 
-    return Calibration(
-        models=dict(models),
-        theta=found.population,
-        theta_cov=found.population_cov,
-        between_cov=found.between_cov,
-        people=found.people,
-        people_cov=found.people_cov,
-        subject_ids=sums.subjects,
-        heights_m=np.array([np.nan if (h := heights[name]) is None else h for name in sums.subjects]),
-        residual_std_m={
-            name: float(priors[name].step_std_m * np.sqrt(found.noise_factor[CONTEXTS.index(name)])) for name in models
-        },
-        recording_std=found.recording_std,
-        n_segments=share,
-        segments=rows,
-        notes=tuple(remarks),
-        card={
-            "date": date.today().isoformat(),
-            "pdr_filter": __version__,
-            "people": len(sums.subjects),
-            "recordings": len(sums.recordings),
-            "segments": len(segments),
-            "metres": round(float(sums.distance_m.sum()), 1),
-        },
-    )
+
+def _notes(rows: Any, found: ParameterEstimate, models: Mapping[str, StepLengthModel]) -> list[str]:
+    notes: list[str] = []
+    if not found.converged:
+        notes.append(f"the variances still changed after {found.n_iterations} iterations")
+    doubtful = rows[rows.distrusted]
+    for r in doubtful[np.argsort(-np.abs(doubtful.misfit))]:
+        notes.append(
+            f"distrusted: {r.recording} {r.start_s:.1f}-{r.end_s:.1f} s: {r.distance_m:.2f} m given, "
+            f"{r.predicted_m:.2f} m walked by its steps, {abs(r.misfit):.1f} standard deviations, weight {r.weight:.2f}"
+        )
+    without = [c for c in models if c != "stationary" and c not in set(rows.context.tolist())]
+    if without:
+        notes.append(f"no segments of {', '.join(without)}: the filter keeps the lengths that it had")
+    return notes

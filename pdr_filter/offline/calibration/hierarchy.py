@@ -21,7 +21,7 @@ _SINGULAR = 1e-7
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Posterior:
+class PeoplePosterior:
     """Normal posterior of the population and of each person.
 
     Parameters
@@ -32,7 +32,7 @@ class Posterior:
     people : (S, P)
         Each person's parameters: own ones, and the population's where these are shared.
     people_cov : (S, P, P)
-    deviation_cov : (S, Q, Q)
+    apart_cov : (S, Q, Q)
         Covariance of each person's own parameters less the population's.
     """
 
@@ -40,7 +40,7 @@ class Posterior:
     population_cov: FloatArray
     people: FloatArray
     people_cov: FloatArray
-    deviation_cov: FloatArray
+    apart_cov: FloatArray
 
 
 class SingularError(ValueError):
@@ -51,22 +51,21 @@ class SingularError(ValueError):
         self.indices = indices
 
 
-def solve(
+def solve_people(
     information: FloatArray,
     vector: FloatArray,
     prior_mean: FloatArray,
     prior_precision: FloatArray,
     personal: IntArray,
     between_precision: FloatArray,
-) -> Posterior:
+) -> PeoplePosterior:
     """Posterior of a person's parameters t_s and the population's y, for data that are already summed.
 
     Minimises over y (P,) and t_s (Q,), with theta_s = y but for theta_s[personal] = t_s,
 
         sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
 
-    as a `gtsam.GaussianFactorGraph` eliminated person by person. Covariances come from the eliminated graph: each
-    conditional is R t_s + S y = d, so t_s has (R'R)^-1 of its own and -R^-1 S of y's.
+    as a `gtsam.GaussianFactorGraph` eliminated person by person.
 
     Parameters
     ----------
@@ -77,15 +76,14 @@ def solve(
     personal : (Q,)
         Which parameters are each person's own.
     between_precision : (Q, Q)
-        W, inverse of the covariance between people; zero rows for parameters in which people tell nothing of each
-        other. The population's value of such a parameter is the mean of the people's.
+        W, inverse of the covariance between people; zero rows for parameters in which people are independent of
+        each other. The population's value of such a parameter is the mean of the people's.
 
     Raises
     ------
     SingularError
         Parameters that neither data nor priors determine.
     """
-    n_people, n_params = vector.shape
     free = np.diagonal(between_precision) == 0  # nothing ties these to the population
     weight = np.einsum("sii->i", information) + prior_precision
     weight[personal] += np.diagonal(between_precision)
@@ -95,15 +93,34 @@ def solve(
     W = between_precision * scale[personal][:, None] * scale[personal]
     precision = prior_precision * scale**2
     precision[personal[free]] = np.maximum(precision[personal[free]], 1.0)  # overwritten below: only keeps y regular
-    mean = prior_mean / scale
+    found = _eliminated(G, g, prior_mean / scale, precision, personal, W)
+    y, y_cov, theta, cov = found.population, found.population_cov, found.people, found.people_cov
+    n_people = len(theta)
+    if free.any() and n_people:
+        alone = personal[free]
+        spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
+        y[alone] = theta[:, alone].mean(axis=0)
+        y_cov[alone, :] = y_cov[:, alone] = 0.0
+        y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
+    both = scale[:, None] * scale
+    own = both[np.ix_(personal, personal)]
+    return PeoplePosterior(y * scale, y_cov * both, theta * scale, cov * both, found.apart_cov * own)
 
-    graph = _graph(G, g, mean, precision, personal, W)
+
+def _eliminated(
+    G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
+) -> PeoplePosterior:
+    """Posterior from the eliminated graph, for parameters of unit size.
+
+    Each conditional is R t_s + S y = d, so that t_s has a covariance (R'R)^-1 of its own and -R^-1 S of y's.
+    """
+    n_people, n_params = g.shape
     ordering = gtsam.Ordering()
     for key in (*range(1, n_people + 1), _POPULATION):
         if key == _POPULATION or len(personal):
             ordering.push_back(key)
     try:
-        net: Any = graph.eliminateSequential(ordering)
+        net: Any = _graph(G, g, mean, precision, personal, W).eliminateSequential(ordering)
     except RuntimeError as error:
         raise SingularError(_undetermined(G, precision, personal, W)) from error
     R, _, d = _parts(net.at(net.size() - 1))
@@ -128,43 +145,64 @@ def solve(
     cov = follow @ y_cov @ follow.transpose(0, 2, 1)
     cov[:, personal[:, None], personal] += own_cov
     apart = follow[:, personal] - np.eye(n_params)[personal]
-    deviation_cov = own_cov + apart @ y_cov @ apart.transpose(0, 2, 1)
-    if free.any() and n_people:
-        alone = personal[free]
-        spread = theta[:, alone].var(axis=0, ddof=1) if n_people > 1 else np.diagonal(cov[0])[alone]
-        y[alone] = theta[:, alone].mean(axis=0)
-        y_cov[alone, :] = y_cov[:, alone] = 0.0
-        y_cov[alone, alone] = spread / n_people + np.diagonal(cov, axis1=1, axis2=2)[:, alone].mean(axis=0) / n_people
-    both = scale[:, None] * scale
-    own = both[np.ix_(personal, personal)]
-    return Posterior(y * scale, y_cov * both, theta * scale, cov * both, deviation_cov * own)
+    return PeoplePosterior(y, y_cov, theta, cov, own_cov + apart @ y_cov @ apart.transpose(0, 2, 1))
 
 
 def _graph(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> gtsam.GaussianFactorGraph:
     n_params = g.shape[1]
-    shared = np.delete(np.arange(n_params), personal)
     graph = gtsam.GaussianFactorGraph()
-    unit = gtsam.noiseModel.Unit.Create(n_params)
     root = np.sqrt(precision)
+    unit = gtsam.noiseModel.Unit.Create(n_params)
     graph.add(gtsam.JacobianFactor(_POPULATION, np.diag(root), root * mean, unit))
     if len(personal) == 0:
         for G_s, g_s in zip(G, g, strict=True):
             graph.add(gtsam.HessianFactor(_POPULATION, G_s, g_s, 0.0))
         return graph
-    G12, G22, g2 = np.zeros((len(g), len(personal), n_params)), np.zeros_like(G), np.zeros_like(g)
-    G12[:, :, shared] = G[:, personal][:, :, shared]
-    G22[:, shared[:, None], shared] = G[:, shared][:, :, shared]
-    g2[:, shared] = g[:, shared]
-    # t - y[personal] has precision W: the tie of a person to the population, in the same factor as the person's data
-    G11 = G[:, personal][:, :, personal] + W
-    G12[:, :, personal] -= W
-    G22[:, personal[:, None], personal] += W
-    g1 = g[:, personal]
-    for s in range(len(g)):
-        graph.add(gtsam.HessianFactor(s + 1, _POPULATION, G11[s], G12[s], g1[s], G22[s], g2[s], 0.0))
+    blocks = _blocks(G, g, personal, W)
+    for s, (own, cross, own_vector, rest, rest_vector) in enumerate(zip(*blocks, strict=True), 1):
+        graph.add(gtsam.HessianFactor(s, _POPULATION, own, cross, own_vector, rest, rest_vector, 0.0))
     return graph
+
+
+def _blocks(
+    G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Quadratic forms of people in (t_s, y): of t_s, mixed, the vector of t_s, of y, and the vector of y.
+
+    t_s - y[personal] has precision W: the tie of a person to the population is with the person's data.
+    """
+    n_people, n_params = g.shape
+    shared = np.delete(np.arange(n_params), personal)
+    cross = np.zeros((n_people, len(personal), n_params))
+    rest, rest_vector = np.zeros_like(G), np.zeros_like(g)
+    cross[:, :, shared] = G[:, personal][:, :, shared]
+    cross[:, :, personal] -= W
+    rest[:, shared[:, None], shared] = G[:, shared][:, :, shared]
+    rest[:, personal[:, None], personal] += W
+    rest_vector[:, shared] = g[:, shared]
+    return G[:, personal][:, :, personal] + W, cross, g[:, personal], rest, rest_vector
+
+
+def without_each(
+    posterior: PeoplePosterior, G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
+) -> FloatArray:
+    """Population's parameters from all people but one, (S, P): the person's message taken from the population's sum."""
+    own, cross, own_vector, message, message_vector = _blocks(G, g, personal, W)
+    if len(personal):
+        gain = np.linalg.solve(own, cross)
+        message -= cross.transpose(0, 2, 1) @ gain
+        message_vector -= np.einsum("sqp,sq->sp", gain, own_vector)
+    scale = np.sqrt(np.diagonal(posterior.population_cov))
+    total = np.linalg.inv(posterior.population_cov / scale[:, None] / scale)
+    left = total - message * scale[:, None] * scale
+    left_vector = total @ (posterior.population / scale) - message_vector * scale
+    result = np.full_like(g, np.nan)
+    for s, (matrix, vector) in enumerate(zip(left, left_vector, strict=True)):
+        if np.linalg.eigvalsh(matrix)[0] > 1e-9:
+            result[s] = np.linalg.solve(matrix, vector) * scale
+    return result
 
 
 def _parts(conditional: Any) -> tuple[FloatArray, FloatArray, FloatArray]:

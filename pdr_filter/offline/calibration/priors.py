@@ -9,6 +9,7 @@ from types import MappingProxyType
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pdr_filter.calibration import TYPICAL_STEP
 from pdr_filter.filter.step_length import (
     BounceStepLength,
     FrequencyVarianceStepLength,
@@ -22,8 +23,6 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.step import Step
 
-# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
-TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 # How people of known height differ in their step lengths (docs/methods/step_length.md).
 PEOPLE_RELATIVE_STD = 0.065
 
@@ -39,8 +38,8 @@ class StepLengthPrior:
     mean, std : (p,)
         Of the population. Std 0 holds a parameter at its mean, inf knows nothing.
     between_std : (p,)
-        How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one of which
-        no person tells anything about another (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the
+        How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one in
+        which people are independent of each other (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the
         spread starts.
     step_std_m : float
         Of single steps about the model.
@@ -79,7 +78,7 @@ def prior(
 def weak_prior(
     model: StepLengthModel, mean: ArrayLike | None = None, personal: tuple[int, ...] = (0,), step: Step = TYPICAL_STEP
 ) -> StepLengthPrior:
-    """Prior for any model, of a size that only decides between parameters that tell the same.
+    """Prior for any model, of a size that only decides between parameters with the same effect.
 
     Each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m; with a `mean`, each term is uncertain by
     0.35 m. People differ by 6.5 % of a step in each of the `personal` parameters, if there is one, and by less in each

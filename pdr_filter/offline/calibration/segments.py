@@ -8,11 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from itertools import pairwise
 from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.calibration import of_height, slices_of
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
 from pdr_filter.values.arrays import FloatArray, IntArray
@@ -32,7 +32,7 @@ WAYPOINT_STD_M = 0.9
 STRIDE_STD_M = 0.02
 # Waypoints closer than this say little about the steps between them: the path may go round a corner.
 MIN_WAYPOINT_DISTANCE_M = 4.0
-# GNSS fixes are thinned until they are this far apart, and this many times their own deviation.
+# GNSS fixes are thinned until they are this far apart, and this many times their own standard deviation.
 MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
 # The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
 _RADIUS_68 = 1.515
@@ -52,7 +52,7 @@ class Segment:
     Parameters
     ----------
     subject, recording : str
-        Who, and where it was recorded: segments of one recording share what was odd on that day.
+        Who, and where it was recorded: segments of one recording share its error of scale.
     distance_m : float
         Displacement from anchor to anchor, or walked distance if `heading_rad` is None.
     steps : (n,) of Step
@@ -135,17 +135,8 @@ class SegmentSums:
                 raise ValueError(f"{name} must be ({n},), got {getattr(self, name).shape}")
         if not (np.isfinite(self.regressors).all() and np.isfinite(self.offset_m).all()):
             raise ValueError("regressors and offset_m must be finite: leave out segments without features")
-        for name in ("distance_m", "n_steps"):
-            values: FloatArray = getattr(self, name)
-            bad = ~(values > 0)
-            if bad.any():
-                i = int(bad.argmax())
-                raise ValueError(
-                    f"{name} must be positive, but segment {i} has {values[i]}: leave out segments without steps or "
-                    "without length"
-                )
-        if not (self.anchor_std_m >= 0).all():
-            raise ValueError("anchor_std_m must not be negative")
+        if not ((self.distance_m > 0).all() and (self.n_steps > 0).all() and (self.anchor_std_m >= 0).all()):
+            raise ValueError("distance_m and n_steps must be positive, anchor_std_m not negative")
 
     def __len__(self) -> int:
         return len(self.distance_m)
@@ -211,19 +202,6 @@ def integrate(
     )
 
 
-def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
-    """Where the parameters of each context are in theta (P,), and P."""
-    ends = np.cumsum([0, *(m.n_params for m in models.values())])
-    return {name: slice(int(a), int(b)) for name, (a, b) in zip(models, pairwise(ends), strict=True)}, int(ends[-1])
-
-
-def of_height(model: StepLengthModel, height_m: float | None) -> StepLengthModel:
-    """The model for a person of this height; itself if it takes no height or none is known."""
-    if height_m is None or not hasattr(model, "height_m"):
-        return model
-    return replace(model, height_m=float(height_m))  # pyright: ignore[reportArgumentType, reportCallIssue, reportUnknownVariableType, reportGeneralTypeIssues, reportTypeVar]
-
-
 def _names(found: Any) -> tuple[str, ...]:
     return tuple(dict.fromkeys(found))
 
@@ -238,6 +216,10 @@ class _Stretch:
     distance_m: float
     anchor_std_m: float
     walked: bool = False  # the distance is known along the way, not from end to end
+
+    @property
+    def where(self) -> str:
+        return f"{self.start_s:.1f}-{self.end_s:.1f} s"
 
 
 def segments_of(
@@ -268,38 +250,29 @@ def segments_of(
     names = track.steps.dtype.names or ()
     steps = tuple(Step(**dict(zip(names, row, strict=True))) for row in cast(Any, track.steps).tolist())
     prob = step_contexts(track)
-    end = track.time_s
-    duration = np.array([s.duration_s for s in steps])
     subject = recording.subject
-    who = subject.id or recording.name
     segments: list[Segment] = []
     empty: list[str] = []
     bent: list[str] = []
     for stretch in stretches:
-        part = (np.minimum(end, stretch.end_s) - np.maximum(end - duration, stretch.start_s)) / np.maximum(
-            duration, 1e-9
-        )
-        part = np.clip(part, 0.0, 1.0)
-        used = np.flatnonzero(part > 0)
-        where = f"{stretch.start_s:.1f}-{stretch.end_s:.1f} s"
-        if part.sum() < MIN_STEPS:
-            empty.append(where)
+        inside = _share_inside(track, stretch)
+        if inside.sum() < MIN_STEPS:
+            empty.append(stretch.where)
             continue
+        used = np.flatnonzero(inside > 0)
         heading: FloatArray | None = track.walking_heading_rad[used]
         if measure == "length":
             heading = None
-        elif stretch.walked:
-            vector = np.exp(1j * heading) * part[used] * np.maximum(track.step_length_m[used], 1e-3)
-            if abs(vector.sum()) < STRAIGHT * np.abs(vector).sum():
-                bent.append(where)
-                heading = None
+        elif stretch.walked and _is_bent(heading, inside[used] * np.maximum(track.step_length_m[used], 1e-3)):
+            bent.append(stretch.where)
+            heading = None
         segments.append(
             Segment(
-                subject=who,
+                subject=subject.id or recording.name,
                 recording=recording.name,
                 distance_m=stretch.distance_m,
                 steps=tuple(steps[k] for k in used),
-                inside=part[used],
+                inside=inside[used],
                 heading_rad=heading,
                 context_prob=prob[used],
                 anchor_std_m=stretch.anchor_std_m,
@@ -315,6 +288,18 @@ def segments_of(
     return segments, [f"{recording.name}: {note}" for note in notes]
 
 
+def _share_inside(track: TrackRows, stretch: _Stretch) -> FloatArray:
+    """Share of each step that is between the anchors, (K,)."""
+    end_s, duration_s = track.time_s, np.asarray(track.steps.duration_s)
+    overlap_s = np.minimum(end_s, stretch.end_s) - np.maximum(end_s - duration_s, stretch.start_s)
+    return np.clip(overlap_s / np.maximum(duration_s, 1e-9), 0.0, 1.0)
+
+
+def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
+    vector = np.exp(1j * heading_rad) * length_m
+    return abs(vector.sum()) < STRAIGHT * np.abs(vector).sum()
+
+
 def step_contexts(track: TrackRows) -> FloatArray:
     """Probabilities of `CONTEXTS` of each step (K, C): the filter's by mode, else the windows'."""
     prob = np.zeros((track.n_steps, len(CONTEXTS)))
@@ -328,15 +313,8 @@ def step_contexts(track: TrackRows) -> FloatArray:
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
     truth = recording.truth
-    notes: list[str] = []
-    found: list[_Stretch] = []
     if truth.segments is not None and np.isfinite(truth.segments.distance_m).any():
-        known = truth.segments[np.isfinite(truth.segments.distance_m)]
-        clicked_m = ANCHOR_STD_M if anchor_std_m is None else anchor_std_m
-        for row in known:
-            distance_m = float(row["distance_m"])
-            std_m = min(clicked_m, STRIDE_STD_M) if distance_m < SINGLE_STEP_M else clicked_m
-            found.append(_Stretch(float(row["start_s"]), float(row["end_s"]), distance_m, std_m, True))
+        found = _of_known_distance(truth.segments, ANCHOR_STD_M if anchor_std_m is None else anchor_std_m)
     elif truth.strides is not None and len(truth.strides):
         found = [
             _Stretch(float(s["start_s"]), float(s["end_s"]), float(s["length_m"]), STRIDE_STD_M, True)
@@ -351,17 +329,22 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
     good: list[_Stretch] = []
     bad: dict[str, list[str]] = {}
     for s in found:
-        where = f"{s.start_s:.1f}-{s.end_s:.1f} s"
         if not (np.isfinite([s.start_s, s.end_s, s.distance_m]).all()):
-            bad.setdefault("time or distance is not a number", []).append(where)
+            bad.setdefault("time or distance is not a number", []).append(s.where)
         elif s.end_s <= s.start_s:
-            bad.setdefault("the end is not after the start (anchors out of time order)", []).append(where)
+            bad.setdefault("the end is not after the start (anchors out of time order)", []).append(s.where)
         elif s.distance_m <= 0:
-            bad.setdefault("the distance is not positive", []).append(f"{where} ({s.distance_m:g} m)")
+            bad.setdefault("the distance is not positive", []).append(f"{s.where} ({s.distance_m:g} m)")
         else:
             good.append(s)
-    notes += [f"{why} in {_some(which)}: left out" for why, which in bad.items()]
-    return good, notes
+    return good, [f"{why} in {_some(which)}: left out" for why, which in bad.items()]
+
+
+def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
+    known = segments[np.isfinite(segments.distance_m)]
+    anchor_std_m = np.where(known.distance_m < SINGLE_STEP_M, min(clicked_std_m, STRIDE_STD_M), clicked_std_m)
+    columns = (known.start_s, known.end_s, known.distance_m, anchor_std_m)
+    return [_Stretch(*map(float, row), walked=True) for row in zip(*columns, strict=True)]
 
 
 def _between_waypoints(points: Any, anchor_std_m: float) -> list[_Stretch]:
@@ -386,18 +369,15 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
     std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / _RADIUS_68
     usable = np.flatnonzero(np.isfinite(east) & np.isfinite(north) & np.isfinite(time_s))
     found: list[_Stretch] = []
-    last = -1
-    for i in usable:
-        if last < 0:
-            last = int(i)
-            continue
+    last = usable[0] if len(usable) else 0
+    for i in usable[1:]:
         distance = float(np.hypot(east[i] - east[last], north[i] - north[last]))
         std = float(np.hypot(std_m[i], std_m[last]))
         if distance > max(MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS * std):
             # the error across the way makes the distance longer: E d^2 = D^2 + std^2 but for the error along it
             length = float(np.sqrt(distance**2 - std**2))
             found.append(_Stretch(float(time_s[last]), float(time_s[i]), length, std))
-            last = int(i)
+            last = i
     return found
 
 

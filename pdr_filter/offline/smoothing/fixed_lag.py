@@ -13,8 +13,10 @@ import numpy as np
 
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, bridge, increments, joined
-from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, Problem, Solution, estimate, filtered_at, pose_problem
+from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, joined
+from pdr_filter.offline.smoothing.problem import Problem, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.fixes import PositionFix
@@ -67,7 +69,7 @@ class FixedLagSmoother:
     lag_s : float
         How old a step is when it is given out. More than a few intervals between fixes gain nothing.
     memory_s : float
-        How old a step is when it leaves the window, not less than `lag_s`. Until then fixes are judged anew, and the
+        How old a step is when it leaves the window, not less than `lag_s`. Until then fixes are judged again, and the
         rotation of the map may still turn the window; it grows up to five times as long until the rotation is known.
     start_std_m, start_heading_std_rad : float
         How well the start is known in the frame of the fixes: by default neither where nor which way.
@@ -92,9 +94,7 @@ class FixedLagSmoother:
 
     def init(self) -> FixedLagState:
         """Nothing walked yet."""
-        cov = np.diag(np.square([self.start_std_m, self.start_std_m, self.start_heading_std_rad, 0.0]))
-        cov[LOG_SCALE, LOG_SCALE] = self.noise.log_scale_std**2
-        cov += np.diag([0.0, 0.0, MIN_STATE_VAR, MIN_STATE_VAR])
+        cov = start_covariance(self.start_std_m, self.start_heading_std_rad, self.noise.log_scale_std**2)
         return FixedLagState(np.zeros(4), cov, _no_steps(), 0, (), last_step_s=np.nan, start_s=-np.inf, has_place=False)
 
     def step(
@@ -163,21 +163,17 @@ class FixedLagSmoother:
             state.steps,
             state.start_mean,
             state.start_cov,
-            state.fixes,
-            (),
-            (),
-            NO_OFFSETS,
-            1.0,
-            self.anchor_interval_s,
+            Observations(state.fixes),
+            anchor_interval_s=self.anchor_interval_s,
             wanted=(leaving,),
         )
-        found = estimate(problem)
+        found = solve(problem)
         mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
         state = replace(state, n_given_out=due)
         time_s = state.steps.time_s[given:due]
         rejected: tuple[PositionFix, ...] = ()
         if is_end:
-            rejected = tuple(f for f, w in zip(state.fixes, found.place_weight, strict=True) if w == 0)
+            rejected = tuple(f for f, w in zip(state.fixes, found.weight, strict=True) if w == 0)
             state = replace(state, fixes=())
         elif leaving:
             state, rejected = self._forget(state, problem, found, leaving)
@@ -197,8 +193,8 @@ class FixedLagSmoother:
         if cov[HEADING_OFFSET, HEADING_OFFSET] > _KNOWN_HEADING_STD_RAD**2 and waited_s < _LONGEST * self.memory_s:
             return state, ()
         mean[HEADING_OFFSET] = float(wrap_angle(mean[HEADING_OFFSET]))
-        past = problem.places.node <= node
-        pairs = list(zip(state.fixes, past.tolist(), found.place_weight.tolist(), strict=True))
+        past = problem.positions.node <= node
+        pairs = list(zip(state.fixes, past.tolist(), found.weight.tolist(), strict=True))
         left = replace(
             state,
             start_mean=mean,

@@ -13,7 +13,7 @@ from pdr_filter.filter.imm import ModeEstimates
 from pdr_filter.filter.tracker import Passage
 from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.smoothing.imm_smoother import smooth
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.tracks import Track
 from pdr_filter.values.angles import wrap_angle
@@ -66,7 +66,7 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
     track = collected(recording, config, kept())
     if track.n_steps == 0:
         return Hindsight(track, np.zeros((0, 4)), np.zeros((0, 4, 4)))
-    smoothed = smooth([*(p.before for p in passages), *last], [p.transition for p in passages])
+    smoothed = smooth_imm([*(p.before for p in passages), *last], [p.transition for p in passages])
     return _with_hindsight(track, smoothed, passages)
 
 

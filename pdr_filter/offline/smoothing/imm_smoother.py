@@ -4,7 +4,7 @@ C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometric
 that belongs to a filter with one Gaussian for each mode. Backwards from the last step, each pair of modes (j at k, i
 at k + 1) has its own Rauch-Tung-Striebel step, and the pairs are merged by their probabilities. With one mode it is the
 Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model; with
-both it is an approximation, because the filter is (tests/offline/test_imm_smoother.py shows how good).
+both it is an approximation, because the filter is (tests/offline/smoothing/test_imm_smoother.py shows how good).
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ import numpy as np
 from pdr_filter.filter.imm import ModeEstimates, Transition
 
 
-def smooth(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:
+def smooth_imm(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:
     """Smoothed estimates, one for each filtered one; the last is the filtered one itself.
 
     w_ji = p_s(i) mu_j pi_ji / sum_j mu_j pi_ji (Kim's eq. 2.20, with the pair's likelihood already in mu);

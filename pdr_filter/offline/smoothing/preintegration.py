@@ -28,6 +28,7 @@ from pdr_filter.filter.motion import (
     Directions,
     Mode,
     MotionNoise,
+    step_motion,
 )
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.values.arrays import FloatArray, IntArray, Table, read_only
@@ -107,43 +108,47 @@ def increments(
     length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
     variance = np.array([f[1] for f in found]).reshape(n, len(modes))
     residual_var = np.array([m.step_length.residual_std_m**2 for m in modes])
-    directions = Directions.of(modes)
     shared_var = mode_prob * moves * (variance - residual_var) / np.maximum(length_m, 0.1) ** 2
 
-    psi = np.asarray(steps.device_heading_rad)[:, None] + directions.heading_offset_rad
-    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
-    across = along @ TURN.T
-    vectors = length_m[..., None] * along
-    displacement = np.einsum("km,kma->ka", mode_prob, vectors)
-    apart = vectors - displacement[:, None]
+    directions = Directions.of(modes)
+    device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
+    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var, directions, mode_prob)
+    displacement = np.einsum("km,kma->ka", mode_prob, move.displacement_m)
+    apart = move.displacement_m - displacement[:, None]
     cov = (
-        np.einsum("km,kma,kmb->kab", mode_prob * residual_var, along, along)
-        + np.einsum("km,kma,kmb->kab", mode_prob * length_m**2 * directions.heading_var_rad2, across, across)
+        np.einsum("km,kma,kmb->kab", move.var_along_m2, move.along, move.along)
+        + np.einsum("km,kma,kmb->kab", move.var_across_m2, move.across, move.across)
         + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
         + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
     )
+    elapsed_s = _elapsed_s(steps, gap_before_s, previous_s)
+    drift_var, unknown_var = noise.heading_drift.variances_rad2(
+        elapsed_s,
+        np.asarray(steps.heading_unknown_s),
+        np.asarray(steps.yaw_bias_std_radps),
+        mode_prob @ directions.drift_rad2_per_s,
+    )
+    jump_var = np.asarray(steps.offset_change_std_rad) ** 2 + noise.heading_drift.unmeasured_rad2(gap_before_s)
+    walking = Increments(
+        time_s=np.asarray(steps.time_s),
+        duration_s=np.asarray(steps.duration_s),
+        displacement_m=displacement,
+        cov_m2=cov,
+        drift_var_rad2=drift_var,
+        unknown_var_rad2=unknown_var,
+        scale_drift_var=np.full(n, noise.log_scale_drift_var),
+        jump_var_rad2=np.minimum(jump_var, MAX_HEADING_VARIANCE),
+        gap_var_m2=noise.gap_var_m2(gap_before_s),
+    )
+    return walking, float(shared_var.sum(axis=1).mean()) if n else 0.0
+
+
+def _elapsed_s(steps: Table, gap_before_s: FloatArray, previous_s: float | None) -> FloatArray:
+    """Time since the step before, (K,); of the first step and after a gap its own duration."""
     time_s, duration_s = np.asarray(steps.time_s), np.asarray(steps.duration_s)
     first_s = duration_s[:1] if previous_s is None else time_s[:1] - previous_s
     elapsed_s = np.concatenate([first_s, np.diff(time_s)])
-    elapsed_s = np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)
-    unknown_s = np.minimum(np.asarray(steps.heading_unknown_s), elapsed_s)
-    bias_var = 2 * noise.bias_correlation_s * np.asarray(steps.yaw_bias_std_radps) ** 2
-    walking = Increments(
-        time_s=time_s,
-        duration_s=duration_s,
-        displacement_m=displacement,
-        cov_m2=cov,
-        drift_var_rad2=(noise.heading_drift_rad_per_sqrt_s**2 + bias_var + mode_prob @ directions.drift_rad2_per_s)
-        * (elapsed_s - unknown_s),
-        unknown_var_rad2=noise.unknown_heading_rad_per_sqrt_s**2 * unknown_s,
-        scale_drift_var=np.full(n, noise.log_scale_drift_var),
-        jump_var_rad2=np.minimum(
-            np.asarray(steps.offset_change_std_rad) ** 2 + noise.unknown_heading_rad_per_sqrt_s**2 * gap_before_s,
-            MAX_HEADING_VARIANCE,
-        ),
-        gap_var_m2=(noise.gap_speed_mps * gap_before_s) ** 2,
-    )
-    return walking, float(shared_var.sum(axis=1).mean()) if n else 0.0
+    return np.maximum(np.where(gap_before_s > 0, duration_s, elapsed_s), 0.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -250,7 +255,7 @@ def turned(heading_rad: FloatArray, log_scale: FloatArray) -> FloatArray:
     return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
 
 
-def advance(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+def end_states(start: FloatArray, sum_m: FloatArray) -> tuple[FloatArray, FloatArray]:
     """States (n, 4) at the end of sums of steps (n, 2) that begin at states (n, 4), and their derivative (n, 4, 4).
 
     F = d x_b / d x_a: the position follows the heading offset by J e^s R D and the log scale by e^s R D.
@@ -294,13 +299,13 @@ def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -
     """
     i = intervals.index
     start = node_mean[:-1]
-    ahead, F_ab = advance(start, intervals.total_m)
-    f_k, F_ak = advance(start[i], intervals.sum_m)
+    ahead, F_ab = end_states(start, intervals.total_m)
+    f_k, F_ak = end_states(start[i], intervals.sum_m)
     T = frame(start)
     Q_ak = T[i] @ intervals.cov @ T[i].swapaxes(-1, -2)
     whiten = intervals.whiten @ np.linalg.inv(T)
     remaining = intervals.total_m[i] - intervals.sum_m
-    Phi = advance(start[i], remaining)[1]
+    Phi = end_states(start[i], remaining)[1]
     G = Q_ak @ Phi.swapaxes(-1, -2) @ (whiten.swapaxes(-1, -2) @ whiten)[i]
     mean = f_k + np.einsum("kab,kb->ka", G, (node_mean[1:] - ahead)[i])
     ends = np.concatenate([F_ak - G @ F_ab[i], G], axis=-1)

@@ -21,7 +21,7 @@ The angle is learnt in the attitude's own frame, in which `AttitudeBlock.horizon
 Measurements for a filter. A memory makes errors of successive directions alike, and a Kalman filter would take them for
 independent. So each step says only what is new: the measurement and the variance which, by the Kalman update, take a
 filter from what all measurements before told it to what is known now. A filter that starts with the first measurement,
-lets the offset wander as `filter_drift_rad_per_sqrt_s` says and believes all it is told then has the learnt direction
+lets the offset wander as `drift` says and believes all it is told then has the learnt direction
 and its variance, systematic error included. One measurement alone has a large deviation: it is what one more step is
 worth. Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration
 brings it back: that variance stays in what is told.
@@ -42,6 +42,7 @@ from pdr_filter.sensing.steps.detector import ModeBlock
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.step import Step
 
 _TEXTING = CARRYING_MODES.index("texting")
@@ -203,10 +204,8 @@ class WalkingDirection:
         How far people turn while they move the phone.
     away_s, return_std_rad : float
         A phone that within this time is found tilted as in a former place is as it was there, this well.
-    filter_drift_rad_per_sqrt_s, unknown_rad_per_sqrt_s, bias_correlation_s : float
-        Of the filter behind: how fast its heading offset wanders, that and without angular rate, and how long an error
-        of the gyroscope's bias lasts. `MotionNoise` has them as `heading_drift_rad_per_sqrt_s`,
-        `unknown_heading_rad_per_sqrt_s` and `bias_correlation_s`.
+    drift : HeadingDrift
+        That of the filter behind (`MotionNoise.heading_drift`); `Config` refuses another one.
     """
 
     rate_hz: float = 100.0
@@ -230,9 +229,7 @@ class WalkingDirection:
     change_std_rad: float = math.radians(35.0)
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
-    filter_drift_rad_per_sqrt_s: float = 0.008
-    unknown_rad_per_sqrt_s: float = 1.0
-    bias_correlation_s: float = 3.0
+    drift: HeadingDrift = field(default_factory=HeadingDrift)
 
     def init(self) -> WalkingDirectionState:
         """State before the first sample."""
@@ -274,7 +271,7 @@ class WalkingDirection:
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
-            told = _lose(state.told, self.unknown_rad_per_sqrt_s**2 * gap_s)
+            told = _lose(state.told, float(self.drift.unmeasured_rad2(gap_s)))
             state = replace(state, start_s=float(block.time_s[0]), told=told)
         new = np.empty((_N_ROWS, len(block.time_s)))
         new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
@@ -513,12 +510,11 @@ class WalkingDirection:
     # --- what is told ---------------------------------------------------------------------------------------------
 
     def _drift(self, told: Told, step: Step) -> Told:
-        """What a filter still knows at this step, before it is told more; `MotionNoise` does the same."""
+        """What a filter still knows at this step, before it is told more."""
         elapsed_s = step.duration_s if math.isnan(told.time_s) else step.time_s - told.time_s
-        unknown_s = min(step.heading_unknown_s, elapsed_s)
-        bias_var = 2.0 * self.bias_correlation_s * step.yaw_bias_std_radps**2
-        lost_var = bias_var * (elapsed_s - unknown_s) + self.unknown_rad_per_sqrt_s**2 * unknown_s
-        wandered_var = self.filter_drift_rad_per_sqrt_s**2 * (elapsed_s - unknown_s)
+        times_s = (elapsed_s, step.heading_unknown_s)
+        lost_var = float(sum(self.drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)))
+        wandered_var = float(self.drift.variances_rad2(*times_s, 0.0)[0])
         return replace(_lose(replace(told, var_rad2=told.var_rad2 + wandered_var), lost_var), time_s=step.time_s)
 
     def _tell(

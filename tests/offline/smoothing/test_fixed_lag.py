@@ -10,8 +10,10 @@ import pdr_filter as pdr
 from pdr_filter import serialise
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
+from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
-from pdr_filter.offline.smoothing.smoother import NO_OFFSETS, estimate, pose_problem
+from pdr_filter.offline.smoothing.problem import pose_problem
+from pdr_filter.offline.smoothing.solve import solve
 from pdr_filter.recipes import default
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.fixes import PositionFix
@@ -40,8 +42,8 @@ def run(
 def whole(walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother) -> tuple[np.ndarray, np.ndarray]:
     start = smoother.init()
     mean = np.array([*fixes[0].position_m, 0.0, 0.0])
-    problem = pose_problem(walk.steps, mean, start.start_cov, fixes, (), (), NO_OFFSETS, 1.0, 10.0)
-    found = estimate(problem)
+    problem = pose_problem(walk.steps, mean, start.start_cov, Observations(tuple(fixes)), anchor_interval_s=10.0)
+    found = solve(problem)
     return bridge(problem.intervals, found.mean, found.joint_cov)
 
 

@@ -10,7 +10,7 @@ from scipy.stats import multivariate_normal
 
 from pdr_filter.filter import imm
 from pdr_filter.filter.imm import ModeEstimates, Transition
-from pdr_filter.offline.smoothing.imm_smoother import smooth
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 
 H = np.array([[1.0, 0.0]])
 R = np.array([[0.5]])
@@ -75,7 +75,7 @@ def test_with_one_mode_it_is_the_rauch_tung_striebel_smoother() -> None:
     F, Q, _, _ = two_modes()
     measured = np.random.default_rng(0).normal(size=12).cumsum()
     filtered, transitions = forward(F[:1], Q[:1], np.ones((1, 1)), np.ones(1), measured)
-    smoothed = smooth(filtered, transitions)
+    smoothed = smooth_imm(filtered, transitions)
     oracle = KalmanFilter(dim_x=2, dim_z=1)
     oracle.F, oracle.Q, oracle.H, oracle.R = F[0], Q[0], H, R
     expected = oracle.rts_smoother(np.stack([e.mean[0] for e in filtered]), np.stack([e.cov[0] for e in filtered]))
@@ -103,7 +103,7 @@ def test_modes_that_move_alike_are_smoothed_as_by_forward_and_backward(seed: int
     for log_likelihood in evidence[:0:-1]:
         beta.append(M @ (np.exp(log_likelihood) * beta[-1]))
     gamma = np.array(alpha) * np.array(beta[::-1])
-    smoothed = smooth(filtered, transitions)
+    smoothed = smooth_imm(filtered, transitions)
     np.testing.assert_allclose([e.mode_prob for e in smoothed], gamma / gamma.sum(axis=1, keepdims=True), atol=1e-12)
 
 
@@ -114,7 +114,7 @@ def test_it_is_closer_to_the_exact_answer_than_the_filter() -> None:
         measured = np.random.default_rng(seed).normal(scale=1.5, size=7).cumsum()
         expected_mean, expected_prob = exact(F, Q, M, prior, measured)
         filtered, transitions = forward(F, Q, M, prior, measured)
-        for name, estimates in (("filtered", filtered), ("smoothed", smooth(filtered, transitions))):
+        for name, estimates in (("filtered", filtered), ("smoothed", smooth_imm(filtered, transitions))):
             mean = np.array([imm.combine(e.mean, e.cov, e.mode_prob)[0] for e in estimates])
             prob = np.array([e.mode_prob for e in estimates])
             errors[name].append([np.abs(mean - expected_mean).mean(), np.abs(prob - expected_prob).mean()])
@@ -129,7 +129,7 @@ def test_a_mode_that_is_impossible_in_hindsight_has_no_probability_and_finite_nu
         ModeEstimates(np.zeros((2, 1)), still, np.array([0.5, 0.5])),
         ModeEstimates(np.zeros((2, 1)), still, np.array([1.0, 0.0])),
     ]
-    smoothed = smooth(filtered, [Transition(np.eye(2), np.zeros((2, 1)), np.zeros((2, 1)), still, still)])
+    smoothed = smooth_imm(filtered, [Transition(np.eye(2), np.zeros((2, 1)), np.zeros((2, 1)), still, still)])
     np.testing.assert_allclose(smoothed[0].mode_prob, [1.0, 0.0])
     assert np.isfinite(smoothed[0].mean).all()
     assert np.isfinite(smoothed[0].cov).all()
@@ -139,4 +139,4 @@ def test_the_numbers_of_estimates_and_transitions_have_to_fit() -> None:
     still = np.eye(1)[None]
     one = ModeEstimates(np.zeros((1, 1)), still, np.ones(1))
     with pytest.raises(ValueError, match="2 estimates need 1 transitions, got 0"):
-        smooth([one, one], [])
+        smooth_imm([one, one], [])

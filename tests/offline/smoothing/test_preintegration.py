@@ -9,7 +9,7 @@ from simulated_steps import simulated_walk
 
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise, linearise
 from pdr_filter.filter.step_length import known_length
-from pdr_filter.offline.smoothing.preintegration import advance, frame, increments, preintegrate
+from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
 from pdr_filter.values.step import Step, step_table
 
 WALK = simulated_walk(60, np.random.default_rng(1))
@@ -38,22 +38,22 @@ def test_two_intervals_in_a_row_are_one_long_one() -> None:
     steps = WALK.steps
     whole, halves = preintegrate(steps, np.array([0, 60])), preintegrate(steps, np.array([0, 25, 60]))
     start = np.zeros((1, 4))
-    middle, first_step = advance(start, halves.total_m[:1])
-    end, second_step = advance(middle, halves.total_m[1:])
+    middle, first_step = end_states(start, halves.total_m[:1])
+    end, second_step = end_states(middle, halves.total_m[1:])
     joined_cov = second_step[0] @ halves.total_cov[0] @ second_step[0].T + halves.total_cov[1]
-    np.testing.assert_allclose(end, advance(start, whole.total_m)[0], atol=1e-12)
-    np.testing.assert_allclose(second_step @ first_step, advance(start, whole.total_m)[1], atol=1e-12)
+    np.testing.assert_allclose(end, end_states(start, whole.total_m)[0], atol=1e-12)
+    np.testing.assert_allclose(second_step @ first_step, end_states(start, whole.total_m)[1], atol=1e-12)
     np.testing.assert_allclose(joined_cov, whole.total_cov[0], atol=1e-12)
 
 
 def test_the_derivative_of_an_interval_is_that_of_finite_differences() -> None:
     total = preintegrate(WALK.steps, np.array([0, 60])).total_m
-    numeric = approx_fprime(START[0], lambda x: advance(x[None], total)[0][0], 1e-7)
-    np.testing.assert_allclose(advance(START, total)[1][0], numeric, atol=1e-5)
+    numeric = approx_fprime(START[0], lambda x: end_states(x[None], total)[0][0], 1e-7)
+    np.testing.assert_allclose(end_states(START, total)[1][0], numeric, atol=1e-5)
 
 
 def test_a_turned_and_scaled_walk_has_the_turned_and_scaled_sum_and_covariance() -> None:
-    """What makes it a preintegration: nothing is summed anew when the heading offset or the scale change."""
+    """What makes it a preintegration: nothing is summed again when the heading offset or the scale change."""
     own_frame = frame(START)[0]
     rotation = own_frame[:2, :2]
     steps = WALK.steps

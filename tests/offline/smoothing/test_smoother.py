@@ -12,21 +12,18 @@ import pdr_filter as pdr
 from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
-from pdr_filter.offline.smoothing.imm_smoother import smooth as rts
-from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
-from pdr_filter.offline.smoothing.smoother import (
-    NO_OFFSETS,
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
+from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
     LoopClosure,
-    Offsets,
-    Problem,
-    estimate,
-    linearised,
-    pose_problem,
-    smooth,
+    Observations,
     waypoint_fixes,
 )
+from pdr_filter.offline.smoothing.preintegration import bridge, frame, joined
+from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Problem, pose_problem
+from pdr_filter.offline.smoothing.smooth import smooth
+from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import table
@@ -44,16 +41,15 @@ def problem_of(
     start_std_m: float = 1000.0,
     loops: tuple[LoopClosure, ...] = (),
     headings: tuple[KnownHeading, ...] = (),
-    offsets: Offsets = NO_OFFSETS,
+    offsets: ObservedOffsets = NO_OFFSETS,
 ) -> Problem:
     start_cov = np.diag(np.square([start_std_m, start_std_m, heading_std_rad, 0.06]))
-    return pose_problem(
-        walk.steps, np.zeros(4), start_cov, fixes, loops, headings, offsets, heading_std_rad, anchor_interval_s=10.0
-    )
+    observed = Observations(tuple(fixes), loops, headings)
+    return pose_problem(walk.steps, np.zeros(4), start_cov, observed, offsets, heading_std_rad, anchor_interval_s=10.0)
 
 
 def solved(problem: Problem) -> tuple[np.ndarray, np.ndarray]:
-    found = estimate(problem)
+    found = solve(problem)
     assert found.converged
     return bridge(problem.intervals, found.mean, found.joint_cov)
 
@@ -72,9 +68,9 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
     walk = simulated_walk(90, rng)
     fixes = walk.fixes(every, 1.0, rng)
     problem = problem_of(walk, fixes, heading_std_rad=0.15, start_std_m=5.0)
-    found = estimate(problem)
+    found = solve(problem)
     mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
-    assert (found.place_weight == 1).all()
+    assert (found.weight == 1).all()
 
     steps, x, state_cov = walk.steps, problem.start_mean, problem.start_cov
     at = {round(f.time_s, 3): f for f in fixes}
@@ -98,7 +94,7 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
             gain = state_cov[:, :2] @ np.linalg.inv(state_cov[:2, :2] + fix.cov_m2)
             x, state_cov = x + gain @ (fix.position_m - x[:2]), state_cov - gain @ state_cov[:2]
         estimates.append(ModeEstimates(x[None], state_cov[None], np.ones(1)))
-    expected = rts(estimates, transitions)[1:]
+    expected = smooth_imm(estimates, transitions)[1:]
     np.testing.assert_allclose(mean, [e.mean[0] for e in expected], atol=1e-9)
     np.testing.assert_allclose(cov, [e.cov[0] for e in expected], atol=1e-9)
 
@@ -115,19 +111,19 @@ def test_equations_are_the_derivatives_of_their_residuals() -> None:
         start_std_m=5.0,
         loops=(LoopClosure(2.0, 15.0),),
         headings=(KnownHeading(3.0, 9.0, 0.4),),
-        offsets=Offsets(np.array([0, 20]), np.array([0.1, 0.2]), np.array([0.2, 0.3])),
+        offsets=ObservedOffsets(np.array([0, 20]), np.array([0.1, 0.2]), np.array([0.2, 0.3])),
     )
     n = problem.n_nodes
-    mean = estimate(problem).mean + rng.normal(scale=0.05, size=(n, 4))
-    ones = np.ones(len(problem.places)), np.ones(len(problem.directions))
-    kinds = linearised(problem, mean, 0.2, *ones)
+    mean = solve(problem).mean + rng.normal(scale=0.05, size=(n, 4))
+    ones = np.ones(len(problem.positions) + len(problem.directions))
+    kinds = linearised(problem, mean, 0.2, ones)
     assert len(kinds) == 6  # with what is known of the rotation
 
     for number, rows in enumerate(kinds):
         for block in range(len(rows.a)):
 
             def residual(values: np.ndarray, number: int = number, block: int = block) -> np.ndarray:
-                moved = linearised(problem, values[:-1].reshape(n, 4), float(values[-1]), *ones)[number].rhs[block]
+                moved = linearised(problem, values[:-1].reshape(n, 4), float(values[-1]), ones)[number].rhs[block]
                 if number != 1:
                     return -moved
                 # an interval's covariance stays where it was linearised
@@ -170,12 +166,12 @@ def test_a_tenth_of_wild_fixes_is_found_and_does_no_harm() -> None:
         places = walk.position_m[10::10][: len(fixes)]
         wild = np.linalg.norm([f.position_m - p for f, p in zip(fixes, places, strict=True)], axis=1) > 15
         problem = problem_of(walk, fixes)
-        found = estimate(problem)
+        found = solve(problem)
         without = solved(problem_of(walk, [f for f, w in zip(fixes, wild, strict=True) if not w]))[0]
         worse.append(rms_m(walk, bridge(problem.intervals, found.mean, found.joint_cov)[0]) / rms_m(walk, without))
         n_wild += wild.sum()
-        missed += (wild & (found.place_weight > 0)).sum()
-        false_alarms += (~wild & (found.place_weight == 0)).sum()
+        missed += (wild & (found.weight > 0)).sum()
+        false_alarms += (~wild & (found.weight == 0)).sum()
     assert n_wild > 30
     assert missed == 0
     assert false_alarms <= 3
@@ -189,7 +185,7 @@ def test_a_change_of_carrying_starts_a_new_heading_offset() -> None:
         walk = simulated_walk(200, rng, any_rotation=True, jumps=1)
         stiff = replace(walk, steps=replace(walk.steps, jump_var_rad2=np.zeros(200)))
         fixes = walk.fixes(20, 2.0, rng)
-        found = [estimate(problem_of(w, fixes)) for w in (walk, stiff)]
+        found = [solve(problem_of(w, fixes)) for w in (walk, stiff)]
         problems = [problem_of(w, fixes) for w in (walk, stiff)]
         errors.append(
             [rms_m(walk, bridge(p.intervals, f.mean, f.joint_cov)[0]) for p, f in zip(problems, found, strict=True)]

@@ -18,6 +18,7 @@ import pdr_filter as pdr
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.io.recording import Recording
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
+from pdr_filter.recipes import default
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.heading.walking_direction import (
@@ -35,6 +36,7 @@ from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
 from pdr_filter.values.angles import circular_mean, wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
@@ -109,8 +111,8 @@ def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray,
     result: list[tuple[float, float]] = []
     for step in steps:
         elapsed_s = step.duration_s if last_s is None else step.time_s - last_s
-        variance += noise.heading_drift_rad_per_sqrt_s**2 * (elapsed_s - step.heading_unknown_s)
-        variance += noise.unknown_heading_rad_per_sqrt_s**2 * step.heading_unknown_s
+        variance += noise.heading_drift.random_walk_rad_per_sqrt_s**2 * (elapsed_s - step.heading_unknown_s)
+        variance += noise.heading_drift.unknown_rad_per_sqrt_s**2 * step.heading_unknown_s
         variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
         last_s = step.time_s
         if np.isfinite(step.walking_direction_std_rad):
@@ -274,10 +276,12 @@ def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingDi
     return state, [s for _, s in result]
 
 
-def test_the_default_noise_is_that_of_the_tracker() -> None:
-    assert STAGE.filter_drift_rad_per_sqrt_s == NOISE.heading_drift_rad_per_sqrt_s
-    assert STAGE.unknown_rad_per_sqrt_s == NOISE.unknown_heading_rad_per_sqrt_s
-    assert STAGE.bias_correlation_s == NOISE.bias_correlation_s
+def test_a_stage_that_reckons_with_another_drift_than_the_filter_is_refused() -> None:
+    config = default()
+    assert config.sensing.heading.drift is config.model.noise.heading_drift
+    other = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02))
+    with pytest.raises(ValueError, match="give one HeadingDrift to both"):
+        config.with_model(noise=other)
 
 
 def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_and_variance() -> None:
@@ -300,8 +304,9 @@ def test_what_the_gyroscope_lost_stays_lost() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0)
     lossy = [(k, replace(s, yaw_bias_std_radps=0.01)) for k, s in steps]
     _, result = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), "pocket"), lossy)
-    noise = replace(NOISE, heading_drift_rad_per_sqrt_s=np.hypot(NOISE.heading_drift_rad_per_sqrt_s, 0.01 * 60**0.5))
-    lost = 2 * NOISE.bias_correlation_s * 0.01**2 * (steps[-1][1].time_s - steps[5][1].time_s)
+    wandering = np.hypot(NOISE.heading_drift.random_walk_rad_per_sqrt_s, 0.01 * 60**0.5)
+    noise = MotionNoise(replace(NOISE.heading_drift, random_walk_rad_per_sqrt_s=wandering))
+    lost = 2 * NOISE.heading_drift.bias_correlation_s * 0.01**2 * (steps[-1][1].time_s - steps[5][1].time_s)
     assert believed([s for _, s in result], noise)[1][-1] > lost
 
 
@@ -332,7 +337,7 @@ def test_after_a_gap_a_phone_found_as_before_keeps_its_offset_and_the_heading_lo
     state, after = STAGE.step(state, block, attitude, modes(len(block.time_s), "pocket"), steps)
     told = [s for _, s in after if s.offset_change_std_rad > 1.0]
     assert len(told) == (moved_deg > 0)
-    assert state.told.lost_var_rad2 == NOISE.unknown_heading_rad_per_sqrt_s**2 * 0.5
+    assert state.told.lost_var_rad2 == NOISE.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5
     assert abs(error_deg([s for _, s in [*before, *after]], 0.6)[-1]) < 5.0
 
 

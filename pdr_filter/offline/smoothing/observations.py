@@ -1,0 +1,102 @@
+"""What is known of a walk besides its steps: position fixes, loop closures, known headings, floor changes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.io.recording import Recording
+from pdr_filter.values.arrays import BoolArray
+from pdr_filter.values.fixes import PositionFix
+
+# Fixes so far outside the samples still count as at their ends: clocks are not better than that.
+_OUTSIDE_S = 1.0
+
+
+@dataclass(frozen=True, slots=True)
+class LoopClosure:
+    """Two times at which the pedestrian was at the same place, within `std_m` along each axis."""
+
+    first_s: float
+    second_s: float
+    std_m: float = 0.5
+
+    def __post_init__(self) -> None:
+        if not (self.first_s < self.second_s and 0 < self.std_m < np.inf):
+            raise ValueError(f"a loop closure needs first_s < second_s and std_m > 0, got {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class KnownHeading:
+    """The direction from where the pedestrian was at one time to where he was at another: a corridor's.
+
+    Clockwise from north of the frame of the fixes.
+    """
+
+    start_s: float
+    end_s: float
+    heading_rad: float
+    std_rad: float = 0.05
+
+    def __post_init__(self) -> None:
+        if not (self.start_s < self.end_s and np.isfinite(self.heading_rad) and 0 < self.std_rad < np.inf):
+            raise ValueError(f"a known heading needs start_s < end_s, a finite heading and std_rad > 0, got {self}")
+
+
+@dataclass(frozen=True, slots=True)
+class FloorChange:
+    """From this time on the pedestrian is on another storey; 0 is the ground floor. Carried through, not estimated."""
+
+    time_s: float
+    floor: int
+
+
+@dataclass(frozen=True, slots=True)
+class Observations:
+    """All that was observed of one walk, each kind in any order."""
+
+    fixes: tuple[PositionFix, ...] = ()
+    loop_closures: tuple[LoopClosure, ...] = ()
+    known_headings: tuple[KnownHeading, ...] = ()
+    floor_changes: tuple[FloorChange, ...] = ()
+
+    def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
+        """Which fixes are within a recording (F,); ValueError if none is, or if anything else is not."""
+
+        def is_inside(time_s: float) -> bool:
+            return start_s - _OUTSIDE_S <= time_s <= end_s + _OUTSIDE_S
+
+        times_s = [f.time_s for f in self.fixes]
+        inside = np.array([is_inside(t) for t in times_s], dtype=bool)
+        if times_s and not inside.any():
+            raise ValueError(
+                f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
+                f"is within the recording, {start_s:.1f} to {end_s:.1f} s: are their times of the same clock?"
+            )
+        pairs = [(c.first_s, c.second_s) for c in self.loop_closures] + [
+            (h.start_s, h.end_s) for h in self.known_headings
+        ]
+        for time_s in (t for pair in pairs for t in pair):
+            if not is_inside(time_s):
+                raise ValueError(
+                    f"an observation at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; times are "
+                    "those of the samples"
+                )
+        return inside
+
+
+def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix]:
+    """The surveyed waypoints of a recording as fixes; ValueError where they are missing or their times go back."""
+    points = recording.truth.waypoints
+    if points is None:
+        raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes")
+    back = np.flatnonzero(np.diff(points.time_s) < 0)
+    if len(back):
+        k = int(back[0]) + 1
+        raise ValueError(
+            f"waypoints must be in the order of their times: waypoint {k} at {points.time_s[k]} s comes after one at "
+            f"{points.time_s[k - 1]} s; correct the times, or sort rows whose times are right"
+        )
+    cov = std_m**2 * np.eye(2)
+    return [PositionFix(float(p.time_s), np.array([p.east_m, p.north_m]), cov) for p in points]

@@ -1,0 +1,243 @@
+"""The least-squares problem of a walk: anchors, the steps between them, and what was observed at them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
+from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values.track_rows import TrackRows
+
+# 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
+# the gate of the filter.
+_POSITION_NIS, _DIRECTION_NIS = 13.8, 10.8
+# No position on a walking body means more than this.
+_BEST_FIX_M = 0.01
+# A heading of a corridor says nothing about somebody who stands in it.
+MIN_HEADING_LENGTH_M = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedPositions:
+    """Where anchor `node` is, or where it is from anchor `other`."""
+
+    node: IntArray  # (F,)
+    other: IntArray  # (F,) -1: the position is one of the map
+    ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
+    position_m: FloatArray  # (F, 2)
+    whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedDirections:
+    """Directions from one anchor to another."""
+
+    first: IntArray  # (H,)
+    last: IntArray  # (H,)
+    length_m: FloatArray  # (H,) by dead reckoning
+    heading_rad: FloatArray  # (H,)
+    std_rad: FloatArray  # (H,)
+
+    def __len__(self) -> int:
+        return len(self.first)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedOffsets:
+    """Heading offsets (walking less device heading), by the number of steps before them, or by their anchor."""
+
+    node: IntArray  # (O,)
+    offset_rad: FloatArray  # (O,)
+    std_rad: FloatArray  # (O,)
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Problem:
+    """Steps between anchors, what is known before them, and what was observed.
+
+    Positions and directions may be wrong: their weights, limits and the like are arrays (F + H,), positions first.
+    """
+
+    intervals: Intervals
+    start_mean: FloatArray  # (4,)
+    start_cov: FloatArray  # (4, 4)
+    positions: ObservedPositions
+    directions: ObservedDirections
+    offsets: ObservedOffsets
+    frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
+
+    @property
+    def n_nodes(self) -> int:
+        """Number of anchors."""
+        return len(self.intervals.nodes)
+
+    @property
+    def limit_nis(self) -> FloatArray:
+        """Normalised innovation squared (F + H,) beyond which an observation is wrong."""
+        n = [len(self.positions), len(self.directions)]
+        return np.repeat([_POSITION_NIS, _DIRECTION_NIS], n)
+
+    @property
+    def possible(self) -> FloatArray:
+        """1 for the observations (F + H,) that can be used: headings only where somebody walked."""
+        walked = self.directions.length_m > MIN_HEADING_LENGTH_M
+        return np.concatenate([np.ones(len(self.positions)), walked.astype(float)])
+
+
+def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
+    """What is known before the first step, (4, 4)."""
+    cov = np.diag(np.square([position_std_m, position_std_m, heading_std_rad, 0.0]))
+    cov[LOG_SCALE, LOG_SCALE] = log_scale_var
+    return cov + np.diag([0.0, 0.0, MIN_STATE_VAR, MIN_STATE_VAR])
+
+
+def pose_problem(
+    steps: Increments,
+    start_mean: FloatArray,
+    start_cov: FloatArray,
+    observed: Observations,
+    offsets: ObservedOffsets = NO_OFFSETS,
+    frame_std_rad: float = 1.0,
+    *,
+    anchor_interval_s: float,
+    wanted: Sequence[int] = (),
+) -> Problem:
+    """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`."""
+    at = [_nearest_contact(steps, f.time_s) for f in observed.fixes]
+    loops = [(_nearest_contact(steps, c.first_s), _nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
+    headings = [
+        (_nearest_contact(steps, h.start_s)[0], _nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
+    ]
+    needed = [i for i, _, _ in at] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
+    nodes = choose_nodes(steps, [*wanted, *needed], anchor_interval_s)
+
+    def numbers(contacts: list[int]) -> IntArray:
+        return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
+
+    fix_cov_m2 = [
+        f.cov_m2 + max(extra, _BEST_FIX_M**2 - float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
+        for f, (_, _, extra) in zip(observed.fixes, at, strict=True)
+    ]
+    loop_cov_m2 = [
+        (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
+    ]
+    none = [np.zeros(2)] * len(loops)
+    positions = ObservedPositions(
+        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops]),
+        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops])]),
+        ahead_m=np.array([d for _, d, _ in at] + none).reshape(-1, 2),
+        position_m=np.array([f.position_m for f in observed.fixes] + none).reshape(-1, 2),
+        whiten=read_only(np.linalg.inv(np.linalg.cholesky(np.array(fix_cov_m2 + loop_cov_m2).reshape(-1, 2, 2)))),
+    )
+    walked = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
+    directions = ObservedDirections(
+        first=numbers([a for a, _ in headings]),
+        last=numbers([b for _, b in headings]),
+        length_m=np.array([np.hypot(*(walked[b] - walked[a])) for a, b in headings]),
+        heading_rad=np.array([h.heading_rad for h in observed.known_headings]),
+        std_rad=np.array([h.std_rad for h in observed.known_headings]),
+    )
+    intervals, at_anchors = preintegrate(steps, nodes), _at_anchors(steps, nodes, offsets)
+    return Problem(intervals, start_mean, start_cov, positions, directions, at_anchors, frame_std_rad)
+
+
+def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
+    """Numbers of steps before each anchor, increasing from 0 to K: those wanted, those before a change, and between."""
+    changed = np.flatnonzero((steps.jump_var_rad2 > 0) | (steps.gap_var_m2 > 0))
+    needed = np.unique(np.concatenate([[0, len(steps)], changed, np.asarray(wanted, dtype=np.int64)]).astype(np.int64))
+    nodes: list[int] = [0]
+    for a, b in pairwise(needed.tolist()):
+        pieces = int(np.ceil((steps.time_s[b - 1] - steps.time_s[a]) / interval_s))
+        nodes += np.unique(np.linspace(a, b, max(pieces, 1) + 1).round().astype(int))[1:].tolist()
+    return np.array(nodes, dtype=np.int64)
+
+
+def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
+    """Steps before the contact nearest to a time, the part of a step from there to that time, and a variance in m2.
+
+    The variance is of what lies between: part of a step, or of a gap.
+    """
+    k = int(np.searchsorted(steps.time_s, time_s))
+    if k == len(steps):
+        return k, np.zeros(2), 0.0
+    begin_s = steps.time_s[k] - steps.duration_s[k]
+    done = float(np.clip((time_s - begin_s) / max(steps.duration_s[k], 1e-3), 0.0, 1.0))
+    gap_var = 0.0
+    if time_s < begin_s and steps.gap_var_m2[k] > 0:
+        lasted_s = begin_s - (steps.time_s[k - 1] if k else begin_s - 1.0)
+        gap_var = float(steps.gap_var_m2[k]) * min(1.0, (begin_s - time_s) / max(lasted_s, 1e-3)) ** 2
+    step_var = 0.5 * float(np.trace(steps.cov_m2[k]))
+    if done <= 0.5:
+        return k, done * steps.displacement_m[k], done**2 * step_var + gap_var
+    left, after = 1.0 - done, k + 1
+    if after < len(steps) and (steps.jump_var_rad2[after] > 0 or steps.gap_var_m2[after] > 0):
+        # the anchor there is after the change, which says nothing about the heading of this step
+        moved_var = left**2 * float(steps.displacement_m[k] @ steps.displacement_m[k])
+        return after, np.zeros(2), moved_var + float(steps.gap_var_m2[after])
+    return after, -left * steps.displacement_m[k], left**2 * step_var
+
+
+def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode], noise: MotionNoise) -> ObservedOffsets:
+    """What the steps themselves show of the heading offset: walking direction less device heading and mode's offset.
+
+    A direction tells only what is new to a filter that knows those before (docs/methods/heading.md), and may point far
+    beyond what it is evidence for. So a filter of the heading offset alone goes along, and each measurement is taken as
+    its prediction and the innovation, which is wrapped there and linear from then on.
+    """
+    std = np.asarray(track.steps.walking_direction_std_rad)
+    known = np.isfinite(std)
+    if not known.any():
+        return NO_OFFSETS
+    own = np.array([m.heading_offset_rad for m in modes])
+    sideways = np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
+    shown = np.asarray(track.steps.walking_direction_rad) - np.asarray(track.steps.device_heading_rad) - sideways
+    drift = steps.drift_var_rad2 + steps.unknown_var_rad2
+    offset, variance = 0.0, noise.initial_heading_offset_std_rad**2
+    measured = np.zeros(len(steps))
+    for k in range(len(steps)):
+        variance = min(variance + (steps.jump_var_rad2[k] if k else 0.0), MAX_HEADING_VARIANCE)
+        if known[k]:
+            innovation = float(wrap_angle(shown[k] - offset))
+            measured[k] = offset + innovation
+            # the first step's direction stands alone: nothing was known before it
+            gain = variance / (variance + std[k] ** 2) if k else 1.0
+            offset, variance = offset + gain * innovation, (1 - gain) * variance if k else float(std[k] ** 2)
+        variance = min(variance + drift[k], MAX_HEADING_VARIANCE)
+    node, value, spread = np.flatnonzero(known), measured[known], std[known]
+    if not known[0]:
+        node = np.concatenate([[0], node])
+        value = np.concatenate([[0.0], value])
+        spread = np.concatenate([[noise.initial_heading_offset_std_rad], spread])
+    return ObservedOffsets(node.astype(np.int64), value, spread)
+
+
+def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
+    """Measured offsets moved to the anchor before them, those of one anchor joined.
+
+    What the heading offset may have drifted since the anchor is added to the variance of each.
+    """
+    if len(offsets) == 0:
+        return NO_OFFSETS
+    index = np.searchsorted(nodes, offsets.node, side="right") - 1
+    drift = np.concatenate([[0.0], np.cumsum(steps.drift_var_rad2 + steps.unknown_var_rad2)])
+    weight = 1 / (offsets.std_rad**2 + drift[offsets.node] - drift[nodes[index]])
+    used, group = np.unique(index, return_inverse=True)
+    total = np.bincount(group, weight)
+    mean = np.bincount(group, weight * offsets.offset_rad) / total
+    return ObservedOffsets(used.astype(np.int64), mean, 1 / np.sqrt(total))

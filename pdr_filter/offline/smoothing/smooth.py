@@ -1,0 +1,359 @@
+"""A whole recording in hindsight: steps, position fixes, loop closures and known headings in one least-squares problem.
+
+States are at anchors only, east, north, heading offset and log step scale each; what was walked between two anchors is
+one linear factor (`pdr_filter.offline.smoothing.preintegration`), so that the cost follows the anchors and not the
+steps. GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the marginals; no Python is called
+back from it. docs/methods/smoothing.md has the equations and the figures.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+
+from pdr_filter.calibration import Calibration
+from pdr_filter.config import Config
+from pdr_filter.filter.imm import smoothed_mode_prob
+from pdr_filter.filter.motion import (
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    Mode,
+    MotionNoise,
+    second_order_errors,
+)
+from pdr_filter.filter.step_length import StepLengthFit
+from pdr_filter.io.recording import Recording
+from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight
+from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
+from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
+from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.recording_run import collected, default_config, outputs
+from pdr_filter.tracks import Track
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, table
+from pdr_filter.values.fixes import PositionFix
+
+# Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
+_ANYWHERE_STD_M = 1000.0
+_HERE_STD_M = _HERE_STD_RAD = 1e-3
+_KINDS = ("fix", "loop closure", "known heading")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Smoothed:
+    """The track in hindsight, and what was learnt on the way.
+
+    Where there were fixes, positions are in their frame and headings clockwise from its north; where there were none,
+    they are those of the filter, from the start and the first heading.
+    """
+
+    track: Track
+    heading_offset_rad: FloatArray  # (K,) walking less device heading after each step, the map's rotation included
+    heading_offset_std_rad: FloatArray  # (K,)
+    log_scale: FloatArray  # (K,) of the step lengths
+    log_scale_std: FloatArray  # (K,)
+    start_position_m: FloatArray  # (2,)
+    start_position_cov_m2: FloatArray  # (2, 2)
+    # A row for each observation: kind ("fix", "loop closure", "known heading"), number in its sequence, time_s, nis
+    # (squared distance from what all others say, normalised by its covariance; NaN outside the recording) and weight
+    # (1 used, 0 rejected or outside).
+    observations: Table
+    floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
+    notes: tuple[str, ...]
+
+    @property
+    def scale(self) -> float:
+        """The person's factor on every step length, mean over the steps; 1 without steps."""
+        return float(np.exp(self.log_scale.mean())) if len(self.log_scale) else 1.0
+
+    @property
+    def scale_std(self) -> float:
+        """Standard deviation of `scale`: an error that the steps share."""
+        return float(self.scale * self.log_scale_std.mean()) if len(self.log_scale) else np.nan
+
+    @property
+    def rejected(self) -> Table:
+        """The observations that were not used."""
+        return self.observations[self.observations.weight < 0.5].view(np.recarray)
+
+    def __repr__(self) -> str:
+        return (
+            f"Smoothed({self.track!r}, scale {self.scale:.3f} +- {self.scale_std:.3f}, {len(self.rejected)} rejected)"
+        )
+
+
+def smooth(
+    recording: Recording,
+    fixes: Sequence[PositionFix] = (),
+    calibration: Calibration | None = None,
+    *,
+    config: Config | None = None,
+    loop_closures: Sequence[LoopClosure] = (),
+    known_headings: Sequence[KnownHeading] = (),
+    floor_changes: Sequence[FloorChange] = (),
+    start_heading_std_rad: float | None = None,
+    anchor_interval_s: float = 10.0,
+) -> Smoothed:
+    """The walk of a recording as everything that is known of it says, with a covariance at every step.
+
+    Step scale, heading drift and the heading offsets of each way of carrying the phone are estimated together with the
+    positions. Fixes may be in any frame; the rotation against the phone's first heading is estimated. Observations that
+    the walk cannot explain are rejected and named in `observations`.
+
+    Parameters
+    ----------
+    recording : Recording
+        From `read`.
+    fixes : sequence of PositionFix
+        In any order. Those outside the recording are not used; ValueError if all are.
+    calibration : Calibration, optional
+        Step lengths of the person of the recording (its subject); those of the recipe if not given.
+    config : Config, optional
+        A recipe; the default recipe if not given.
+    loop_closures, known_headings, floor_changes : sequences
+        What else is known.
+    start_heading_std_rad : float, optional
+        How well the phone's first heading is the walking heading in the frame of the fixes. If not given: not at all
+        where there are fixes or known headings, else what the recipe says.
+    anchor_interval_s : float
+        Anchors are at observations, at changes of the heading offset, and not further apart than this.
+    """
+    config = config or default_config(recording)
+    if calibration is not None:
+        config = calibration.config(config, recording.subject)
+    observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
+        return _from_hindsight(in_hindsight(recording, config), observed)
+    track = collected(recording, config, outputs(recording, config))
+    modes = config.model.modes
+    if track.weighting == "imm":
+        prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
+        track = replace(track, mode_prob=read_only(prob))
+    if calibration is not None:
+        # how sure the parameters are is in the calibrated spread of the scale already
+        modes = tuple(replace(m, step_length=_without_spread(m.step_length)) for m in modes)
+    return smooth_track(
+        track,
+        modes,
+        config.model.noise,
+        observed,
+        start_heading_std_rad=start_heading_std_rad,
+        anchor_interval_s=anchor_interval_s,
+    )
+
+
+def _without_spread(fit: StepLengthFit) -> StepLengthFit:
+    return replace(fit, theta_cov=np.zeros_like(fit.theta_cov))
+
+
+def _from_hindsight(found: Hindsight, observed: Observations) -> Smoothed:
+    """Nothing was observed from elsewhere: what the recording itself says."""
+    variance = np.diagonal(found.cov, axis1=1, axis2=2)
+    return Smoothed(
+        track=found.track,
+        heading_offset_rad=read_only(wrap_angle(found.mean[:, HEADING_OFFSET])),
+        heading_offset_std_rad=read_only(np.sqrt(variance[:, HEADING_OFFSET])),
+        log_scale=read_only(found.mean[:, LOG_SCALE]),
+        log_scale_std=read_only(np.sqrt(variance[:, LOG_SCALE])),
+        start_position_m=read_only(np.zeros(2)),
+        start_position_cov_m2=read_only(np.zeros((2, 2))),
+        observations=_table(observed, np.zeros(0, dtype=bool)),
+        floor=_floors(found.track, observed.floor_changes),
+        notes=found.track.notes,
+    )
+
+
+def smooth_track(
+    track: Track,
+    modes: Sequence[Mode],
+    noise: MotionNoise,
+    observed: Observations,
+    *,
+    start_heading_std_rad: float | None = None,
+    anchor_interval_s: float = 10.0,
+) -> Smoothed:
+    """`smooth` of a track that the filter made without fixes; `modes` and `noise` are those of its tracker."""
+    if anchor_interval_s <= 0:
+        raise ValueError(f"anchor_interval_s must be positive, got {anchor_interval_s}")
+    start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
+    if track.n_steps:
+        start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
+    inside = observed.fixes_inside(start_s, end_s)
+    used = replace(observed, fixes=tuple(compress(observed.fixes, inside)))
+    if track.n_steps == 0:
+        return _without_steps(track, observed, used.fixes)
+    steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
+    offsets = heading_offsets(track, steps, modes, noise)
+    heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
+    centre = np.mean([f.position_m for f in used.fixes], axis=0) if used.fixes else np.zeros(2)
+    start_std_m = _ANYWHERE_STD_M if used.fixes else _HERE_STD_M
+    start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
+    problem = pose_problem(
+        steps,
+        np.array([*centre, 0.0, 0.0]),
+        start_cov,
+        used,
+        offsets,
+        frame_std_rad,
+        anchor_interval_s=anchor_interval_s,
+    )
+    return _smoothed(track, steps, problem, solve(problem), observed, inside)
+
+
+def _start_directions(
+    used: Observations, has_offsets: bool, noise: MotionNoise, start_heading_std_rad: float | None
+) -> tuple[float, float]:
+    """Standard deviations of the first heading, and of the rotation from the phone's frame to that of the fixes."""
+    is_oriented = bool(used.fixes or used.known_headings)
+    wide = float(np.sqrt(MAX_HEADING_VARIANCE))
+    if has_offsets and not is_oriented:
+        # in the phone's own frame the measurements have what is known of the start
+        return wide, _HERE_STD_RAD
+    if start_heading_std_rad is not None:
+        return start_heading_std_rad, start_heading_std_rad
+    return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _HERE_STD_RAD)
+
+
+# --- the result -----------------------------------------------------------------------------------------------------
+
+
+def _smoothed(
+    track: Track, steps: Increments, problem: Problem, found: Solution, observed: Observations, inside: BoolArray
+) -> Smoothed:
+    mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
+    position = mean[:, :2]
+    before = np.vstack([found.mean[:1, :2], position[:-1]])
+    moved = position - before
+    # across a gap positions say where the pedestrian went, not how he stepped
+    own = np.einsum("kab,kb->ka", turned(mean[:, HEADING_OFFSET], mean[:, LOG_SCALE]), steps.displacement_m)
+    moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
+    length = np.hypot(*moved.T)
+    heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
+    of_map = found.weight[: len(problem.positions)] * (problem.positions.other < 0) > 0
+    anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
+    along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
+    position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
+    observations = _table(observed, inside, found)
+    notes = (*track.notes, *_notes(track, found, observations, bool(observed.fixes)))
+    smoothed = replace(
+        track,
+        position_m=read_only(position),
+        position_cov_m2=read_only(position_cov),
+        step_length_m=read_only(length),
+        walking_heading_rad=read_only(wrap_angle(heading)),
+        step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
+        notes=notes,
+        start_position_m=read_only(found.mean[0, :2]),
+    )
+    return Smoothed(
+        track=smoothed,
+        heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
+        heading_offset_std_rad=read_only(np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])),
+        log_scale=read_only(mean[:, LOG_SCALE]),
+        log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
+        start_position_m=read_only(found.mean[0, :2]),
+        start_position_cov_m2=read_only(found.joint_cov[0, :2, :2]),
+        observations=observations,
+        floor=_floors(track, observed.floor_changes),
+        notes=notes,
+    )
+
+
+def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
+    """Error along the way that uncertain headings make (K, 2), from the anchor with a fix that is nearer by it.
+
+    The linear covariance has only the error across (`motion.second_order_errors`).
+    """
+    share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
+    total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])
+    fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)
+    after = np.searchsorted(fixed, np.arange(1, len(moved) + 1))
+    back = total[1:] - total[fixed[np.maximum(after - 1, 0)]]
+    ahead = total[fixed[np.minimum(after, len(fixed) - 1)]] - total[1:]
+    nearer = (ahead**2).sum(axis=1) < (back**2).sum(axis=1)
+    return np.where(nearer[:, None], ahead, back)
+
+
+def _table(observed: Observations, inside: BoolArray, found: Solution | None = None) -> Table:
+    """The table `Smoothed.observations`."""
+    times_s = [
+        [f.time_s for f in observed.fixes],
+        [c.second_s for c in observed.loop_closures],
+        [h.start_s for h in observed.known_headings],
+    ]
+    counts = [len(t) for t in times_s]
+    nis, weight = np.full(sum(counts), np.nan), np.zeros(sum(counts))
+    if found is not None:
+        used = np.concatenate([inside, np.ones(sum(counts[1:]), dtype=bool)])
+        nis[used], weight[used] = found.nis, found.weight
+    return table(
+        {
+            "kind": np.repeat(_KINDS, counts),
+            "number": np.concatenate([np.arange(n) for n in counts]),
+            "time_s": np.concatenate([np.array(t, dtype=float) for t in times_s]),
+            "nis": nis,
+            "weight": weight,
+        }
+    )
+
+
+def _notes(track: Track, found: Solution, observations: Table, has_fixes: bool) -> list[str]:
+    notes: list[str] = []
+    for kind in _KINDS:
+        is_kind = observations.kind == kind
+        unused = is_kind & np.isnan(observations.nis)
+        rejected = is_kind & ~unused & (observations.weight < 0.5)
+        for rows, why in ((unused, "outside the recording"), (rejected, "the walk cannot explain it")):
+            if rows.any():
+                notes.append(f"{kind} {_numbers(observations.number[rows])}: {why}, not used")
+    n_good = int((observations.weight[observations.kind == "fix"] >= 0.5).sum())
+    if has_fixes and n_good == 0:
+        notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
+    elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+        notes.append("a single fix says where the walk was and not which way it went: directions are not known")
+    unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
+    if unknown_s > 1.0:
+        notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")
+    if not found.converged:
+        notes.append("the least squares did not converge: too little is known of this walk, do not trust the track")
+    return notes
+
+
+def _numbers(numbers: IntArray) -> str:
+    shown = ", ".join(str(n) for n in numbers[:10])
+    return shown if len(numbers) <= 10 else f"{shown} and {len(numbers) - 10} more"
+
+
+def _floors(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:
+    changes = sorted(floor_changes, key=lambda c: c.time_s)
+    index = np.searchsorted([c.time_s for c in changes], track.time_s, side="right") - 1
+    floors = np.array([np.nan, *(float(c.floor) for c in changes)])
+    return read_only(floors[index + 1])
+
+
+def _without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
+    """Nobody walked: the place is the weighted mean of the fixes."""
+    if fixes:
+        information = np.linalg.inv(np.array([f.cov_m2 for f in fixes]))
+        cov = np.linalg.inv(information.sum(axis=0))
+        place = cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
+    else:
+        place, cov = np.zeros(2), _HERE_STD_M**2 * np.eye(2)
+    none = read_only(np.zeros(0))
+    return Smoothed(
+        track=track,
+        heading_offset_rad=none,
+        heading_offset_std_rad=none,
+        log_scale=none,
+        log_scale_std=none,
+        start_position_m=read_only(place),
+        start_position_cov_m2=read_only(cov),
+        observations=_table(observed, np.zeros(len(observed.fixes), dtype=bool)),
+        floor=_floors(track, observed.floor_changes),
+        notes=track.notes,
+    )

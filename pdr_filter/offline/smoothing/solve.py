@@ -1,0 +1,365 @@
+"""Smoothed states of a problem, by GTSAM: wrong observations are found and left out, and no initial guess is needed."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import gtsam
+import numpy as np
+
+from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
+from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
+from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
+from pdr_filter.offline.smoothing.problem import (
+    MIN_HEADING_LENGTH_M,
+    ObservedDirections,
+    ObservedOffsets,
+    ObservedPositions,
+    Problem,
+)
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+
+_POSITION = slice(EAST, EAST + 2)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Solution:
+    """Smoothed states at the anchors, and what became of the observations (positions, then directions)."""
+
+    mean: FloatArray  # (n + 1, 4)
+    joint_cov: FloatArray  # (n, 8, 8) both ends of each interval
+    frame_rad: float  # rotation from the frame of the offsets
+    nis: FloatArray  # (F + H,)
+    weight: FloatArray  # (F + H,)
+    converged: bool
+
+
+def solve(problem: Problem) -> Solution:
+    """Smoothed states at the anchors, wrong observations left out.
+
+    1. A linear problem without angles gives the initial guess: heading offset and scale together are a vector
+       z = e^s (cos theta, sin theta), a displacement is M(D) z and thus linear in it. Graduated non-convexity with
+       truncated least squares leaves out wrong observations on the way.
+    2. Gauss-Newton with angles and scales. Observations that are further from what all others say than the 99.9 %
+       quantile are left out, those nearer come back, until nothing changes.
+    """
+    mean, frame_rad, weight = _initial_guess(problem)
+    limit, possible = problem.limit_nis, problem.possible
+    seen: set[bytes] = set()
+    while True:
+        mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
+        tree = _eliminated(linearised(problem, mean, frame_rad, weight))
+        nis = _innovations(problem, mean, weight, tree)
+        seen.add(weight.tobytes())
+        after = next((w for w in _changes(weight, possible * nis / limit, possible) if w.tobytes() not in seen), None)
+        if after is None:
+            break
+        weight = after
+    joint_cov = np.array([_cov_of(tree, [j, j + 1]) for j in range(len(problem.intervals))])
+    return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
+
+
+def filtered_at(problem: Problem, found: Solution, node: int) -> tuple[FloatArray, FloatArray]:
+    """Mean (4,) and covariance (4, 4) at an anchor of all that was before it and at it, linearised at the solution.
+
+    For problems without directions and offsets.
+    """
+    rows = linearised(problem, found.mean, found.frame_rad, found.weight)
+    tree = _eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
+    cov = _cov_of(tree, [max(node - 1, 0), node])[-N_STATES:, -N_STATES:]
+    return found.mean[node] + tree.optimize().at(node), 0.5 * (cov + cov.T)
+
+
+def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
+    """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
+    limit, possible = problem.limit_nis, problem.possible
+    weight, mu = possible.copy(), None
+    state, turn = _solved(_relaxed(problem, weight), problem)
+    for _ in range(60 if len(limit) else 0):
+        nis = _relaxed_squared_residuals(problem, state)
+        if mu is None:
+            excess = float((possible * nis / limit).max())
+            if excess <= 1:
+                break
+            mu = truncated_start(excess)
+        weight = possible * truncated_weights(nis, limit, mu)
+        mu *= GNC_FACTOR
+        state, turn = _solved(_relaxed(problem, weight), problem)
+        if ((weight == 0) | (weight == 1)).all():
+            break
+    mean = state.copy()
+    # more than a third longer or shorter is not the person: it is a turn that the linear problem took for a scale
+    mean[:, LOG_SCALE] = np.clip(np.log(np.maximum(np.hypot(state[:, 2], state[:, 3]), 1e-3)), -0.3, 0.3)
+    mean[:, LOG_SCALE] = np.median(mean[:, LOG_SCALE])
+    angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
+    nearest = wrap_angle(angle[0] - problem.start_mean[HEADING_OFFSET]) + problem.start_mean[HEADING_OFFSET]
+    mean[:, HEADING_OFFSET] = angle + nearest - angle[0]
+    return mean, turn, (weight > 0.5).astype(float)
+
+
+def _gauss_newton(
+    problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray
+) -> tuple[FloatArray, float, bool]:
+    """States, rotation, and whether the iteration converged."""
+    for iteration in range(60):
+        change, turn = _solved(linearised(problem, mean, frame_rad, weight), problem)
+        largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
+        largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
+        # never further than the linearisation reaches; shorter steps where it does not converge
+        share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9)) * (
+            1.0 if iteration < 20 else 0.5
+        )
+        mean, frame_rad = mean + share * change, frame_rad + share * turn
+        if share * float(np.abs(change).max()) < 1e-9 * (1 + float(np.abs(mean).max())):
+            return mean, frame_rad, True
+    return mean, frame_rad, False
+
+
+def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> list[FloatArray]:
+    """Weights to try next, the best first: without the worst observations, else with all that fit again, or one.
+
+    A wrong observation makes its neighbours look wrong, and of two that contradict each other both look wrong: only
+    the worst are left out at a time. `excess` is the distance of each over its limit.
+    """
+    used = np.where(weight > 0, excess, 0.0)
+    if used.max(initial=0.0) > 1:
+        worst = np.arange(len(weight)) == used.argmax()
+        many = (used > 1) & (used >= 0.5 * used.max())
+        choices = [many, worst] if many.sum() > 3 else [worst]
+        return [np.where(c, 0.0, weight) for c in choices]
+    fits = (weight == 0) & (excess <= 1) & (possible > 0)
+    if not fits.any():
+        return []
+    best = np.arange(len(weight)) == np.where(fits, excess, np.inf).argmin()
+    return [np.where(c, 1.0, weight) for c in (fits, best)]
+
+
+def _innovations(problem: Problem, mean: FloatArray, weight: FloatArray, tree: gtsam.GaussianBayesTree) -> FloatArray:
+    """How far each observation is from what all others say: chi-square with its dimension if it is right.
+
+    r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
+    r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it.
+    """
+    positions, directions = problem.positions, problem.directions
+    blocks: list[tuple[int, int, FloatArray, FloatArray, FloatArray]] = []
+    residual, by_node, by_other = _position_residuals(positions, mean)
+    blocks += zip(positions.node.tolist(), positions.other.tolist(), residual, by_node, by_other, strict=True)
+    residual, by_last = _direction_residuals(directions, mean)
+    blocks += zip(directions.last.tolist(), directions.first.tolist(), residual, by_last, -by_last, strict=True)
+    nis = np.empty(len(blocks))
+    for i, (a, b, r, A, B) in enumerate(blocks):
+        keys, H = ([a], A) if b < 0 else ([a], A + B) if a == b else ([a, b], np.hstack([A, B]))
+        leverage = H @ _cov_of(tree, keys) @ H.T
+        S = np.eye(len(r)) + (-leverage if weight[i] > 0 else leverage)
+        # where nothing else says anything of it, the difference is rounding
+        nis[i] = r @ np.linalg.solve(S + 1e-12 * np.eye(len(r)), r)
+    return np.maximum(nis, 0.0)
+
+
+def _solved(rows: Sequence[Rows], problem: Problem) -> tuple[FloatArray, float]:
+    """Solution at the anchors (n + 1, 4), and the rotation (an angle; of a vector its direction)."""
+    solution = _graph(rows).optimize(gtsam.EliminateQR)
+    state = np.array([solution.at(j) for j in range(problem.n_nodes)])
+    if len(problem.offsets) == 0:
+        return state, 0.0
+    turn = solution.at(problem.n_nodes)
+    return state, float(turn[0]) if len(turn) == 1 else float(np.arctan2(turn[1], turn[0]))
+
+
+def _eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
+    return _graph(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
+
+
+def _cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
+    """Joint covariance of some states: (R' R)^-1 of their square-root information R.
+
+    GTSAM's own covariances are by Cholesky, which takes what is known within a kilometre for unknown.
+    """
+    R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
+    inverse = np.linalg.inv(R)
+    return inverse @ inverse.T
+
+
+# --- linear equations -------------------------------------------------------------------------------------------------
+
+
+@dataclass(slots=True)
+class Rows:
+    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys."""
+
+    a: IntArray
+    A: FloatArray  # (n, m, da)
+    rhs: FloatArray  # (n, m)
+    b: IntArray  # the second key; -1 for none
+    B: FloatArray  # (n, m, db)
+    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,); empty for weight one
+
+    @classmethod
+    def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
+        """A block with a single key."""
+        return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
+
+    def chosen(self, keep: BoolArray) -> Rows:
+        """Some of the blocks."""
+        B = self.B[keep] if len(self.B) else self.B
+        weight = self.weight[keep] if len(self.weight) else self.weight
+        return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
+
+
+def _graph(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
+    """Linear factors of GTSAM, one for each block of rows; blocks of weight zero are left out."""
+    graph = gtsam.GaussianFactorGraph()
+    for block in rows:
+        model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
+        root = np.sqrt(block.weight) if len(block.weight) else np.ones(len(block.a))
+        a, b = block.a.tolist(), block.b.tolist()
+        for i, w in enumerate(root.tolist()):
+            if w == 0:
+                continue
+            A, rhs = w * block.A[i], w * block.rhs[i]
+            if b[i] < 0:
+                graph.push_back(gtsam.JacobianFactor(a[i], A, rhs, model))
+            else:
+                graph.push_back(gtsam.JacobianFactor(a[i], A, b[i], w * block.B[i], rhs, model))
+    return graph
+
+
+def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
+    """Equations for the change of the states (n + 1, 4) at which they are linearised."""
+    start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
+    rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0] - problem.start_mean)))]
+
+    start, n = mean[:-1], len(mean) - 1
+    ahead, F = end_states(start, problem.intervals.total_m)
+    whiten = problem.intervals.whiten @ np.linalg.inv(frame(start))
+    residual = np.einsum("nab,nb->na", whiten, mean[1:] - ahead)
+    rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
+
+    positions, directions, offsets = problem.positions, problem.directions, problem.offsets
+    if len(positions):
+        residual, H, H_other = _position_residuals(positions, mean)
+        rows.append(Rows(positions.node, H, -residual, positions.other, H_other, weight[: len(positions)]))
+    if len(directions):
+        residual, by_last = _direction_residuals(directions, mean)
+        of_directions = weight[len(positions) :]
+        rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
+    if len(offsets):
+        inverse = 1 / offsets.std_rad
+        residual = wrap_angle(mean[offsets.node, HEADING_OFFSET] - frame_rad - offsets.offset_rad) * inverse
+        by_state = np.zeros((len(offsets), 1, N_STATES))
+        by_state[:, 0, HEADING_OFFSET] = inverse
+        key = problem.n_nodes
+        rows.append(
+            Rows(offsets.node, by_state, -residual[:, None], np.full(len(offsets), key), -inverse[:, None, None])
+        )
+        prior = np.array([[1 / problem.frame_std_rad]])
+        rows.append(Rows.of_one(key, prior, -prior[0] * frame_rad))
+    return rows
+
+
+def _position_residuals(positions: ObservedPositions, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Whitened p + e^s R(theta) d - p_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
+    at, relative = mean[positions.node], positions.other >= 0
+    moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
+    origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
+    error = at[:, :2] + moved - origin - positions.position_m
+    H = np.zeros((len(positions), 2, N_STATES))
+    H[:, :, _POSITION] = np.eye(2)
+    H_other = -H.copy()
+    H[:, :, HEADING_OFFSET] = moved @ TURN.T
+    H[:, :, LOG_SCALE] = moved
+    return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, positions.whiten @ H_other
+
+
+def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Whitened angle between the way from `first` to `last` and the known one (H, 1), derivative by the last state."""
+    way = mean[directions.last, :2] - mean[directions.first, :2]
+    square = np.maximum((way**2).sum(axis=1), (0.5 * directions.length_m) ** 2 + 1e-12)
+    error = wrap_angle(np.arctan2(way[:, 0], way[:, 1]) - directions.heading_rad) / directions.std_rad
+    H = np.zeros((len(directions), 1, N_STATES))
+    H[:, 0, 0], H[:, 0, 1] = way[:, 1], -way[:, 0]
+    return error[:, None], H / (square * directions.std_rad)[:, None, None]
+
+
+def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
+    """Equations in (p, z), z = e^s (cos theta, sin theta): a displacement is M(D) z and thus linear.
+
+    Covariances are isotropic, because directions are not known yet. Their solution needs no start.
+    """
+    intervals, n = problem.intervals, len(problem.intervals)
+    _, _, theta, s = problem.start_mean
+    spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
+    spread += problem.start_cov[LOG_SCALE, LOG_SCALE]
+    known = np.array([*problem.start_mean[:2], np.exp(s) * np.cos(theta), np.exp(s) * np.sin(theta)])
+    inverse = 1 / np.sqrt([problem.start_cov[0, 0], problem.start_cov[1, 1], spread, spread])
+    rows = [Rows.of_one(0, np.diag(inverse), inverse * known)]
+
+    variance = np.empty((n, N_STATES))
+    variance[:, :2] = 0.5 * (intervals.total_cov[:, 0, 0] + intervals.total_cov[:, 1, 1])[:, None]
+    drift = intervals.total_cov[:, HEADING_OFFSET, HEADING_OFFSET] + intervals.total_cov[:, LOG_SCALE, LOG_SCALE]
+    variance[:, 2:] = drift[:, None]
+    W = 1 / np.sqrt(variance)
+    A = np.broadcast_to(np.eye(N_STATES), (n, N_STATES, N_STATES)).copy()
+    A[:, :2, 2:] = _linear(intervals.total_m)
+    B = W[:, :, None] * np.eye(N_STATES)
+    rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
+    positions, directions = problem.positions, problem.directions
+    if len(positions):
+        H, H_other, target = _relaxed_positions(positions)
+        rows.append(Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]))
+    if len(directions):
+        by_last, target = _relaxed_directions(directions)
+        rows.append(Rows(directions.last, by_last, target, directions.first, -by_last, weight[len(positions) :]))
+    if len(problem.offsets):
+        rows += _relaxed_offsets(problem.offsets, problem.n_nodes, problem.frame_std_rad)
+    return rows
+
+
+def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
+    """Squared residuals of all observations (F + H,) for states (n + 1, 4) in (p, z)."""
+    positions, directions = problem.positions, problem.directions
+    H, H_other, target = _relaxed_positions(positions)
+    other = np.where((positions.other >= 0)[:, None], state[positions.other], 0.0)
+    residual = np.einsum("nab,nb->na", H, state[positions.node]) + np.einsum("nab,nb->na", H_other, other)
+    residual -= target
+    by_last, target = _relaxed_directions(directions)
+    turn = np.einsum("nab,nb->na", by_last, state[directions.last] - state[directions.first]) - target
+    return np.concatenate([np.square(residual).sum(axis=1), np.square(turn).sum(axis=1)])
+
+
+def _linear(sum_m: FloatArray) -> FloatArray:
+    """M(D) (n, 2, 2): D turned and scaled is M(D) (e^s cos theta, e^s sin theta)."""
+    east, north = sum_m[:, 0], sum_m[:, 1]
+    return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
+
+
+def _relaxed_positions(positions: ObservedPositions) -> tuple[FloatArray, FloatArray, FloatArray]:
+    H = np.zeros((len(positions), 2, N_STATES))
+    H[:, :, _POSITION] = np.eye(2)
+    H_other = -H.copy()
+    H[:, :, 2:] = _linear(positions.ahead_m)
+    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
+    return positions.whiten @ H, positions.whiten @ H_other, target
+
+
+def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:
+    """The way between two anchors is the known direction times the length of dead reckoning, within a tenth or more."""
+    inverse = 1 / (np.maximum(directions.std_rad, 0.1) * np.maximum(directions.length_m, MIN_HEADING_LENGTH_M))
+    H = np.zeros((len(directions), 2, N_STATES))
+    H[:, 0, 0], H[:, 1, 1] = inverse, inverse
+    way = np.column_stack([np.sin(directions.heading_rad), np.cos(directions.heading_rad)])
+    return H, way * (directions.length_m * inverse)[:, None]
+
+
+def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:
+    """The rotation of the frame is a vector of key `key`: z is the offset's own turned by it."""
+    inverse = 1 / np.minimum(offsets.std_rad, np.sqrt(MAX_HEADING_VARIANCE))
+    by_state = np.zeros((len(offsets), 2, N_STATES))
+    by_state[:, 0, 2], by_state[:, 1, 3] = inverse, inverse
+    c, s = np.cos(offsets.offset_rad) * inverse, np.sin(offsets.offset_rad) * inverse
+    by_frame = -np.stack([np.stack([c, -s], axis=-1), np.stack([s, c], axis=-1)], axis=-2)
+    prior = np.eye(2) / frame_std_rad
+    measured = Rows(offsets.node, by_state, np.zeros((len(offsets), 2)), np.full(len(offsets), key), by_frame)
+    return [measured, Rows.of_one(key, prior, prior[:, 0])]
