@@ -240,7 +240,7 @@ def other_sets(tables: Tables, data: Path, stage: WalkingDirection) -> None:
                 kind = path.stem.split("_", 3)[-1]
                 place, mode = f"ubicomp13 {kind}", PLACES.get(kind, "pocket")
             walk = Walk.of(pdr.read(path))
-            for carrying_mode, known in {"": "unknown", mode: "known"}.items():
+            for carrying_mode, known in {mode: "known", "": "unknown"}.items():
                 of_walk = steadiness(walk, stage, carrying_mode)
                 if of_walk is not None:
                     found.setdefault((place, known), []).append(of_walk)
