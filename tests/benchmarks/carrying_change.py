@@ -37,7 +37,7 @@ LEGS = [
     Leg("walking", distance_m=30.0, turn_rad=-RIGHT),
 ]
 PLACES = {**CARRYING, "pocket": replace(CARRYING["pocket"], wobble_roll_rad=0.1, wobble_twist_rad=0.05)}
-# One for each carrying mode: told apart by the dashes, too.
+# One for each carrying mode, with dashes of its own.
 MODE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072b2", "linestyle": "-"},
     {"color": "#777777", "linestyle": ":"},

@@ -1,6 +1,6 @@
 """What the benchmarks share: options, recordings, and the files of docs/tables, from which the pages take every figure.
 
-usage: python -m tests.benchmarks.common     writes the tables of README.md anew from docs/tables
+usage: python -m tests.benchmarks.common     copies the tables of README.md from docs/tables
 
 A benchmark writes each of its tables with `Tables.write`. A page includes the file. GitHub includes nothing, so that
 README.md holds copies between two comments; `readme_with_tables` makes them, and a test holds them equal.

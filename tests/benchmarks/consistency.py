@@ -112,14 +112,14 @@ def root(cov: FloatArray) -> FloatArray:
 
 
 def simulated_walk(
-    tracker: Tracker, n_steps: int, rng: np.random.Generator, *, anew: bool = False, overlapping: bool = False
+    tracker: Tracker, n_steps: int, rng: np.random.Generator, *, redrawn: bool = False, overlapping: bool = False
 ) -> Walk:
     """A walk of the tracker's own model.
 
     Parameters
     ----------
-    anew
-        The parameters of each length model are off at every step anew, not once a person, as the filter has it.
+    redrawn
+        The parameters of each length model are drawn at every step, not once a person, as the filter has it.
     overlapping
         Windows of 2 s end every second, so that neighbours share half of their noise; else every second step has one
         of its own.
@@ -144,7 +144,7 @@ def simulated_walk(
         steps.append(step)
         chosen.append(mode)
         fit = fits[mode]
-        if anew:
+        if redrawn:
             off[mode] = roots[mode] @ rng.normal(size=len(fit.theta))
         length_m, jacobian = length_and_jacobian(fit.model, step, fit.theta)
         length_m = max(float(length_m), 0.0) + float(jacobian @ off[mode]) + fit.residual_std_m * rng.normal()
@@ -241,14 +241,14 @@ def errors_of_walks(
     fix_every: int = 60,
     fix_std_m: float = 3.0,
     late_s: float = 0.0,
-    anew: bool = False,
+    redrawn: bool = False,
     overlapping: bool = False,
 ) -> Errors:
     """Errors of the tracker on walks drawn from another (or the same) one."""
     nees, nis, right, rejected = [], [], [], 0
     for n in range(n_walks):
         rng = np.random.default_rng([seed, n])
-        walk = simulated_walk(drawn_from, n_steps, rng, anew=anew, overlapping=overlapping)
+        walk = simulated_walk(drawn_from, n_steps, rng, redrawn=redrawn, overlapping=overlapping)
         found, of_fixes, share, lost = filtered_errors(tracker, walk, rng, check_every, fix_every, fix_std_m, late_s)
         nees.append(found)
         nis.append(of_fixes)
@@ -303,7 +303,7 @@ def simulated(tables: Tables, n_walks: int = 200) -> None:
         ("no fixes", exact, exact, {"fix_every": 0}),
         ("no fixes, and all people of one scale", alike, alike, {"fix_every": 0}),
         ("fixes 3 s late", exact, exact, {"late_s": 3.0}),
-        ("parameters off anew with every step", exact, exact, {"anew": True}),
+        ("parameters drawn with every step", exact, exact, {"redrawn": True}),
         ("overlapping windows, not tempered", exact, exact, {"overlapping": True}),
         ("overlapping windows, tempered", exact, tempered, {"overlapping": True}),
         ("all shipped settings", exact, shipped, {"overlapping": True}),

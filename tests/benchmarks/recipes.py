@@ -262,7 +262,7 @@ def groups_of(records: Sequence[Scored]) -> list[str]:
 
 
 def cells(column: Column, of_row: Sequence[Sequence[Scored]]) -> list[str]:
-    """The column of a table: mean or root mean square, standard error, bold if not told from the best."""
+    """The column of a table: mean or root mean square, standard error, bold if not distinguishable from the best."""
     records = [[r for r in row if r.site == column.site and column.value in r.values] for row in of_row]
     scores = [np.array([r.values[column.value] for r in row]) for row in records]
     loss = [s**2 if column.root else np.abs(column.ideal - s) for s in scores]

@@ -1,4 +1,4 @@
-"""The gate against false steps: its weights fitted anew, and what it does to people left out of the fit.
+"""The gate against false steps: its weights fitted again, and what it does to people left out of the fit.
 
     python -m tests.benchmarks.step_gate [--data ../shared/data]
 

@@ -29,16 +29,17 @@ from pdr_filter.filter.step_length import (
     StepLengthModel,
     StepLengths,
     TianStepLength,
+    WeinbergOffsetStepLength,
     WeinbergStepLength,
     ZhouWalkingStepLength,
     bounce_fit,
+    chen_fit,
     known_length,
     length_and_jacobian,
     static_fit,
+    tian_fit,
 )
-from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
-from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
 from pdr_filter.sensing.steps.detector import amplitude_of_one_period, unknown_modes
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -51,6 +52,7 @@ MODELS: list[StepLengthModel] = [
     FrequencyVarianceStepLength(max_variance=8.0),
     PeriodPeakStepLength(),
     WeinbergStepLength(),
+    WeinbergOffsetStepLength(),
     MagnitudeRangeStepLength(),
     KimStepLength(),
     TianStepLength(1.8),
@@ -110,6 +112,7 @@ def test_every_model_gives_the_value_of_its_equation() -> None:
         (length_of(FrequencyVarianceStepLength(max_variance=3.0), step, 0.3, 0.2, 0.01), 0.73),
         (length_of(PeriodPeakStepLength(), step, 0.3, 0.4, 0.05), 0.5 + 0.05 * peak),
         (length_of(WeinbergStepLength(), step, 0.35), 0.7),
+        (length_of(WeinbergOffsetStepLength(), step, 0.1, 0.3), 0.7),
         (length_of(MagnitudeRangeStepLength(), step, 0.4), 0.4 * 8**0.25),
         (length_of(KimStepLength(), step_of(mean_abs=8.0), 0.35), 0.7),
         (length_of(TianStepLength(1.8), step, 0.3), 0.3 * 1.8 * 2**0.5),

@@ -306,7 +306,7 @@ def steps_of_recording(
 ) -> np.ndarray:
     """Step times with the behaviour of the machine of Table 1, as the whole chain would give it."""
     _, blocks = Conditioner().step(Conditioner().init(), merge_streams(recording))
-    attitudes, stage = AttitudeEstimator(), behaviour.BehaviourStage(thresholds=thresholds)
+    attitudes, stage = AttitudeEstimator(), behaviour.BehaviourStage(thresholds)
     attitude_state, stage_state, state = attitudes.init(), stage.init(), detector.init()
     found: list[tuple[int, Step]] = []
     n_before, last = 0, UNKNOWN
