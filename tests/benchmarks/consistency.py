@@ -1,7 +1,7 @@
 # ruff: noqa: N806 - the letters of the equations
 """Is the filter's covariance the size of its errors: on walks drawn from its own model, on real walks, over a day.
 
-usage: .venv/bin/python tests/benchmarks/consistency.py [simulated] [real] [day] [--data ../shared/data] [--walks 200]
+usage: python -m tests.benchmarks.consistency [simulated] [real] [day] [--data ../shared/data]
 
 simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, drawn from what the default
 recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
@@ -13,7 +13,7 @@ fixes. Rows below "the filter's own model" leave it, by what their names say.
 real: the share of waypoints of humolire and ms_indoor in the 50 % and 95 % ellipses of the default recipe. The truth is
 turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count; what
 waypoints are uncertain by, 0.7 m (humolire) and 1 m (ms_indoor) along each axis, is added to the ellipses. That turning
-tells the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
+gives the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
 as fixes.
 
 day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
@@ -21,21 +21,16 @@ day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what th
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from accuracy import aligned
 from scipy.stats import chi2
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.filter import imm
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.model import PedestrianModel
@@ -48,10 +43,11 @@ from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.fixes import PositionFix
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, options, recordings
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
-# tells 87 % of the windows right; the shipped model gets 86 to 97 % of people left out.
+# classifies 87 % of the windows correctly; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
 # Along each axis: humolire's are ticks on a floor passed within a step, ms_indoor's are "good to a metre or so".
 WAYPOINT_STD_M = {"humolire": 0.7, "ms_indoor": 1.0}
@@ -117,14 +113,14 @@ def root(cov: FloatArray) -> FloatArray:
 
 
 def simulated_walk(
-    model: PedestrianModel, n_steps: int, rng: np.random.Generator, *, anew: bool = False, overlapping: bool = False
+    model: PedestrianModel, n_steps: int, rng: np.random.Generator, *, redrawn: bool = False, overlapping: bool = False
 ) -> Walk:
     """A walk of the model.
 
     Parameters
     ----------
-    anew
-        The parameters of each length model are off at every step anew, not once a person, as the filter has it.
+    redrawn
+        The parameters of each length model are drawn at every step, not once a person, as the filter has it.
     overlapping
         Windows of 2 s end every second, so that neighbours share half of their noise; else every second step has one
         of its own.
@@ -149,7 +145,7 @@ def simulated_walk(
         steps.append(step)
         chosen.append(mode)
         fit = fits[mode]
-        if anew:
+        if redrawn:
             off[mode] = roots[mode] @ rng.normal(size=len(fit.theta))
         length_m, jacobian = length_and_jacobian(fit.model, step, fit.theta)
         length_m = max(float(length_m), 0.0) + float(jacobian @ off[mode]) + fit.residual_std_m * rng.normal()
@@ -249,14 +245,14 @@ def errors_of_walks(
     fix_every: int = 60,
     fix_std_m: float = 3.0,
     late_s: float = 0.0,
-    anew: bool = False,
+    redrawn: bool = False,
     overlapping: bool = False,
 ) -> Errors:
     """Errors of the IMM of a model on walks drawn from another (or the same) one."""
     nees, nis, right, rejected = [], [], [], 0
     for n in range(n_walks):
         rng = np.random.default_rng([seed, n])
-        walk = simulated_walk(drawn_from, n_steps, rng, anew=anew, overlapping=overlapping)
+        walk = simulated_walk(drawn_from, n_steps, rng, redrawn=redrawn, overlapping=overlapping)
         found, of_fixes, share, lost = filtered_errors(model, walk, rng, check_every, fix_every, fix_std_m, late_s)
         nees.append(found)
         nis.append(of_fixes)
@@ -272,24 +268,24 @@ def bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def line(name: str, errors: Errors) -> str:
+def line(name: str, errors: Errors) -> list[str]:
     """One row of the table: mean, checks inside the bounds, for each of the errors."""
     n, cells = len(errors.position), []
     for values, dof in ((errors.position, 2), (errors.position_linear, 2), (errors.state, 4)):
         low, high = bounds(dof, n)
         mean = values.mean(axis=0)
         inside = int(((mean >= low) & (mean <= high)).sum())
-        cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}/{len(mean)}")
+        cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}")
     nis = "-"
     if errors.fixes.size:
         # of a mixture the NIS has the mean of the chi-square, and longer tails
         low, high = bounds(2, errors.fixes.size)
         sampled = 1.96 * errors.fixes.mean(axis=1).std(ddof=1) / np.sqrt(n)
-        nis = f"{errors.fixes.mean():.2f} +- {sampled:.2f} ({low:.2f} to {high:.2f})"
-    return f"| {name} | {' | '.join(cells)} | {nis} | {errors.rejected} | {errors.right.mean():.2f} |"
+        nis = f"{errors.fixes.mean():.2f} ± {sampled:.2f} ({low:.2f} to {high:.2f})"
+    return [name, *cells, nis, str(errors.rejected), f"{errors.right.mean():.2f}"]
 
 
-def simulated(n_walks: int) -> None:
+def simulated(tables: Tables, n_walks: int = 200) -> None:
     """Row by row further from the model."""
     exact, shipped = own_model(), pdr.recipes.default().model
     tempered = replace(exact, evidence_exponent=0.5, evidence_floor=shipped.evidence_floor)
@@ -300,11 +296,9 @@ def simulated(n_walks: int) -> None:
     alike = replace(exact, noise=replace(exact.noise, log_scale_std=0.01))
     low2, high2 = bounds(2, n_walks)
     low4, high4 = bounds(4, n_walks)
-    print(
-        f"{n_walks} walks of 300 steps. Bounds of a check: position {low2:.2f} to {high2:.2f}, "
-        f"state {low4:.2f} to {high4:.2f}.\n\n"
-        "| | NEES position: mean (of checks), inside | without shared errors | NEES state | NIS +- sampled (bounds) | "
-        "rejected | modes right |\n|---|---|---|---|---|---|---|"
+    about = (
+        f"{n_walks} walks of 300 steps, ten checks each: mean (lowest to highest check), checks inside their 95 % "
+        f"bounds, which are {low2:.2f} to {high2:.2f} (position) and {low4:.2f} to {high4:.2f} (state)."
     )
     rows = (
         ("walking alone, known", walking, walking, {}),
@@ -313,14 +307,18 @@ def simulated(n_walks: int) -> None:
         ("no fixes", exact, exact, {"fix_every": 0}),
         ("no fixes, and all people of one scale", alike, alike, {"fix_every": 0}),
         ("fixes 3 s late", exact, exact, {"late_s": 3.0}),
-        ("parameters off anew with every step", exact, exact, {"anew": True}),
+        ("parameters drawn with every step", exact, exact, {"redrawn": True}),
         ("overlapping windows, not tempered", exact, exact, {"overlapping": True}),
         ("overlapping windows, tempered", exact, tempered, {"overlapping": True}),
         ("all shipped settings", exact, shipped, {"overlapping": True}),
         ("all shipped settings, false steps as rare as it takes them", rare, shipped, {"overlapping": True}),
     )
-    for name, drawn_from, used, options in rows:
-        print(line(name, errors_of_walks(drawn_from, used, n_walks, 300, **options)), flush=True)
+    columns = ["", "NEES position", "without shared errors", "NEES state", "NIS (bounds)", "fixes rejected"]
+    found = [
+        line(name, errors_of_walks(drawn_from, used, n_walks, 300, **changed))
+        for name, drawn_from, used, changed in rows
+    ]
+    tables.write("consistency_simulated", [*columns, "right modes"], found, about)
 
 
 # --- real walks -----------------------------------------------------------------------------------------------------
@@ -339,10 +337,9 @@ def in_frame_of(track: pdr.Track, recording: pdr.Recording) -> Waypoints:
     """The waypoints, turned and moved so that those of the first 20 % of the path fit the track best."""
     points = recording.truth.waypoints
     reference = np.column_stack([points.east_m, points.north_m])
-    along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference, axis=0), axis=1))])
-    first = along_m <= max(0.2 * along_m[-1], along_m[min(2, len(along_m) - 1)])
+    first = evaluate.first_of_path(reference)
     estimate, _ = at(track, np.asarray(points.time_s))
-    return Waypoints(np.asarray(points.time_s), aligned(estimate, reference, first), first)
+    return Waypoints(np.asarray(points.time_s), evaluate.fitted(reference, estimate, first), first)
 
 
 def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -362,18 +359,12 @@ def waypoint_errors(track: pdr.Track, truth: Waypoints, std_m: float) -> FloatAr
     return nees[~truth.first]
 
 
-def real(data: Path) -> None:
+def real(tables: Tables, data: Path) -> None:
     """Coverage by site: of the track alone, and of one that got the first waypoints, as turned, as fixes."""
-    print(
-        "| site | first 20 % as fixes | walks | waypoints | in 50 % ellipse | in 95 % ellipse, mean of walks | "
-        "squared error over predicted: mean, median |"
-    )
-    print("|---|---|---|---|---|---|---|")
-    levels = chi2.ppf([0.5, 0.95], 2)
+    levels, rows = chi2.ppf([0.5, 0.95], 2), []
     for site, std_m in WAYPOINT_STD_M.items():
-        alone, told = [], []
-        for path in sorted((data / site).glob("*.zip")):
-            recording = pdr.read(path)
+        alone, with_fixes = [], []
+        for recording in recordings(data, site):
             config = pdr.recipes.for_recording("default", recording)
             track = pdr.track(recording, config)
             if track.n_steps == 0:
@@ -384,16 +375,15 @@ def real(data: Path) -> None:
                 PositionFix(float(t), p, std_m**2 * np.eye(2))
                 for t, p in zip(truth.time_s[truth.first], truth.position_m[truth.first], strict=True)
             ]
-            told.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
-        for name, found in (("no", alone), ("yes", told)):
+            with_fixes.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
+        for name, found in (("no", alone), ("yes", with_fixes)):
             nees = np.concatenate(found)
             half, most = (100 * np.mean(nees <= level) for level in levels)
             per_walk = [100 * np.mean(e <= levels[1]) for e in found if len(e)]
-            print(
-                f"| {site} | {name} | {len(per_walk)} | {nees.size} | {half:.0f} % | {most:.0f} %, "
-                f"{np.mean(per_walk):.0f} % | {nees.mean():.2f}, {np.median(nees):.2f} |",
-                flush=True,
-            )
+            shares = [f"{half:.0f} %", f"{most:.0f} %"]
+            rows.append([site, name, len(per_walk), nees.size, *shares, f"{nees.mean():.2f}, {np.median(nees):.2f}"])
+    columns = ["site", "first 20 % as fixes", "walks", "waypoints", "in 50 %", "in 95 %"]
+    tables.write("consistency_real", [*columns, "squared error over predicted: mean, median"], rows)
 
 
 # --- a day ----------------------------------------------------------------------------------------------------------
@@ -462,38 +452,33 @@ def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[t
     return state, found, rejected
 
 
-def whole_day() -> None:
+def whole_day(tables: Tables) -> None:
     """Sizes of the first and last tenth, and the end."""
+    rows = []
     for weighting in ("imm", "wc"):
         tracker = pdr.recipes.default().with_weighting(weighting).tracker
         begin = time.perf_counter()
-        state, found, rejected = run_day(tracker, 60_000, 86_400.0)
+        state, found, _ = run_day(tracker, 60_000, 86_400.0)
         took = time.perf_counter() - begin
         known = state.pedestrian
         tenth = len(found) // 10
         first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
         asymmetry = np.abs(known.cov - known.cov.swapaxes(-1, -2)).max() / np.abs(known.cov).max()
         std = np.sqrt(np.diagonal(known.cov, axis1=1, axis2=2).max(axis=0))
-        print(
-            f"{weighting}: {known.n_final} steps in {took:.0f} s with the measuring; largest state (numbers, windows, "
-            f"trail, waiting) {first.tolist()} in the first tenth, {last.tolist()} in the last; at the end smallest "
-            f"eigenvalue {np.linalg.eigvalsh(known.cov).min():.1e}, asymmetry {asymmetry:.0e}, probabilities sum to "
-            f"1 {known.prob.sum() - 1:+.0e}, heading std {std[HEADING_OFFSET]:.2f} rad, scale std "
-            f"{std[LOG_SCALE]:.3f}, "
-            f"{rejected} fixes rejected",
-            flush=True,
-        )
+        of_state = [", ".join(map(str, sizes_of)) for sizes_of in (first, last)]
+        at_end = [f"{np.linalg.eigvalsh(known.cov).min():.1e}", f"{asymmetry:.0e}", f"{std[HEADING_OFFSET]:.2f}"]
+        rows.append([weighting, known.n_final, f"{took:.0f}", *of_state, *at_end, f"{std[LOG_SCALE]:.3f}"])
+    columns = ["weighting", "steps", "s", "largest state, first tenth: numbers, windows, trail, waiting", "last tenth"]
+    columns += ["smallest eigenvalue", "asymmetry", "std of the heading rad", "std of the log scale"]
+    tables.write("consistency_day", columns, rows, "24 hours.")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", default=["simulated", "real", "day"])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    parser.add_argument("--walks", type=int, default=200)
-    args = parser.parse_args()
+    args = options(__doc__, "simulated", "real", "day").parse_args()
+    tables = Tables.of(__spec__.name, args)
+    run = {"simulated": simulated, "real": lambda to: real(to, args.data), "day": whole_day}
     for part in args.parts:
-        print(f"\n## {part}\n", flush=True)
-        {"simulated": lambda: simulated(args.walks), "real": lambda: real(args.data), "day": whole_day}[part]()
+        run[part](tables)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Context probabilities of people left out: classifiers side by side, and a reliability diagram.
 
-usage: .venv/bin/python tests/benchmarks/context_accuracy.py [--data ../shared/data] [--figure FILE.svg]
+usage: python -m tests.benchmarks.context_accuracy [--data ../shared/data] [--figure FILE.png]
 
 One of the 12 MotionSense people is left out at a time; every classifier is calibrated on people left out among the
 other eleven. Windows of 2 s, 1 s apart, each judged alone. The rows learn from MotionSense alone, the last one from all
@@ -10,7 +10,6 @@ people with other phones, fitted on everybody in training; ubicomp13 is never tr
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,8 +19,6 @@ import matplotlib as mpl
 import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
 from sklearn.ensemble import RandomForestClassifier
 
 from pdr_filter.classifiers.forest import Forest
@@ -42,6 +39,7 @@ from pdr_filter.training.contexts import (
 )
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
+from tests.benchmarks.common import Tables, options, paths
 
 WALKING = CONTEXTS.index("walking")
 SHIPPED = {plan.name: plan for plan in PLANS}
@@ -95,14 +93,6 @@ def in_pockets(data: Path, windows: LabelledWindows) -> BoolArray:
     return np.isin(windows.recording, sorted(pocket))
 
 
-def table_of(rows: dict[str, dict[str, Any]]) -> Table:
-    columns = ("accuracy", "worst person", "macro recall", "log loss", "Brier", "ECE", "ubicomp13 recall", "log loss ")
-    table = Table("people left out", *columns, box=None)
-    for name, row in rows.items():
-        table.add_row(name, *(f"{row[c]:.3f}" for c in columns))
-    return table
-
-
 def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
     """Reliability diagrams above the shares of windows in each bin."""
     figure = Figure(figsize=(3.2 * len(probs), 4.2), layout="constrained")
@@ -123,14 +113,13 @@ def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--only", nargs="*", help="rows of these names")
     args = parser.parse_args()
     datasets = sorted({d for plan in PLANS for d in plan.datasets} | {"ubicomp13"})
-    paths = [p for d in datasets for p in sorted((args.data / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
-    windows = {name: labelled_windows(paths, None, name) for name in sorted(FEATURE_SETS)}
+    files = [p for d in datasets for p in paths(args.data, d) if p.stem != "motionsense_s01_sit_13"]
+    windows = {name: labelled_windows(files, None, name) for name in sorted(FEATURE_SETS)}
 
     rows: dict[str, dict[str, Any]] = {}
     probs: dict[str, tuple[FloatArray, BoolArray]] = {}
@@ -158,12 +147,16 @@ def main() -> None:
             "log loss": result["log_loss"],
             "Brier": result["brier"],
             "ECE": result["expected_calibration_error"],
-            "ubicomp13 recall": np.mean(elsewhere.argmax(axis=1) == WALKING),
-            "log loss ": -np.log(np.maximum(elsewhere[:, WALKING], 1e-15)).mean(),
+            "ubicomp13: recall": np.mean(elsewhere.argmax(axis=1) == WALKING),
+            "log loss there": -np.log(np.maximum(elsewhere[:, WALKING], 1e-15)).mean(),
         }
         probs[name] = prob[scored], correct[scored]
-        print(name, rows[name], {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
-    Console(width=150).print(table_of(rows))
+        print(name, {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
+    columns = list(next(iter(rows.values())))
+    tables = Tables.of(__spec__.name, args)
+    table = [[name, *(f"{row[c]:.3f}" for c in columns)] for name, row in rows.items()]
+    about = "12 people of MotionSense, each left out; walking of ubicomp13 in trouser pockets."
+    replace(tables, folder=None if args.only else tables.folder).write("contexts", ["", *columns], table, about)
     if args.figure:
         draw({name: probs[name] for name in IN_FIGURE if name in probs}, args.figure)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import accuracy as benchmark
 import numpy as np
 import pytest
 
@@ -13,6 +12,7 @@ from pdr_filter.evaluate import comparison, tracks
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.io.recording import Truth
 from pdr_filter.values.contexts import CONTEXTS
+from tests.oracles import track_scores as oracle
 
 
 @pytest.fixture(scope="module")
@@ -59,7 +59,7 @@ def test_straight_legs_are_those_of_the_accuracy_benchmark(
     imm = by_weighting["imm"]
     segments = walk.truth.segments
     walked = replace(walk, truth=replace(walk.truth, segments=segments[segments.distance_m > 0]))
-    expected = benchmark.track_errors(walked, imm)[3]
+    expected = oracle.track_errors(walked, imm)[3]
     # where within its first step the walk begins is taken otherwise: less than that step
     first = 100 * imm.step_length_m[0] / segments.distance_m.sum()
     assert comparison.straight_leg_error_percent(walk, imm) == pytest.approx(expected, abs=first)
