@@ -14,7 +14,8 @@ from rich.table import Table
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track
-from pdr_filter.report.plotting import context_colours, plot_track
+from pdr_filter.report.palette import context_colours
+from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray

@@ -41,7 +41,7 @@ from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recording_run import detect_steps, track
-from pdr_filter.report.plotting import context_colours
+from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.features import invariant
@@ -562,20 +562,16 @@ def _rmse(walks: Sequence[_Walk], weighting: str) -> float:
 
 # --- Figures ---------------------------------------------------------------------------------------------------------
 
-_COLOURS = context_colours()
-_BLUE, _ORANGE, _GREEN = _COLOURS["walking"], _COLOURS["upstairs"], _COLOURS["downstairs"]
-_INK = "#222222"
-
 
 def _draw_selection(axes: Axes, selection: Selection, machine: Mapping[int, float]) -> None:
     n = np.arange(1, len(selection.curve) + 1)
     mean = 100.0 * np.array([s.score for s in selection.curve])
     std = 100.0 * np.array([s.score_std for s in selection.curve])
-    axes.fill_between(n, mean - std, mean + std, color=_BLUE, alpha=0.15, linewidth=0)
-    axes.plot(n, mean, color=_BLUE, label="linear discriminant (searched)")
+    axes.fill_between(n, mean - std, mean + std, color=BLUE, alpha=0.15, linewidth=0)
+    axes.plot(n, mean, color=BLUE, label="linear discriminant (searched)")
     of_machine = [100.0 * v for v in machine.values()]
-    axes.plot(list(machine), of_machine, color=_ORANGE, marker="s", markersize=4, label="RVM, same sets")
-    axes.plot(len(SELECTED_18), ACCURACY, color=_INK, marker="D", linestyle="none", label="paper's best")
+    axes.plot(list(machine), of_machine, color=ORANGE, marker="s", markersize=4, label="RVM, same sets")
+    axes.plot(len(SELECTED_18), ACCURACY, color=INK, marker="D", linestyle="none", label="paper's best")
     axes.set(xlabel="number of features", ylabel="accuracy, %")
     axes.legend(frameon=False, loc="lower right", fontsize="small")
 
@@ -583,18 +579,18 @@ def _draw_selection(axes: Axes, selection: Selection, machine: Mapping[int, floa
 def _draw_lengths(axes: Axes, accuracy_of: Mapping[float, tuple[float, float]]) -> None:
     length_s = list(accuracy_of)
     mean, std = (100.0 * np.array([v[k] for v in accuracy_of.values()]) for k in (0, 1))
-    axes.errorbar(length_s, mean, std, color=_BLUE, marker="o", capsize=3, label="ours, spread of the subgroups")
-    axes.plot(2.0, ACCURACY, color=_INK, marker="D", linestyle="none", label="paper, 2 s")
+    axes.errorbar(length_s, mean, std, color=BLUE, marker="o", capsize=3, label="ours, spread of the subgroups")
+    axes.plot(2.0, ACCURACY, color=INK, marker="D", linestyle="none", label="paper, 2 s")
     axes.set(xlabel="length of the window, s", ylabel="accuracy, %", xlim=(0.0, max(length_s) + 0.25))
     axes.legend(frameon=False, loc="lower right", fontsize="small")
 
 
 def _draw_sweep(axes: Axes, of: Mapping[str, Sequence[_Walk]]) -> None:
-    for (name, walks), colour, marker in zip(of.items(), (_BLUE, _GREEN), ("o", "s"), strict=False):
+    for (name, walks), colour, marker in zip(of.items(), (BLUE, GREEN), ("o", "s"), strict=False):
         axes.plot(_THRESHOLDS, _sweep(walks), color=colour, marker=marker, markersize=4, label=f"{name}: WC")
         axes.axhline(_rmse(walks, "imm"), color=colour, linestyle="--", label=f"{name}: IMM")
-    axes.plot(_THRESHOLD, TABLE_IV["wc"][3], color=_INK, marker="D", linestyle="none", label="paper: WC")
-    axes.plot(1.0, TABLE_IV["hc"][3], color=_INK, marker="D", fillstyle="none", linestyle="none", label="paper: HC")
+    axes.plot(_THRESHOLD, TABLE_IV["wc"][3], color=INK, marker="D", linestyle="none", label="paper: WC")
+    axes.plot(1.0, TABLE_IV["hc"][3], color=INK, marker="D", fillstyle="none", linestyle="none", label="paper: HC")
     axes.set(xlabel="threshold (0: always WC, 1: HC)", ylabel="RMSE of the distance, %", xlim=(-0.03, 1.03))
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, fontsize="small", loc="lower left")

@@ -99,7 +99,7 @@ def figure(calibration: Calibration, path: str | Path | None = None) -> Figure:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
-    from pdr_filter.report.plotting import context_colours
+    from pdr_filter.report.palette import context_colours
 
     c = calibration
     drawn = Figure(figsize=(10.0, 4.8), layout="constrained")
