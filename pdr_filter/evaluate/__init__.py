@@ -1,6 +1,7 @@
 """Figures that say how good a step detector, a classifier, a distance, a track, a covariance is: functions on arrays.
 
-Only `comparison` knows recordings and tracks; it makes tables for several tracks of one recording.
+`comparison` knows recordings and tracks; it makes tables for several tracks of one recording. Only `runs` runs the
+filter.
 """
 
 from pdr_filter.evaluate.classification import (
@@ -17,15 +18,13 @@ from pdr_filter.evaluate.classification import (
 )
 from pdr_filter.evaluate.comparison import (
     comparison_table,
-    epoch_distances,
     in_truth_frame,
     second_over_first,
     straight_leg_error_percent,
-    threshold_sweep,
-    weighting_tracks,
 )
 from pdr_filter.evaluate.consistency import ellipse_coverage, mean_bounds, nees, nis
 from pdr_filter.evaluate.distance import DistanceScores, distance_scores, distance_table, percent_error, walked_m
+from pdr_filter.evaluate.runs import epoch_distances, threshold_sweep, weighting_tracks
 from pdr_filter.evaluate.steps import (
     StepScores,
     best_offset_s,

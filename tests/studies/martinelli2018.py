@@ -31,8 +31,9 @@ from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
 from pdr_filter.config import Config
 from pdr_filter.evaluate.classification import accuracy, confusion_matrix, macro_recall, recall
-from pdr_filter.evaluate.comparison import epoch_distances, second_over_first
+from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores, percent_error, walked_m
+from pdr_filter.evaluate.runs import epoch_distances
 from pdr_filter.evaluate.tracks import path_m
 from pdr_filter.filter.motion import Mode
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
