@@ -271,42 +271,37 @@ class StepPlan:
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
     """Durations and lengths of all steps, with the person's variability from step to step."""
+    leg_start: list[float] = []
+    leg_end: list[float] = []
+    parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
-    leg_start, leg_end, leg_of, start, length, rise, first, last = ([] for _ in range(8))
     for k, leg in enumerate(legs):
-        joins_previous = k > 0 and legs[k - 1].joins(leg)
-        joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
         leg_start.append(clock_s)
         if leg.moves:
-            before = legs[k - 1] if joins_previous else None
-            durations, lengths = _leg_steps(leg, before, joins_next, gait, rng)
-            n = len(durations)
-            ends = clock_s + np.cumsum(durations)
-            leg_of += [k] * n
-            start += [clock_s, *ends[:-1]]
-            length += list(lengths)
-            rise += [CONTEXT_GAITS[leg.context].rise_m] * n
-            first += [not joins_previous] + [False] * (n - 1)
-            last += [False] * (n - 1) + [not joins_next]
-            clock_s = float(ends[-1])
+            joins_previous = k > 0 and legs[k - 1].joins(leg)
+            joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
+            durations, length = _leg_steps(leg, legs[k - 1] if joins_previous else None, joins_next, gait, rng)
+            number = np.arange(n := len(durations))
+            contact = clock_s + np.cumsum(durations)
+            first, last = (number == 0) & (not joins_previous), (number == n - 1) & (not joins_next)
+            rise = np.full(n, CONTEXT_GAITS[leg.context].rise_m)
+            start = np.append(clock_s, contact[:-1])
+            parts.append((np.full(n, k), start, contact, length, rise, first, last))
+            clock_s = float(contact[-1])
         else:
             clock_s += float(leg.duration_s or 0.0)
         leg_end.append(clock_s)
-    starts = np.array(start, dtype=float)
-    ends_of_legs = np.array(leg_end)[leg_of] if leg_of else np.zeros(0)
-    # Inside a leg the next step starts where this one ends; the last step of a leg ends with the leg.
-    same_leg = np.append(np.diff(leg_of) == 0, False)[: len(starts)]
-    contacts = np.where(same_leg, np.append(starts[1:], np.nan)[: len(starts)], ends_of_legs)
+    leg_of, start, contact, length, rise, first, last = (np.concatenate(column) for column in zip(*parts, strict=True))
     return StepPlan(
         leg_start_s=np.array(leg_start),
         leg_end_s=np.array(leg_end),
-        leg=np.array(leg_of, dtype=np.int64),
-        start_s=starts,
-        contact_s=contacts,
-        length_m=np.array(length, dtype=float),
-        rise_m=np.array(rise, dtype=float),
-        first=np.array(first, dtype=bool),
-        last=np.array(last, dtype=bool),
+        leg=leg_of.astype(np.int64),
+        start_s=start,
+        contact_s=contact,
+        length_m=length,
+        rise_m=rise,
+        first=first.astype(bool),
+        last=last.astype(bool),
     )
 
 

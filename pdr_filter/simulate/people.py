@@ -12,10 +12,10 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.simulate import simulate
 from pdr_filter.simulate.gait import Gait, Leg
 from pdr_filter.simulate.motion import Carrying
 from pdr_filter.simulate.sensors import SensorErrors
+from pdr_filter.simulate.walk import simulate
 
 MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket")
 # At the ear: the top end raised, and rolled until the screen faces the head.
