@@ -50,12 +50,14 @@ def counted_walk(recording: Recording) -> tuple[float, float, int]:
     return float(segments.start_s[0]), float(segments.end_s[0]), int(segments.n_steps[0])
 
 
-def true_way_m(recording: Recording) -> FloatArray:
-    """East and north of the truth, (N, 2)."""
+def even_way(recording: Recording, every_s: float) -> tuple[FloatArray, FloatArray]:
+    """Even times, and east and north of the truth then, (N,) and (N, 2)."""
     position = recording.truth.position
     if position is None:
         raise ValueError(f"{recording.name}: no truth_position.csv")
-    return np.column_stack([position.east_m, position.north_m])
+    time_s = np.arange(position.time_s[0], position.time_s[-1], every_s)
+    way_m = [np.interp(time_s, position.time_s, c) for c in (position.east_m, position.north_m)]
+    return time_s, np.column_stack(way_m)
 
 
 def with_subject(recording: Recording, **known: object) -> Recording:

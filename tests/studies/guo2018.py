@@ -1,6 +1,6 @@
 """Guo et al. 2018: poses by a random forest, steps by pose, walking distance and speed.
 
-Tables 3 to 5 and 7 to 9. Poses: five public data sets, every person told by a forest that has not seen him. Steps:
+Tables 3 to 5 and 7 to 9. Poses: five public data sets, every person classified by a forest without them. Steps:
 ubicomp13 and oxford. Distance and speed: simulated people, because no public recordings have one person in four poses
 on a known way, and beside them humolire and tyrex.
 """
@@ -21,8 +21,9 @@ from tests.studies.measured.guo2018 import (
     N_SIMULATED,
     PLACES,
     SIMULATED_M,
+    Classified,
     PoseWalk,
-    Told,
+    classified_poses,
     counted_walks,
     distances_m,
     people_left_out,
@@ -32,7 +33,6 @@ from tests.studies.measured.guo2018 import (
     sided_confusion,
     simulated_walks,
     speeds_mps,
-    told_poses,
 )
 from tests.studies.printed.guo2018 import (
     MODELS,
@@ -73,7 +73,7 @@ def study(
     simulated_m : float
         How far they walk in each pose.
     """
-    told = told_poses(data)
+    found = classified_poses(data)
     walks, pretraining = simulated_walks(n_simulated, simulated_m)
     real = real_walks(data)
     counted = [*counted_walks(data), *walks]
@@ -82,8 +82,8 @@ def study(
         paper="G. Guo, R. Chen, F. Ye, L. Chen, Y. Pan, M. Liu, Z. Cao, A Pose Awareness Solution for Estimating "
         "Pedestrian Walking Speed, Remote Sensing 11(1), 55, 2019",
         tables=(
-            _pose_table(told),
-            _pose_scores_table(told),
+            _pose_table(found),
+            _pose_scores_table(found),
             _recipes_table(data),
             _sided_table(n_sided),
             _steps_table(counted),
@@ -99,25 +99,25 @@ def study(
 _NO_DATA = "none of the data sets is in the folder"
 
 
-def _pose_table(told: Told | None) -> StudyTable:
-    ours = np.full((4, 4), NAN) if told is None else told.confusion()
+def _pose_table(found: Classified | None) -> StudyTable:
+    ours = np.full((4, 4), NAN) if found is None else found.confusion()
     rows: list[Mapping[str, object]] = []
     for k, pose in enumerate(POSES):
         row: dict[str, object] = {"actual": pose}
         row |= prefixed("paper", POSES, PAPER_CONFUSION[k].tolist())
         row["paper PA %"] = 100.0 * PAPER_CONFUSION[k, k] / PAPER_CONFUSION[k].sum()
         row |= prefixed("ours", POSES, ours[k].tolist())
-        row["ours PA %"] = 100.0 * float(recall(told.confusion())[k]) if told else NAN
+        row["ours PA %"] = 100.0 * float(recall(found.confusion())[k]) if found else NAN
         rows.append(row)
     paper = precision(PAPER_CONFUSION)
-    mine = precision(told.confusion()) if told else np.full(4, NAN)
+    mine = precision(found.confusion()) if found else np.full(4, NAN)
     last: dict[str, object] = {"actual": "UA %"}
     last |= prefixed("paper", POSES, (100.0 * paper).tolist()) | {"paper PA %": NAN}
     last |= prefixed("ours", POSES, (100.0 * mine).tolist()) | {"ours PA %": NAN}
     return StudyTable(
         "Table 3: confusion of poses",
-        (*rows, last) if told else (),
-        f"windows of 0.6 s of people who walk, of {', '.join(told.dataset)}" if told else _NO_DATA,
+        (*rows, last) if found else (),
+        f"windows of 0.6 s of people who walk, of {', '.join(found.dataset)}" if found else _NO_DATA,
         "Paper: 40 % of the data of 101 people in one lobby with four phones, 18 features; whether the other 60 % are "
         "of the same people is not said. Ours: three forests, each without the people whom it is tested on (tyrex and "
         "half of motionsense; oxford and the other half; humolire and ms_indoor) nor anything made of them; 12 "
@@ -126,8 +126,8 @@ def _pose_table(told: Told | None) -> StudyTable:
     )
 
 
-def _pose_scores_table(told: Told | None) -> StudyTable:
-    confusion = told.confusion() if told else None
+def _pose_scores_table(found: Classified | None) -> StudyTable:
+    confusion = found.confusion() if found else None
 
     def scores(c: IntArray) -> dict[str, float]:
         return {
@@ -160,8 +160,8 @@ def _recipes_table(data: Path) -> StudyTable:
         place = place_of(recording)
         people.setdefault(place, set()).add(str(recording.subject.id))
         for recipe in ("guo2018", "default"):
-            told = poses_by_recipe(recording, recipe)
-            share = float(np.mean(told == POSES.index(PLACES[place])))
+            poses = poses_by_recipe(recording, recipe)
+            share = float(np.mean(poses == POSES.index(PLACES[place])))
             right.setdefault(place, {}).setdefault(recipe, []).append(share)
     recalls: dict[str, float] = {p: 100.0 * float(v) for p, v in zip(POSES, recall(PAPER_CONFUSION), strict=True)}
     rows = tuple(
@@ -210,7 +210,7 @@ def _sided_table(n_people: int) -> StudyTable:
     return StudyTable(
         "Table 4: poses with left and right apart",
         tuple(rows),
-        f"simulated: {n_people} people in all seven, a forest of the first 60 % of them told the others",
+        f"simulated: {n_people} people in all seven, a forest of the first 60 % of them classified the others",
         "Paper: as Table 3, 7 to 22 % of the people left-handed. Ours is simulated, because no public recording with a "
         "gyroscope says which hand or pocket: the phone and its way of rocking mirrored, grips drawn at random, both "
         "sides alike often. It says what pitch and roll can show, not how people hold phones.",
@@ -218,7 +218,7 @@ def _sided_table(n_people: int) -> StudyTable:
 
 
 def _other_side(confusion: IntArray, k: int) -> float:
-    """Share of a class that was told as the same pose on the other side."""
+    """Share of a class that was taken for the same pose on the other side."""
     same = [j for j, pose in enumerate(POSE_OF_SIDED) if pose == POSE_OF_SIDED[k] and j != k]
     return float(confusion[k, same].sum() / confusion[k].sum())
 

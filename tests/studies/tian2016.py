@@ -257,7 +257,7 @@ def _table_vi(data: Path, size: Size) -> list[StudyTable]:
         f"the mode most often said in each walk, in per cent of the walks, where the paper has that after each "
         "transition. Nobody swings the phone. Each phone in a pocket was put there before its walk: a transition was "
         f"seen before {sum(c.moved_before for c in in_pocket)} of {len(in_pocket)} of these walks; inside all walks "
-        f"{sum(c.n_transitions for c in tian)} false ones. The default tells the mode of every window"
+        f"{sum(c.n_transitions for c in tian)} false ones. The default gives the mode of every window"
     )
     real = _table_vi_real(tian, by_default) if tian else ()
     steps = _table_viii_steps(tian, by_default) if tian else ()

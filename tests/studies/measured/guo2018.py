@@ -32,7 +32,16 @@ from pdr_filter.training import guo2018 as train_guo
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.step import Step
-from tests.studies.data import HEIGHT_M, counted_walk, people_left_out, place_of, recordings, steps_of, with_subject
+from tests.studies.data import (
+    HEIGHT_M,
+    counted_walk,
+    even_way,
+    people_left_out,
+    place_of,
+    recordings,
+    steps_of,
+    with_subject,
+)
 from tests.studies.printed.guo2018 import POSE_OF_SIDED, POSES, SIDED
 from tests.studies.report import NAN
 
@@ -44,8 +53,8 @@ _N_SIMULATED_IN_TRAINING = 10
 
 
 @dataclass(frozen=True, eq=False)
-class Told:
-    """True and told poses of windows."""
+class Classified:
+    """True and predicted poses of windows."""
 
     truth: IntArray  # (W,) into POSES
     predicted: IntArray  # (W,)
@@ -56,8 +65,8 @@ class Told:
         return confusion_matrix(self.truth, self.predicted, len(POSES))
 
 
-def told_poses(data: Path) -> Told | None:
-    """Poses of windows of people who walk, each told by a forest without them; None without two of the folds."""
+def classified_poses(data: Path) -> Classified | None:
+    """Poses of windows of people who walk, each classified by a forest without them; None without two of the folds."""
     paths = [p for p in train_guo.recordings(data) if not p.stem.startswith("motionsense") or "_wlk_" in p.stem]
     if not paths:
         return None
@@ -77,7 +86,7 @@ def told_poses(data: Path) -> Told | None:
             predicted.append(prob.argmax(axis=1))
             truth.append(np.array([POSES.index(mode) for mode in windows.carrying_mode[test]]))
     found = tuple(str(d) for d in np.unique(windows.dataset[real]))
-    return Told(np.concatenate(truth), np.concatenate(predicted), found)
+    return Classified(np.concatenate(truth), np.concatenate(predicted), found)
 
 
 def _of_people(person: Sequence[str] | np.ndarray, names: Sequence[str]) -> BoolArray:
@@ -159,8 +168,8 @@ def sided_confusion(n_people: int = N_SIDED) -> IntArray:
     features, label, person = _sided_windows(n_people)
     test = person >= round(0.6 * n_people)
     forest, classes = train_guo.fit_forest(features[~test], np.array(SIDED)[label[~test]], np.ones(int((~test).sum())))
-    told = np.array([SIDED.index(c) for c in classes])[forest.predict_proba(features[test]).argmax(axis=1)]
-    return confusion_matrix(label[test], told, len(SIDED))
+    predicted = np.array([SIDED.index(c) for c in classes])[forest.predict_proba(features[test]).argmax(axis=1)]
+    return confusion_matrix(label[test], predicted, len(SIDED))
 
 
 # --- steps, lengths, speeds -----------------------------------------------------------------------------------------
@@ -356,11 +365,7 @@ def real_walks(data: Path) -> list[PoseWalk]:
 
 def _mean_speed_mps(recording: Recording, start_s: float, end_s: float) -> float:
     """Of the phone in motion capture, its path low-passed at 0.5 Hz, so that sway and swing are not walked."""
-    position = recording.truth.position
-    if position is None:
-        raise ValueError(f"{recording.name}: no truth_position.csv")
-    grid_s = np.arange(position.time_s[0], position.time_s[-1], 0.02)
-    place = np.column_stack([np.interp(grid_s, position.time_s, c) for c in (position.east_m, position.north_m)])
+    grid_s, place = even_way(recording, 0.02)
     smooth = sosfiltfilt(butter(2, 0.5, fs=50.0, output="sos"), place, axis=0)
     inside = (grid_s >= start_s) & (grid_s <= end_s)
     return float(np.linalg.norm(np.gradient(smooth, 0.02, axis=0), axis=1)[inside].mean())

@@ -132,7 +132,7 @@ def _folds(examples: Examples) -> list[tuple[IntArray, IntArray]]:
 def _relevance_vectors() -> Any:
     """The machine of the martinelli2018 recipe, as an estimator.
 
-    300 candidates: 500 take half as long again and tell people left out no better.
+    300 candidates: 500 take half as long again and classify people left out no better.
     """
     machine = RelevanceVectorClassifier(kernel="rbf", kernel_width=3.0, max_samples=300, max_basis=200, random_state=0)
     return make_pipeline(StandardScaler(), machine)
@@ -190,7 +190,7 @@ def of_subgroups(examples: Examples, train: Train) -> list[tuple[list[str], Cont
 
 
 def confusion_of(examples: Examples, models: list[tuple[list[str], ContextModel]]) -> IntArray:
-    """Confusion matrix (C, C) over all people, each told by the model of the others."""
+    """Confusion matrix (C, C) over all people, each classified by the model of the others."""
     label, predicted = [], []
     for people, model in models:
         of_part = examples.rows(np.isin(examples.person, people))
@@ -380,7 +380,7 @@ def calibrated(config: Config, walk: Recording) -> Config:
 
 
 def walks_of_people(data: Path, models: list[tuple[list[str], ContextModel]], config: Config) -> list[Walk]:
-    """A walk of each person, told by the model of the others."""
+    """A walk of each person by the model of the others."""
     walks: list[Walk] = []
     for people, model in models:
         for person in people:

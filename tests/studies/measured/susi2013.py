@@ -19,7 +19,7 @@ from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.step import Step
-from tests.studies.data import counted_walk, people_left_out, place_of, recordings, with_subject
+from tests.studies.data import counted_walk, even_way, people_left_out, place_of, recordings, with_subject
 from tests.studies.report import by_count
 
 # --- what the recipes say -------------------------------------------------------------------------------------------
@@ -167,11 +167,7 @@ def arm_turns_s(recording: Recording) -> FloatArray:
 
     Zero crossings of the hand's horizontal velocity less that of the body (its 0.3 Hz low-pass), along the latter.
     """
-    position = recording.truth.position
-    if position is None:
-        raise ValueError(f"{recording.name}: no truth_position.csv, which the swings of the arm are read from")
-    time_s = np.arange(position.time_s[0], position.time_s[-1], 0.01)
-    path = np.column_stack([np.interp(time_s, position.time_s, c) for c in (position.east_m, position.north_m)])
+    time_s, path = even_way(recording, 0.01)
     velocity, body = (
         np.asarray(sosfiltfilt(butter(order, hz, fs=100, output="sos"), np.gradient(path, 0.01, axis=0), axis=0))
         for order, hz in ((3, 3.5), (2, 0.3))

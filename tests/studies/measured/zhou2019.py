@@ -217,7 +217,7 @@ _LINEAR: Mapping[str, Callable[[float], LinearStepLengthModel]] = {
 }
 MODELS = tuple(_LINEAR)
 _RUNNING = CONTEXTS.index("running")
-# Prior of each term of an average step, m: it decides between terms that tell the same over few cadences, as 1, 1 / f
+# Prior of each term of an average step, m: it decides between terms that are the same over few cadences, as 1, 1 / f
 # and 1 / sqrt(f) of M7 do. A walk is taken to be known to 5 %, as persons differ.
 _TERM_STD_M, _WALK_STD = 0.7, 0.05
 
