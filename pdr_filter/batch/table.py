@@ -34,31 +34,25 @@ class Task:
 
 
 @dataclass(frozen=True, slots=True)
-class Row:
+class Row(Task):
     """What came of a recording; numbers are None where it failed."""
 
-    path: str
-    recipe: str
-    weighting: str
-    file_format: str
-    height_m: float | None
-    calibration: str
-    status: str  # "done" or "failed"
-    reason: str  # why it failed
-    name: str
-    n_steps: int | None
-    distance_m: float | None
-    duration_s: float | None
-    end_east_m: float | None
-    end_north_m: float | None
-    end_std_m: float | None  # square root of the trace of the end's covariance
-    stationary_s: float | None
-    walking_s: float | None
-    upstairs_s: float | None
-    downstairs_s: float | None
-    sideways_s: float | None
-    running_s: float | None
-    notes: str  # of the track, joined by "; "
+    status: str = _DONE  # or "failed"
+    reason: str = ""  # why it failed
+    name: str = ""
+    n_steps: int | None = None
+    distance_m: float | None = None
+    duration_s: float | None = None
+    end_east_m: float | None = None
+    end_north_m: float | None = None
+    end_std_m: float | None = None  # square root of the trace of the end's covariance
+    stationary_s: float | None = None
+    walking_s: float | None = None
+    upstairs_s: float | None = None
+    downstairs_s: float | None = None
+    sideways_s: float | None = None
+    running_s: float | None = None
+    notes: str = ""  # of the track, joined by "; "
 
     @property
     def task(self) -> Task:
@@ -167,29 +161,25 @@ def row_of(task: Task, result: Track) -> Row:
     """The row of a track."""
     seconds = result.context_seconds()
     end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
-    end_std_m = float(np.sqrt(np.trace(result.position_cov_m2[-1]))) if result.n_steps else None
-    values: dict[str, Any] = {
+    of_contexts: dict[str, Any] = {f"{name}_s": seconds.get(name, 0.0) for name in CONTEXTS}
+    return Row(
         **asdict(task),
-        "status": _DONE,
-        "reason": "",
-        "name": _one_line(result.name),
-        "n_steps": result.n_steps,
-        "distance_m": result.distance_m,
-        "duration_s": float(result.duration_s),
-        "end_east_m": float(end_m[0]),
-        "end_north_m": float(end_m[1]),
-        "end_std_m": end_std_m,
-        **{f"{name}_s": seconds.get(name, 0.0) for name in CONTEXTS},
-        "notes": _one_line("; ".join(result.notes)),
-    }
-    return Row(**values)
+        name=_one_line(result.name),
+        n_steps=result.n_steps,
+        distance_m=result.distance_m,
+        duration_s=float(result.duration_s),
+        end_east_m=float(end_m[0]),
+        end_north_m=float(end_m[1]),
+        end_std_m=float(np.sqrt(np.trace(result.position_cov_m2[-1]))) if result.n_steps else None,
+        notes=_one_line("; ".join(result.notes)),
+        **of_contexts,
+    )
 
 
 def failed_row(task: Task, reason: str) -> Row:
     """The row of a recording without a track."""
-    values: dict[str, Any] = {**dict.fromkeys(COLUMNS), **asdict(task), "name": _one_line(Path(task.path).stem)}
-    values |= {"status": _FAILED, "reason": _one_line(reason), "notes": ""}
-    return Row(**values)
+    name = _one_line(Path(task.path).stem)
+    return Row(**asdict(task), status=_FAILED, reason=_one_line(reason), name=name)
 
 
 def _one_line(text: str) -> str:

@@ -15,34 +15,9 @@ import numpy as np
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import ReadingReport, reading_report
-from pdr_filter.report import trust
+from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
-from pdr_filter.report.palette import (
-    BLUE,
-    ELLIPSE,
-    ELLIPSE_EDGE_ALPHA,
-    ELLIPSE_FILL_ALPHA,
-    GREEN,
-    INK,
-    ORANGE,
-    context_colours,
-)
-from pdr_filter.report.svg import (
-    LEFT,
-    RIGHT,
-    TOP,
-    WIDTH,
-    Axis,
-    across,
-    line,
-    picture,
-    pixel,
-    points,
-    polyline,
-    text,
-    titled,
-    upward,
-)
+from pdr_filter.report.svg import Axis, across, line, picture, pixel, points, polyline, text, titled, upward
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.track_rows import TrackRows
 
@@ -63,7 +38,7 @@ _BOUT_PAUSE_S = 2.5
 
 _STYLE = (
     f"""
-:root {{ color-scheme: light; --ink: {INK}; --doubt: {ORANGE}; --sure: {GREEN}; }}"""
+:root {{ color-scheme: light; --ink: {palette.INK}; --doubt: {palette.ORANGE}; --sure: {palette.GREEN}; }}"""
     + """
 body { font: 15px/1.5 system-ui, sans-serif; color: var(--ink); background: #fff; margin: 0 auto; max-width: 960px;
   padding: 1.5em; }
@@ -178,7 +153,7 @@ def _doubt_section(doubts: Sequence[str]) -> str:
 def _context_legend(track: TrackRows) -> str:
     if not track.n_steps:
         return ""
-    colours = list(context_colours(track.contexts).items())
+    colours = list(palette.context_colours(track.contexts).items())
     occurring = (colours[i] for i in np.unique(track.context_prob.argmax(axis=1)))
     items = [f"<li>{_key(colour)}{text(name)}</li>" for name, colour in occurring]
     items.append("<li>○ start</li><li>■ end</li><li>ellipses: 95 % of where the person may have been</li>")
@@ -196,7 +171,7 @@ def _context_table(track: TrackRows) -> str:
         return ""
     items = [
         f"<li>{_key(colour)}{text(name)} {seconds[name]:.0f} s ({100 * seconds[name] / total_s:.0f} %)</li>"
-        for i, (name, colour) in enumerate(context_colours(track.contexts).items())
+        for i, (name, colour) in enumerate(palette.context_colours(track.contexts).items())
         if seconds[name] >= 0.5 or (track.windows.context_prob[:, i] > _VISIBLE_PROB).any()
     ]
     return f"<ul class='legend'>{''.join(items)}</ul>" + _words("The height of a colour is the context's probability.")
@@ -267,7 +242,7 @@ def _map_axes(seen_m: FloatArray) -> tuple[Axis, Axis, float]:
     """Axes with the same metres in a pixel both ways, as wide as the page unless that would be too high; the metres."""
     middle = 0.5 * (seen_m.min(axis=0) + seen_m.max(axis=0))
     extent = np.maximum(1.08 * np.ptp(seen_m, axis=0), MIN_EXTENT_M)
-    width = WIDTH - LEFT - RIGHT
+    width = svg.WIDTH - svg.LEFT - svg.RIGHT
     height = float(np.clip(width * extent[1] / extent[0], 280.0, 640.0))
     m_per_pixel = float(max(extent[0] / width, extent[1] / height))
     (west, south), (east, north) = (middle + 0.5 * m_per_pixel * k * np.array([width, height]) for k in (-1, 1))
@@ -276,17 +251,17 @@ def _map_axes(seen_m: FloatArray) -> tuple[Axis, Axis, float]:
 
 def _way(track: TrackRows, context: IntArray, x: FloatArray, y: FloatArray) -> list[str]:
     """The line through points (K + 1,) in pixels, every step in the colour of its context (K,), and both ends."""
-    colours = list(context_colours(track.contexts).values())
+    colours = list(palette.context_colours(track.contexts).values())
     every = max(1, len(x) // _MAX_POINTS)
     kept = np.unique([*range(0, len(x), every), len(x) - 1])
     # A dark line under the coloured one: light colours stay visible on white.
-    parts = [polyline(x[kept], y[kept], INK, 5)]
+    parts = [polyline(x[kept], y[kept], palette.INK, 5)]
     for a, b in _runs(np.diff(context) != 0):
         # The step in row k leads from point k to point k + 1.
         inside = np.unique([*range(a, b + 1, every), b])
         parts.append(polyline(x[inside], y[inside], colours[context[a]], 3.4))
-    start = f"circle cx='{pixel(x[0])}' cy='{pixel(y[0])}' r='5' fill='#fff' stroke='{INK}' stroke-width='2'"
-    end = f"rect x='{pixel(x[-1] - 4.5)}' y='{pixel(y[-1] - 4.5)}' width='9' height='9' fill='{INK}'"
+    start = f"circle cx='{pixel(x[0])}' cy='{pixel(y[0])}' r='5' fill='#fff' stroke='{palette.INK}' stroke-width='2'"
+    end = f"rect x='{pixel(x[-1] - 4.5)}' y='{pixel(y[-1] - 4.5)}' width='9' height='9' fill='{palette.INK}'"
     return [*parts, titled(start, "start"), titled(end, "end")]
 
 
@@ -304,9 +279,9 @@ def _ellipse(track: TrackRows, row: int, x: Axis, y: Axis, m_per_pixel: float) -
     east, north = x.at(float(track.position_m[row, 0])), y.at(float(track.position_m[row, 1]))
     # Pixels grow downwards, so the turn is negative.
     place = f"translate({pixel(east)} {pixel(north)}) rotate({-math.degrees(angle_rad):.1f})"
-    fill = f"fill='{ELLIPSE}' fill-opacity='{ELLIPSE_FILL_ALPHA}' stroke='{ELLIPSE}'"
+    fill = f"fill='{palette.ELLIPSE}' fill-opacity='{palette.ELLIPSE_FILL_ALPHA}' stroke='{palette.ELLIPSE}'"
     radii = f"rx='{pixel(major_m / m_per_pixel)}' ry='{pixel(minor_m / m_per_pixel)}'"
-    shape = f"ellipse {radii} transform='{place}' {fill} stroke-opacity='{ELLIPSE_EDGE_ALPHA}'"
+    shape = f"ellipse {radii} transform='{place}' {fill} stroke-opacity='{palette.ELLIPSE_EDGE_ALPHA}'"
     return titled(shape, f"at {track.time_s[row]:.0f} s: 95 % within {major_m:.1f} m by {minor_m:.1f} m")
 
 
@@ -328,7 +303,7 @@ def _contexts(track: TrackRows) -> str:
     start_x, end_x, prob = _columns(x.at(starts_s / unit_s), x.at(windows.time_s / unit_s), windows.context_prob)
     upper = np.cumsum(prob, axis=1)
     parts: list[str] = []
-    for i, (context, colour) in enumerate(context_colours(windows.contexts).items()):
+    for i, (context, colour) in enumerate(palette.context_colours(windows.contexts).items()):
         # One path of rectangles for each context.
         shown = prob[:, i] > _VISIBLE_PROB
         low, high = y.at((upper - prob)[shown, i]), y.at(upper[shown, i])
@@ -339,9 +314,9 @@ def _contexts(track: TrackRows) -> str:
         if boxes:
             parts.append(titled(f"path d='{boxes}' fill='{colour}' shape-rendering='crispEdges'", context))
     ticks = np.unique(np.round(x.at(track.time_s[np.isfinite(track.time_s)] / unit_s), 0))
-    marks = "".join(f"M{pixel(v)} {pixel(TOP - 10)}V{pixel(TOP - 3)}" for v in ticks)
+    marks = "".join(f"M{pixel(v)} {pixel(svg.TOP - 10)}V{pixel(svg.TOP - 3)}" for v in ticks)
     if marks:
-        parts.append(titled(f"path d='{marks}' stroke='{INK}' stroke-width='0.7'", "steps"))
+        parts.append(titled(f"path d='{marks}' stroke='{palette.INK}' stroke-width='0.7'", "steps"))
     names = (f"{name}; ticks on top are steps", "")
     return picture(x, y, names, "Context probabilities over time", *parts, y_ticks=2)
 
@@ -351,7 +326,7 @@ def _columns(start_x: FloatArray, end_x: FloatArray, prob: FloatArray) -> tuple[
     if len(prob) <= _MAX_COLUMNS:
         return start_x, end_x, prob
     # By place and not by number, so that what is missing stays missing.
-    column = np.floor(0.5 * (start_x + end_x) * _MAX_COLUMNS / WIDTH)
+    column = np.floor(0.5 * (start_x + end_x) * _MAX_COLUMNS / svg.WIDTH)
     _, first, count = np.unique(column, return_index=True, return_counts=True)
     return start_x[first], end_x[first + count - 1], np.add.reduceat(prob, first, axis=0) / count[:, np.newaxis]
 
@@ -372,11 +347,11 @@ def _speed(track: TrackRows) -> str:
         low, mean, up = (y.at(np.maximum(speed[inside] + k * half[inside], 0.0)) for k in (-1.0, 0.0, 1.0))
         if len(inside) == 1:  # a bar and a dot: a line needs two points
             parts.append(line(at[0], low[0], at[0], up[0], "#b9d4e6", 3))
-            parts.append(f"<circle cx='{pixel(at[0])}' cy='{pixel(mean[0])}' r='1.5' fill='{BLUE}' />")
+            parts.append(f"<circle cx='{pixel(at[0])}' cy='{pixel(mean[0])}' r='1.5' fill='{palette.BLUE}' />")
             continue
         band = points(np.concatenate([at, at[::-1]]), np.concatenate([low, up[::-1]]))
-        parts.append(f"<polygon points='{band}' fill='{BLUE}' fill-opacity='0.2' />")
-        parts.append(polyline(at, mean, BLUE, 1.6))
+        parts.append(f"<polygon points='{band}' fill='{palette.BLUE}' fill-opacity='0.2' />")
+        parts.append(polyline(at, mean, palette.BLUE, 1.6))
     words = "Smoothed over the steps of a bout so far, with its 95 % interval."
     return picture(x, y, (name, "speed (m/s)"), "Walking speed over time", *parts) + _words(words)
 
@@ -396,9 +371,9 @@ def _step_lengths(track: TrackRows) -> str:
         if n:
             left, right, top = x.at(float(a)), x.at(float(b)), y.at(float(n))
             size = f"width='{pixel(max(right - left - 1, 0.5))}' height='{pixel(y.start - top)}'"
-            box = f"rect x='{pixel(left + 0.5)}' y='{pixel(top)}' {size} fill='{BLUE}' fill-opacity='0.75'"
+            box = f"rect x='{pixel(left + 0.5)}' y='{pixel(top)}' {size} fill='{palette.BLUE}' fill-opacity='0.75'"
             parts.append(titled(box, f"{_count(int(n), 'step')} of {a:.2f} to {b:.2f} m"))
     low, median, high = (float(q) for q in np.quantile(length_m, [0.05, 0.5, 0.95]))
-    parts.append(line(x.at(median), y.start, x.at(median), y.end, INK, 1.5))
+    parts.append(line(x.at(median), y.start, x.at(median), y.end, palette.INK, 1.5))
     words = f"Median {median:.2f} m (line); nine of ten between {low:.2f} and {high:.2f} m."
     return picture(x, y, ("step length (m)", "steps"), "Distribution of the step lengths", *parts) + _words(words)

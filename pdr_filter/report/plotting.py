@@ -15,16 +15,9 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
-from pdr_filter.report.palette import (
-    ELLIPSE,
-    ELLIPSE_EDGE_ALPHA,
-    ELLIPSE_FILL_ALPHA,
-    FAINT,
-    GRID,
-    INK,
-    context_colours,
-)
+from pdr_filter.report.palette import FAINT, GRID, INK, context_colours
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.windows import Windows
@@ -158,7 +151,10 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
 
 
 def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
-    return {face: (ELLIPSE, ELLIPSE_FILL_ALPHA), edge: (ELLIPSE, ELLIPSE_EDGE_ALPHA)}
+    return {
+        face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA),
+        edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA),
+    }
 
 
 def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
