@@ -123,9 +123,7 @@ def _facts(track: TrackRows) -> str:
     lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
     facts = [_count(track.n_steps, "step"), f"{track.distance_m:,.1f} m", lasted, f"weighting {track.weighting}"]
     if track.n_steps:
-        east_m, north_m = track.position_m[-1]
-        std_m = math.sqrt(max(float(np.trace(track.position_cov_m2[-1])), 0.0))
-        facts.append(f"end {east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m")
+        facts.append(f"end {trust.end(track)}")
     if track.fixes:
         n_used = sum(fix.accepted for fix in track.fixes)
         facts.append(f"{n_used} of {_count(len(track.fixes), 'fix', 'fixes')} used")

@@ -74,9 +74,7 @@ def report(track: TrackRows) -> str:
         f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
     ]
     if track.n_steps:
-        std_m = float(np.sqrt(np.trace(track.position_cov_m2[-1])))
-        east_m, north_m = track.position_m[-1]
-        lines.append(f"end: {east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m")
+        lines.append(f"end: {end(track)}")
     seconds = {name: s for name, s in track.context_seconds().items() if s >= 0.5}
     if seconds:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
@@ -87,6 +85,13 @@ def report(track: TrackRows) -> str:
     problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
     return "\n".join(lines)
+
+
+def end(track: TrackRows) -> str:
+    """Where a track with steps ends, and how sure that is: the square root of the trace of the covariance."""
+    std_m = np.sqrt(max(float(np.trace(track.position_cov_m2[-1])), 0.0))
+    east_m, north_m = track.position_m[-1]
+    return f"{east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m"
 
 
 def _has_step(track: TrackRows) -> BoolArray:
