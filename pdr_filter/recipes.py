@@ -336,11 +336,16 @@ def _height_note(height_m: float | None, assumed_m: float) -> tuple[Note, ...]:
 
 def for_recording(name: str, recording: Recording) -> Config:
     """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
-    if name not in RECIPES:
-        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
+    check_name(name)
     if name == "zhou2019" and "foot" in str(recording.meta.get("placement", "")).lower():
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
+
+
+def check_name(name: str) -> None:
+    """ValueError that lists the recipes if there is none of that name."""
+    if name not in RECIPES:
+        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
 
 
 RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(

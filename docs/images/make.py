@@ -19,16 +19,16 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
+from pdr_filter.report.palette import BLUE, FAINT, INK, ORANGE
 from pdr_filter.report.plotting import plot_track
 
 HERE = Path(__file__).resolve().parent
 REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"
 
-INK, FAINT = "#222222", "#666666"
 # What runs while somebody walks, and what runs afterwards; distinguished by the border, too.
-ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": "#0072B2", "linestyle": "-"}
-OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": "#CC6600", "linestyle": (0, (4, 2))}
-OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": "#777777", "linestyle": "-"}
+ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linestyle": "-"}
+OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": ORANGE, "linestyle": (0, (4, 2))}
+OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": FAINT, "linestyle": "-"}
 
 # name: centre, half width and half height (in the units of the figure below), title, its room, style
 BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {

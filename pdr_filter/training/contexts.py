@@ -469,7 +469,7 @@ def train(
 
 
 def _recordings_in(folder: Path) -> list[Path]:
-    from pdr_filter.batch.run import recordings_in
+    from pdr_filter.io.folders import recordings_in
 
     found = recordings_in(folder)
     if not found:

@@ -39,7 +39,8 @@ class StepLengthPrior:
         Of the population. Std 0 holds a parameter at its mean, inf knows nothing.
     between_std : (p,)
         How people differ: 0 for a parameter that all share, positive for one of each person's own, inf for one in
-        which people are independent of each other (as in Martinelli et al. 2018, eq. 14). It is where the estimate of the spread starts.
+        which people are independent of each other (as in Martinelli et al. 2018, eq. 14). It is where the estimate of
+        the spread starts.
     step_std_m : float
         Of single steps about the model.
     """
