@@ -7,14 +7,15 @@ second those with the lowest log loss on people left out. `train_evidence` estim
 
 from __future__ import annotations
 
-import json
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
 from pdr_filter.values.contexts import CONTEXTS
 
@@ -26,7 +27,7 @@ UNKNOWN = -1
 EXPONENTS = read_only(np.linspace(0.0, 1.5, 16))
 # Steps that the prior of a row of transitions counts as: as many as a minute of walking.
 PRIOR_STEPS = 100.0
-FORMAT_VERSION = 1
+FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
 
 
 @dataclass(frozen=True, eq=False)
@@ -309,7 +310,7 @@ class Transitions:
 
     def __post_init__(self) -> None:
         for name in ("transition_prob", "counts"):
-            object.__setattr__(self, name, read_only(np.asarray(getattr(self, name), dtype=np.float64)))
+            object.__setattr__(self, name, read_only(getattr(self, name)))
         _check_transition_prob("transition_prob", self.transition_prob, len(CONTEXTS))
         if self.counts.shape != self.transition_prob.shape or not _is_finite_not_negative(self.counts):
             raise ValueError(f"counts must be {self.transition_prob.shape}, finite and not negative, got {self.counts}")
@@ -320,48 +321,34 @@ class Transitions:
     def save(self, folder: str | Path) -> Path:
         """Write `transitions.json` into the folder and return its path."""
         content = {
-            "kind": "transitions",
-            "format_version": FORMAT_VERSION,
             "contexts": list(CONTEXTS),
-            "transition_prob": self.transition_prob.tolist(),
+            "transition_prob": self.transition_prob,
             "evidence_exponent": self.evidence_exponent,
             "prior_exponent": self.prior_exponent,
-            "counts": self.counts.tolist(),
+            "counts": self.counts,
             "card": self.card,
         }
-        text = json.dumps(content, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
-        target = Path(folder)
-        target.mkdir(parents=True, exist_ok=True)
-        (target / "transitions.json").write_text(text, encoding="utf-8")
-        return target / "transitions.json"
+        path, _ = file_pair(Path(folder) / "transitions")
+        FORMAT.write(path, content)
+        return path
 
 
 def load_transitions(path: str | Path) -> Transitions:
     """What `Transitions.save` wrote. ValueError that names the file, what is wrong with it and the remedy."""
-    path = Path(path)
-    if not path.is_file():
-        raise ValueError(f"{path}: no such file; pdr-filter train writes transitions.json")
-    try:
-        content: Any = json.loads(path.read_text(encoding="utf-8"))
-        if not isinstance(content, dict) or cast(dict[str, Any], content).get("kind") != "transitions":
-            raise ValueError('its kind is not "transitions"')
-        values = cast(dict[str, Any], content)
-        if values.get("format_version") != FORMAT_VERSION:
-            raise ValueError(f"format_version is {values.get('format_version')}, this version reads {FORMAT_VERSION}")
-        if values["contexts"] != list(CONTEXTS):
-            raise ValueError(f"its contexts are {values['contexts']}, those of this version {list(CONTEXTS)}")
-        return Transitions(
-            transition_prob=np.array(values["transition_prob"], dtype=np.float64),
-            evidence_exponent=float(values["evidence_exponent"]),
-            prior_exponent=float(values["prior_exponent"]),
-            counts=np.array(values["counts"], dtype=np.float64),
-            card=dict(values["card"]),
-        )
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(
-            f"{path}: not usable transitions: {what}; write the file anew with pdr-filter train"
-        ) from error
+    return FORMAT.read(path, _assemble)
+
+
+def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
+    """Return the transitions; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    if content["contexts"] != list(CONTEXTS):
+        raise ValueError(f"its contexts are {content['contexts']}, those of this version {list(CONTEXTS)}")
+    return Transitions(
+        transition_prob=content["transition_prob"],
+        evidence_exponent=float(content["evidence_exponent"]),
+        prior_exponent=float(content["prior_exponent"]),
+        counts=content["counts"],
+        card=dict(content["card"]),
+    )
 
 
 def _is_finite_not_negative(value: FloatArray | float) -> bool:

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pdr_filter.classifiers.rows import checked_rows
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.classifiers.artefact import Arrays
+from pdr_filter.classifiers.machine import Machine, Stored
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
 
@@ -41,7 +42,7 @@ _LOWEST_BYTE = 0 if sys.byteorder == "little" else np.dtype(np.intp).itemsize - 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trees:
+class Trees(Stored):
     """All trees, concatenated; children come after their parents.
 
     Parameters
@@ -71,9 +72,8 @@ class Trees:
     _first_of_level: tuple[int, ...] = field(init=False, repr=False)  # place of the first node of each level
 
     def __post_init__(self) -> None:
-        for name in ("roots", "feature", "left", "right"):
-            object.__setattr__(self, name, _read_only_integers(name, getattr(self, name)))
-        object.__setattr__(self, "threshold", read_only(self.threshold))
+        self._make_integers("roots", "feature", "left", "right")
+        self._make_read_only("threshold")
         _check_shapes(self)
         _check_links(self)
         _check_splits(self)
@@ -111,17 +111,13 @@ class Trees:
         """Which nodes are leaves, (n_nodes,)."""
         return self.left == NO_CHILD
 
-    def leaves(self, X: ArrayLike) -> Iterator[tuple[slice, NDArray[np.intp]]]:
-        """Some rows of (N, F) after the other, with the nodes (T, n) of the leaves that they come to.
-
-        Raises ValueError for NaN or infinite features.
-        """
-        rows = checked_rows(X, self.n_features)
+    def leaves(self, rows: FloatArray) -> Iterator[NDArray[np.intp]]:
+        """Nodes (T, n) of the leaves at which some finite rows of (N, F) after the other arrive."""
         with np.errstate(over="ignore"):  # beyond the range of float32 is infinite and goes right
             values = rows.astype(np.float32)
         at_once = max(1, _WALKS_AT_ONCE // len(self.roots))
         for i in range(0, len(rows), at_once):
-            yield slice(i, i + at_once), self._leaves(values[i : i + at_once])
+            yield self._leaves(values[i : i + at_once])
 
     def _leaves(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
         """Leaf at which a few rows (N, F) arrive in each tree, (T, N).
@@ -151,19 +147,34 @@ class Trees:
         return self._original.take(place).reshape(n_trees, n_rows)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeMachine(Machine):
+    """Trees with something in their leaves; the arrays of the trees are stored beside those of the leaves."""
+
+    trees: Trees
+
+    @property
+    def n_features(self) -> int:
+        """Number of features, F."""
+        return self.trees.n_features
+
+    def to_arrays(self) -> Arrays:
+        """Return the plain arrays that `from_arrays` takes, integers as int32."""
+        return self.trees.to_arrays() | {name: getattr(self, name) for name in self._of_leaves()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> Self:
+        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+        return cls(Trees.from_arrays(arrays), *(arrays[name] for name in cls._of_leaves()))
+
+    @classmethod
+    def _of_leaves(cls) -> list[str]:
+        return [f.name for f in fields(cls) if f.name != "trees"]
+
+
 def _shifted(children: NDArray[Any], start: int) -> IntArray:
     """Children of one tree as node numbers of the whole forest, (n_nodes,)."""
     return np.where(children == NO_CHILD, NO_CHILD, children + start).astype(np.int64)
-
-
-def _read_only_integers(name: str, values: ArrayLike) -> IntArray:
-    """Return a read-only int64 copy; floats are refused, not rounded."""
-    array = np.asarray(values)
-    if not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"{name} must hold integers, got {array.dtype}")
-    array = array.astype(np.int64)
-    array.flags.writeable = False
-    return array
 
 
 def _check_shapes(trees: Trees) -> None:

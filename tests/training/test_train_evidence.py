@@ -362,7 +362,7 @@ def rows(value: float) -> list[list[float]]:
         ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
         ("contexts", list(CONTEXTS)[::-1], "those of this version"),
         ("format_version", 2, "format_version is 2, this version reads 1"),
-        ("kind", "calibration", 'kind is not "transitions"'),
+        ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
         ("card", 3, "not iterable"),
     ],
 )
@@ -382,7 +382,7 @@ def test_a_file_that_is_missing_or_no_json_or_lacks_something_is_refused_with_it
     content = json.loads(path.read_text())
     for text in ("{", "[1]", '"transitions"', "\x00", json.dumps({k: v for k, v in content.items() if k != "counts"})):
         path.write_text(text)
-        with pytest.raises(ValueError, match=r"transitions\.json: not usable transitions: .*pdr-filter train"):
+        with pytest.raises(ValueError, match=r"transitions\.json: not usable as transitions: .*pdr-filter train"):
             load_transitions(path)
 
 

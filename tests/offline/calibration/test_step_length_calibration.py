@@ -612,10 +612,10 @@ def test_damaged_files_are_refused_by_name(calibration: Calibration, tmp_path: P
     other = tmp_path / "other.json"
     other.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
     other.with_suffix(".npz").write_bytes(path.with_suffix(".npz").read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"other\.json: not a usable calibration: .*damaged"):
+    with pytest.raises(ValueError, match=r"other\.json: not usable as calibration: .*damaged"):
         load_calibration(other)
     path.write_text("{}", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"me\.json: not a usable calibration: it is no calibration"):
+    with pytest.raises(ValueError, match=r"me\.json: not usable as calibration: its kind is None"):
         load_calibration(path)
 
 
@@ -664,7 +664,7 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
 def test_loading_a_calibration_and_filtering_with_it_needs_no_gtsam(calibration: Calibration, tmp_path: Path) -> None:
     path = calibration.save(tmp_path / "me")
     code = (
-        "import sys, pdr_filter as pdr; from pdr_filter.offline.calibration.fit import load_calibration\n"
+        "import sys, pdr_filter as pdr; from pdr_filter.calibration import load_calibration\n"
         f"c = load_calibration({str(path)!r}); c.config(pdr.recipes.default()); print(c.report())\n"
         "assert not {'gtsam', 'matplotlib'} & set(sys.modules), 'loaded'"
     )
