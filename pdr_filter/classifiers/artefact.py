@@ -66,8 +66,9 @@ class ArtefactFormat:
         what is missing), TypeError, AttributeError, OverflowError or ValueError.
         """
         json_path, npz_path = file_pair(path)
-        if not json_path.is_file():
-            raise ValueError(f"{json_path}: no such file")
+        for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
+            if not needed.is_file():
+                raise ValueError(f"{needed}: no such file")
         try:
             description = self._checked(json_path.read_text(encoding="utf-8"))
             checksum = description.get("npz_sha256")

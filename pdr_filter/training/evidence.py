@@ -8,8 +8,6 @@ changes. What the data do not show stays the default, and the file says so and w
 
 from __future__ import annotations
 
-import datetime
-import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,17 +16,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.classifiers.model import ContextModel, load_model
-from pdr_filter.classifiers.transitions import (
-    EXPONENTS,
-    PRIOR_STEPS,
-    UNKNOWN,
-    LabelledProbabilities,
-    Transitions,
-    count_transitions,
-    estimate_transitions,
-    fit_tempering,
-    log_loss_by_person,
-)
+from pdr_filter.classifiers.transitions import Transitions
 from pdr_filter.filter.tracking import Tracker
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
@@ -36,7 +24,18 @@ from pdr_filter.recipes import default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing
-from pdr_filter.training.contexts import DEFAULT_MODEL, Progress, TextArray
+from pdr_filter.training.contexts import DEFAULT_MODEL
+from pdr_filter.training.protocol import Progress, TextArray, provenance, silent, source_of
+from pdr_filter.training.sequences import (
+    PRIOR_STEPS,
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    exponent_pairs,
+    fit_tempering,
+    log_loss_by_person,
+)
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.step import Step
@@ -84,7 +83,7 @@ class LabelledSequences:
 
 
 def train_evidence(
-    changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress | None = None
+    changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress = silent
 ) -> dict[str, Any]:
     """Card of the transitions and exponents, which are written to `out_dir` as `transitions.json`.
 
@@ -96,7 +95,7 @@ def train_evidence(
         Where the file goes.
     model_without : callable
         Takes people and gives the default's context model as it is without them in its training.
-    progress : callable, optional
+    progress : callable
         Called with what is done and the fraction of the whole, 0 to 1.
     """
     found = estimate(labelled_sequences(changing, model_without, progress), default().tracker)
@@ -115,7 +114,7 @@ def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
         labels = recording.truth.labels
         known = set() if labels is None else {str(c) for c in labels["context"]} & set(CONTEXTS)
         if recording.gyroscope is not None and len(known) > 1:
-            found[path] = f"{recording.meta.get('dataset', '')}/{recording.subject.id}"
+            found[path] = source_of(recording)[1]
     return found
 
 
@@ -132,7 +131,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
 
 
 def labelled_sequences(
-    changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress | None = None
+    changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress = silent
 ) -> LabelledSequences | None:
     """Steps and windows of recordings, from models that have not seen the people; None if there are no windows."""
     steps: list[tuple[int, str, str]] = []
@@ -152,8 +151,7 @@ def labelled_sequences(
                 for window, label in zip(found_windows, contexts_at(recording, middle_s), strict=True):
                     windows.append((window.prob, window.training_prior, int(label), person, sequence))
             n_done += 1
-            if progress is not None:
-                progress(f"transitions: {path.stem}", n_done / len(changing))
+            progress(f"transitions: {path.stem}", n_done / len(changing))
     if not windows:
         return None
     prob, prior, label, person, sequence = zip(*windows, strict=True)
@@ -235,7 +233,7 @@ def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[st
     parts where there are more people.
     """
     windows, floor = sequences.windows, default.evidence_floor
-    by_evidence, by_prior = (grid.ravel() for grid in np.meshgrid(EXPONENTS, EXPONENTS, indexing="ij"))
+    by_evidence, by_prior = exponent_pairs()
     exponents = np.append(by_evidence, default.evidence_exponent), np.append(by_prior, default.prior_exponent)
 
     def log_loss(transition_prob: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
@@ -273,7 +271,6 @@ def _card(
         "transition_prob": of_matrix,
         "exponents": of_exponents,
         "model": DEFAULT_MODEL,
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
         "data": sorted({person.split("/")[0] for person in people}),
         "n_people": len(people),
         "n_recordings": 0 if sequences is None else sequences.n_recordings,
@@ -282,6 +279,5 @@ def _card(
         "n_changes": int(counts.sum() - np.trace(counts)),
         "prior_steps": PRIOR_STEPS,
         "log_loss": {name: round(value, 4) for name, value in losses.items()},
-        "versions": {"python": platform.python_version(), "numpy": np.__version__},
-        "command": "pdr-filter train DATA_DIR --sequences FOLDER --out models",
+        **provenance("pdr-filter train DATA_DIR --sequences FOLDER --out models"),
     }

@@ -25,6 +25,7 @@ from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.training.carrying import FEATURE_NAMES, MODES, PLANS, SignalWindows, features_of, train_carrying
+from pdr_filter.training.protocol import recordings_of
 
 
 def left_out(card: dict[str, Any]) -> None:
@@ -86,9 +87,9 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         folder = args.models or Path(temporary)
         if args.models is None:
-            datasets = sorted({d for plan in PLANS for d in plan.plan.datasets})
-            train_carrying([p for d in datasets for p in sorted((args.data / d).glob("*.zip"))], folder)
-        models = [load_model(folder / f"{plan.plan.name}.npz") for plan in PLANS]
+            datasets = sorted({d for plan in PLANS for d in plan.datasets})
+            train_carrying(recordings_of(args.data, datasets), folder)
+        models = [load_model(folder / f"{plan.name}.npz") for plan in PLANS]
         for model in models:
             left_out(model.card)
         for plan, model in zip(PLANS, models, strict=True):

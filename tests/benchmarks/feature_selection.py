@@ -21,7 +21,8 @@ from sklearn.pipeline import make_pipeline
 from sklearn.preprocessing import StandardScaler
 
 from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
-from pdr_filter.training.contexts import LabelledWindows, labelled_windows
+from pdr_filter.training.contexts import labelled_windows
+from pdr_filter.training.protocol import LabelledWindows, recordings_of
 from pdr_filter.values.arrays import FloatArray, IntArray
 from tests.studies.feature_selection import Selection, select_features
 
@@ -66,7 +67,7 @@ def main() -> None:
     parser.add_argument("--jobs", type=int, default=2)
     arguments = parser.parse_args()
     start_s = time.perf_counter()
-    windows = labelled_windows(sorted((arguments.data / "motionsense").glob("*.zip")))
+    windows = labelled_windows(recordings_of(arguments.data, ["motionsense"]))
     rows = thinned(windows, arguments.windows)
     features, y, person = windows.features[rows][:, COLUMNS], windows.context[rows], windows.person[rows]
     print(f"{len(rows)} windows of {len(np.unique(person))} people, contexts {sorted(set(y.tolist()))}\n")

@@ -219,12 +219,24 @@ def assert_refused(path: Path, message: str) -> None:
 
 
 def test_a_missing_file_is_named(forest_model: ContextModel, tmp_path: Path) -> None:
-    assert_refused(tmp_path / "none.npz", r"none\.json: no such file")
+    assert_refused(tmp_path / "none.npz", r"none\.npz: no such file")
     path = forest_model.save(tmp_path)
     path.unlink()
-    assert_refused(path, r"v1\.json: .* pocket-forest\.v1\.npz is missing beside it")
-    Path(str(path).removesuffix(".npz") + ".json").unlink()
-    assert_refused(path, r"v1\.json: no such file")
+    json_path = Path(str(path).removesuffix(".npz") + ".json")
+    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing beside it")
+    json_path.unlink()
+    assert_refused(json_path, r"v1\.json: no such file")
+
+
+def test_a_model_of_before_kinds_had_names_is_still_read(forest_model: ContextModel, tmp_path: Path) -> None:
+    path = forest_model.save(tmp_path)
+    json_path = Path(str(path).removesuffix(".npz") + ".json")
+    description = json.loads(json_path.read_text(encoding="utf-8"))
+    assert description.pop("kind") == "context_model"
+    json_path.write_text(json.dumps(description), encoding="utf-8")
+    assert load_model(path).name == forest_model.name
+    json_path.write_text(json.dumps(description | {"kind": "calibration"}), encoding="utf-8")
+    assert_refused(path, "its kind is 'calibration', not 'context_model'; train it again")
 
 
 def test_files_of_two_trainings_are_not_mixed_up(forest_model: ContextModel, tmp_path: Path) -> None:

@@ -49,7 +49,8 @@ from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.gait import STAIR_TREAD_M
 from pdr_filter.tracks import Track
-from pdr_filter.training.contexts import FEATURE_LIMIT, fit, fit_blend, label_of
+from pdr_filter.training.contexts import PLANS
+from pdr_filter.training.protocol import DUPLICATES, LabelledWindows, label_of
 from pdr_filter.values.arrays import FloatArray, IntArray, table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import Samples
@@ -234,23 +235,14 @@ def _machine(examples: _Examples, names: Sequence[str]) -> ContextModel:
 
 def _default_machine(examples: _Examples) -> ContextModel:
     """The default recipe's model, of other people; the two numbers of its calibration are the shipped model's."""
-    weight, nobody = np.ones(len(examples.person)), np.full(len(examples.person), "")
-    # without people to leave out nothing is calibrated, which would take four times as long again
-    fitted = fit(fit_blend, CONTEXTS, examples.of(invariant.NAMES), examples.context, nobody, weight)
-    shipped = load_model("context")
-    return ContextModel(
-        name="left_out",
-        feature_names=invariant.NAMES,
-        classes=fitted.classes,
-        training_prior=_prior(examples),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card={},
-        temperature=shipped.temperature,
-        slip=shipped.slip,
-        feature_limit=FEATURE_LIMIT,
+    # not calibrated, which would take four times as long again
+    unknown = np.full(len(examples.person), "")
+    has_gyroscope = np.ones(len(examples.person), dtype=bool)
+    windows = LabelledWindows(
+        examples.of(invariant.NAMES), examples.context, unknown, unknown, unknown, unknown, has_gyroscope
     )
+    plan, shipped = next(plan for plan in PLANS if plan.name == "context"), load_model("context")
+    return replace(plan.fit_machine(windows), name="left_out", temperature=shipped.temperature, slip=shipped.slip)
 
 
 def _prior(examples: _Examples) -> FloatArray:
@@ -664,8 +656,7 @@ def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], 
     """Tables and figures of real recordings, and the walks put together of them."""
     stages = {f"{s:g}": FeatureWindows("martinelli", window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
     stages["invariant"] = FeatureWindows("invariant")
-    # sit_13 of subject 1 is the same recording as sit_5
-    walks = (r for r in recordings(data, "motionsense") if r.name != "motionsense_s01_sit_13")
+    walks = (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
     examples = _examples(walks, stages, size.n_windows)
     if not examples or len(np.unique(examples["2"].person)) < 3:
         return [StudyTable(t, (), _NO_MOTIONSENSE, "nothing to compare") for t in _TITLES], [], []
