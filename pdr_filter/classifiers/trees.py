@@ -76,7 +76,6 @@ class Trees(Stored):
         self._make_read_only("threshold")
         _check_shapes(self)
         _check_links(self)
-        _check_splits(self)
         levels = _levels(self)
         order = np.concatenate(levels)
         nodes = _walkable(self, order).view(_NODE_AS_NUMBER)
@@ -178,7 +177,7 @@ def _shifted(children: NDArray[Any], start: int) -> IntArray:
 
 
 def _check_shapes(trees: Trees) -> None:
-    """Raise ValueError unless all arrays belong to the same nodes."""
+    """Raise ValueError unless all arrays belong to the same nodes, features exist and thresholds are finite."""
     n_nodes = len(trees.left) if trees.left.ndim == 1 else -1
     expected = {name: (n_nodes,) for name in ("feature", "threshold", "left", "right")}
     shapes = {name: getattr(trees, name).shape for name in expected}
@@ -186,6 +185,11 @@ def _check_shapes(trees: Trees) -> None:
         raise ValueError(f"trees need one entry for each node, got shapes {shapes}")
     if trees.roots.ndim != 1 or not len(trees.roots) or trees.n_features < 1:
         raise ValueError(f"at least one tree and one feature is needed, got {trees.roots.shape} and {trees.n_features}")
+    feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
+    if ((feature < 0) | (feature >= trees.n_features)).any():
+        raise ValueError(f"a node looks at a feature outside 0 to {trees.n_features - 1}")
+    if not np.isfinite(threshold).all():
+        raise ValueError("a threshold is not finite")
 
 
 def _check_links(trees: Trees) -> None:
@@ -205,15 +209,6 @@ def _check_links(trees: Trees) -> None:
     visits = np.bincount(np.concatenate([children, trees.roots]), minlength=n_nodes)
     if (visits != 1).any():
         raise ValueError(f"node {np.flatnonzero(visits != 1)[0]} belongs to no tree or to more than one place")
-
-
-def _check_splits(trees: Trees) -> None:
-    """Raise ValueError unless features exist and thresholds are finite."""
-    feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
-    if ((feature < 0) | (feature >= trees.n_features)).any():
-        raise ValueError(f"a node looks at a feature outside 0 to {trees.n_features - 1}")
-    if not np.isfinite(threshold).all():
-        raise ValueError("a threshold is not finite")
 
 
 def _levels(trees: Trees) -> list[NDArray[np.intp]]:

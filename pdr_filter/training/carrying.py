@@ -31,30 +31,17 @@ from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate.people import MODES
 from pdr_filter.training.machines import fit_softmax
-from pdr_filter.training.made import (
-    SIMULATED,
-    TURNED,
-    Source,
-    balanced_weight,
-    grips,
-    made_card,
-    name_of,
-    recorded,
-    sources,
-)
+from pdr_filter.training.made import SIMULATED, TURNED, balanced_weight, from_sources, grips, made_card
 from pdr_filter.training.protocol import (
     SCORED_DATASET,
+    Columns,
     LabelledWindows,
     LeftOut,
     Plan,
     Progress,
     TextArray,
-    card_of,
     in_order,
-    in_parallel,
-    joined,
     label_of,
-    part_of,
     part_progress,
     score,
     silent,
@@ -79,17 +66,11 @@ _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE i
 class CarryingPlan(Plan):
     """How one model of the carrying mode is made.
 
-    Parameters
-    ----------
-    has_gyroscope : bool
-        Without: the angular rate is taken away before anything else, attitude included.
-    source_weight : mapping
-        Of simulated, turned and weak windows; a data set has one.
+    `source_weight` is of simulated, turned and weak windows; a data set has one.
     """
 
     head: str = "carrying_mode"
     feature_set: str = "invariant"
-    has_gyroscope: bool
     source_weight: Mapping[str, float]
 
     def weight(self, windows: LabelledWindows) -> FloatArray:
@@ -111,7 +92,7 @@ class CarryingPlan(Plan):
         sites = {str(site): site_scores(real, prob, real.dataset == site) for site in np.unique(real.dataset)}
         people = sites.pop(SCORED_DATASET, {})
         card = {
-            **card_of(self, windows, people, sites),
+            **self.card(windows, people, sites),
             **made_card(windows.dataset[~rows], self.source_weight),
             "scored": "People and sites that the scored machine has not seen, nor anything made of them. One number, "
             "the temperature, is fitted on the same people left out. Other simulated people, drawn the same way, move "
@@ -140,7 +121,6 @@ PLANS: tuple[CarryingPlan, ...] = (
         "turned to the ear or made weaker, and simulated people.",
         use=_USE,
         limits=_LIMITS.format(more=", calling also from other people's hands turned to the ear"),
-        has_gyroscope=True,
         source_weight={SIMULATED: 0.3, TURNED: 0.33, WEAK: 2.0},
     ),
     CarryingPlan(
@@ -195,17 +175,14 @@ def carrying_windows(
     `dataset` is the source: a data set, `simulated`, or `turned_` or `weak_` and the data set. `person` is whose motion
     it is.
     """
-    jobs = sources(paths, n_simulated)
-    parts: list[LabelledWindows] = []
-    for i, more in enumerate(in_parallel(partial(_windows_of, plan), jobs)):
-        parts += more
-        progress(f"{plan.name}: features of {name_of(jobs[i])}", (i + 1) / len(jobs))
+    found = from_sources(partial(_windows_of, plan), paths, n_simulated, f"{plan.name}: features", progress)
+    parts = [part for of_source in found for part in of_source]
     if not any(plan.is_real(part).any() for part in parts):
         raise ValueError(
             f"no windows for {plan.name}: it needs recordings of {', '.join(plan.datasets)} of people who "
             f"move, with the carrying modes {', '.join(MODES)} in their truth_labels.csv"
         )
-    return joined(parts)
+    return LabelledWindows.joined(parts)
 
 
 class SignalWindows(FeatureWindows):
@@ -219,7 +196,7 @@ class SignalWindows(FeatureWindows):
 
 
 @dataclass(frozen=True, eq=False)
-class _Signals:
+class _Signals(Columns):
     """Windows of one recording and one carrying mode, a moving person's."""
 
     samples: FloatArray  # (W, 12, N)
@@ -228,15 +205,14 @@ class _Signals:
     has_gyroscope: BoolArray  # (W,)
 
 
-def _windows_of(plan: CarryingPlan, source: Source) -> list[LabelledWindows]:
+def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
     """Windows of one recording or simulated person, and what is made of them."""
-    recording, dataset, person = recorded(source)
     if dataset not in (*plan.datasets, SIMULATED):
         return []
     found: list[tuple[str, _Signals]] = []
     for signals in _signals(plan, recording):
         found.append((dataset, signals))
-        walking, mode = part_of(signals, signals.context == "walking"), signals.mode[0]
+        walking, mode = signals.part(signals.context == "walking"), signals.mode[0]
         if dataset == SIMULATED or not len(walking.samples):
             continue
         if TURNED in plan.source_weight and mode == "texting":
@@ -293,12 +269,12 @@ def _turned(signals: _Signals, name: str) -> _Signals:
     up = signals.samples[:, _UP].mean(axis=(0, 2))
     parts: list[_Signals] = []
     for turn, matrix in enumerate(grips([up] * _TURNS, name)):
-        half = part_of(signals, slice(turn % 2, None, 2))
+        half = signals.part(slice(turn % 2, None, 2))
         samples = half.samples.copy()
         for rows in (_RATE, _UP, _FORCE):
             samples[:, rows] = matrix @ samples[:, rows]
         parts.append(replace(half, samples=samples, mode=np.full(len(samples), "calling")))
-    return joined(parts)
+    return _Signals.joined(parts)
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:
@@ -306,7 +282,7 @@ def _weak(signals: _Signals, name: str) -> _Signals:
 
     A slower pace scales accelerations more than angles: with the square of the frequency as well as with the angle.
     """
-    signals = part_of(signals, slice(None, None, 2))
+    signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()
     factor = np.random.default_rng(crc32(name.encode())).uniform(0.25, 0.85, len(samples))[:, None, None]
     mean_up, mean_force = (samples[:, rows].mean(axis=2, keepdims=True) for rows in (_UP, _FORCE))

@@ -20,7 +20,7 @@ from pdr_filter.classifiers.probability_calibration import fit_calibration
 from pdr_filter.io.formats import read
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.features import carrying, invariant
+from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors
@@ -31,7 +31,6 @@ from pdr_filter.training.protocol import (
     Plan,
     Progress,
     TextArray,
-    card_of,
     in_order,
     label_of,
     score,
@@ -55,24 +54,9 @@ class ContextPlan(Plan):
 
     head: str = "context"
 
-    @property
-    def needs_gyroscope(self) -> bool:
-        """Whether windows without angular rate are of no use."""
-        accelerometer_only = {*martinelli.WITHOUT_GYROSCOPE, *invariant.WITHOUT_GYROSCOPE, *carrying.WITHOUT_GYROSCOPE}
-        return not set(self.feature_names) <= accelerometer_only
-
-    @property
-    def windows(self) -> tuple[str, bool]:
-        """Feature set of its windows, and whether the recordings keep their gyroscopes.
-
-        A model for phones without gyroscope learns from windows without: the attitude, and with it what is vertical,
-        is another when it comes from the accelerometer alone.
-        """
-        return self.feature_set, self.needs_gyroscope
-
     def rows(self, windows: LabelledWindows) -> BoolArray:
         """Which windows the model learns from, (W,)."""
-        return self.is_real(windows) & (windows.has_gyroscope | (not self.needs_gyroscope)) & (windows.context != "")
+        return self.is_real(windows) & (windows.has_gyroscope | (not self.has_gyroscope)) & (windows.context != "")
 
     def features(self, windows: LabelledWindows) -> FloatArray:
         """The model's features of windows with all features of the set, (W, F)."""
@@ -123,7 +107,7 @@ class ContextPlan(Plan):
                 without = replace(without, temperature=model.temperature, slip=model.slip)
                 sites[site] = _walking_scores(without.probabilities(windows.features[own]))
         known = with_familiarity(model, windows, float(np.quantile(distance, 0.99)))
-        return replace(known, card=card_of(self, windows, scores, sites))
+        return replace(known, card=self.card(windows, scores, sites))
 
 
 def _of_large_sites(person: TextArray) -> BoolArray:
@@ -171,6 +155,7 @@ PLANS: tuple[ContextPlan, ...] = (
         description="Mean of logistic regression and boosted trees on the attitude-free features of the accelerometer.",
         use="Windows without angular rate, however the phone is carried.",
         limits=f"{_NO_SIDEWAYS} {_FROM_POCKETS} One window on stairs in three is missed.",
+        has_gyroscope=False,
     ),
     ContextPlan(
         name="context_martinelli_rvm",
@@ -192,6 +177,7 @@ PLANS: tuple[ContextPlan, ...] = (
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
         use="The martinelli2018 recipe where the gyroscope is missing.",
         limits=f"{_NO_SIDEWAYS} Stairs are known from trouser pockets only.",
+        has_gyroscope=False,
     ),
 )
 

@@ -35,29 +35,16 @@ from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate.people import MODES
 from pdr_filter.training.machines import fit_pose_forest
-from pdr_filter.training.made import (
-    SIMULATED,
-    TURNED,
-    Source,
-    balanced_weight,
-    grips,
-    made_card,
-    name_of,
-    recorded,
-    sources,
-)
+from pdr_filter.training.made import SIMULATED, TURNED, balanced_weight, from_sources, grips, made_card
 from pdr_filter.training.protocol import (
     SCORED_DATASET,
+    Columns,
     LabelledWindows,
     LeftOut,
     Plan,
     Progress,
     TextArray,
-    card_of,
-    in_parallel,
-    joined,
     label_of,
-    part_of,
     part_progress,
     predicted,
     recordings_of,
@@ -123,7 +110,7 @@ class PosePlan(Plan):
                 "worst_person_recall": round(min(recalls), 4),
             }
         card = {
-            **card_of(self, windows, summary, {name: s for name, s in scores.items() if not _is_scored(name)}),
+            **self.card(windows, summary, {name: s for name, s in scores.items() if not _is_scored(name)}),
             "window_s": 0.6,
             "hop_s": 0.6,
             **made_card(windows.dataset[~self.is_real(windows)], SOURCE_WEIGHT),
@@ -181,7 +168,7 @@ def train_guo(
 
 
 @dataclass(frozen=True, eq=False)
-class WalkWindows:
+class WalkWindows(Columns):
     """Levels of motion (eq. 1) of labelled windows."""
 
     level: FloatArray  # (W,)
@@ -193,7 +180,7 @@ class WalkWindows:
 
 
 @dataclass(frozen=True, eq=False)
-class _Ups:
+class _Ups(Columns):
     """Directions of up in windows of one recording."""
 
     up_sensor: FloatArray  # (W, N, 3)
@@ -211,21 +198,16 @@ def labelled_poses(
 
     `dataset` of a window is its source: a data set, `simulated`, or what was made of which data set.
     """
-    parts: list[LabelledWindows] = []
-    levels: list[WalkWindows] = []
-    jobs = sources(paths, n_simulated)
-    for i, (poses, walks) in enumerate(in_parallel(_windows_of, jobs)):
-        parts += poses
-        levels += walks
-        progress(f"{PLAN.name}: poses of {name_of(jobs[i])}", (i + 1) / len(jobs))
+    found = from_sources(_windows_of, paths, n_simulated, f"{PLAN.name}: poses", progress)
+    levels = [level for _, of_source in found for level in of_source]
     if not levels:
         raise ValueError(f"no labelled windows of {', '.join(DATASETS)}: give recordings with truth_labels.csv")
-    return joined(parts), joined(levels)
+    poses = [part for of_source, _ in found for part in of_source]
+    return LabelledWindows.joined(poses), WalkWindows.joined(levels)
 
 
-def _windows_of(source: Source) -> tuple[list[LabelledWindows], list[WalkWindows]]:
+def _windows_of(recording: Recording, dataset: str, person: str) -> tuple[list[LabelledWindows], list[WalkWindows]]:
     """Poses of one recording or simulated person and what is made of them, and levels if it is a recording."""
-    recording, dataset, person = recorded(source)
     ups = _ups(recording) if dataset in (*DATASETS, SIMULATED) else None
     if ups is None:
         return [], []
@@ -234,7 +216,7 @@ def _windows_of(source: Source) -> tuple[list[LabelledWindows], list[WalkWindows
         place = np.array([f"{dataset} {mode}".strip() for mode in ups.mode])
         moving, who = ups.context != "stationary", np.full(len(place), person)
         walks.append(WalkWindows(ups.level, ups.level_accelerometer, ups.has_rate, moving, place, who))
-    ups = part_of(ups, (ups.context != "stationary") & np.isin(ups.mode, MODES))
+    ups = ups.part((ups.context != "stationary") & np.isin(ups.mode, MODES))
     made = [] if dataset == SIMULATED else _made_of(ups, recording.name)
     found = [(dataset, ups), *((f"{kind}_{dataset}", more) for kind, more in made)]
     return [_labelled(some, made_of, person, recording.name) for made_of, some in found if len(some.mode)], walks
@@ -263,12 +245,12 @@ def _ups(recording: Recording) -> _Ups | None:
 def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
     """What stands for other people, by kind."""
     made = [(MIRRORED, replace(ups, up_sensor=ups.up_sensor * np.array([-1.0, 1.0, 1.0])))]
-    pocket = part_of(part_of(ups, ups.mode == "pocket"), slice(None, None, _EVERY))
+    pocket = ups.part(ups.mode == "pocket").part(slice(None, None, _EVERY))
     for signs in itertools.product((1.0, -1.0), repeat=3):
         if signs[1:] != (1.0, 1.0):
             made.append((OVER, replace(pocket, up_sensor=pocket.up_sensor * np.array(signs))))
-    held = part_of(ups, ups.mode == "texting")
-    parts = [part_of(held, slice(grip, None, _GRIPS)) for grip in range(min(_GRIPS, len(held.mode)))]
+    held = ups.part(ups.mode == "texting")
+    parts = [held.part(slice(grip, None, _GRIPS)) for grip in range(min(_GRIPS, len(held.mode)))]
     for part, matrix in zip(parts, grips([part.up_sensor.mean(axis=(0, 1)) for part in parts], name), strict=True):
         mode = np.full(len(part.mode), "calling")
         made.append((TURNED, replace(part, up_sensor=part.up_sensor @ matrix.T, mode=mode)))

@@ -7,9 +7,10 @@ to the ear, for instance, is calling with a real hand's motion. What was made of
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 from zlib import crc32
 
 import numpy as np
@@ -18,31 +19,37 @@ from scipy.spatial.transform import Rotation
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate.people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
-from pdr_filter.training.protocol import TextArray, source_of
+from pdr_filter.training.protocol import Progress, TextArray, in_parallel, source_of
 from pdr_filter.values.arrays import FloatArray
 
+R = TypeVar("R")
 SIMULATED, TURNED = "simulated", "turned"
 # A recording's path, or the carrying mode and number of a simulated person.
 Source = Path | tuple[str, int]
 
 
-def sources(paths: Sequence[Path], n_simulated: int) -> list[Source]:
-    """Recordings, then simulated people, so many in each carrying mode."""
-    return [*paths, *((mode, number) for number in range(n_simulated) for mode in MODES)]
+def from_sources(
+    work: Callable[[Recording, str, str], R], paths: Sequence[Path], n_simulated: int, what: str, progress: Progress
+) -> list[R]:
+    """Results of recordings and then of simulated people, so many in each carrying mode.
+
+    `work` takes the recording, its data set or "simulated", and whose it is.
+    """
+    jobs: list[Source] = [*paths, *((mode, number) for number in range(n_simulated) for mode in MODES)]
+    results: list[R] = []
+    for job, result in zip(jobs, in_parallel(partial(_on_source, work), jobs), strict=True):
+        results.append(result)
+        name = job.stem if isinstance(job, Path) else f"a simulated person, {job[0]}"
+        progress(f"{what} of {name}", len(results) / len(jobs))
+    return results
 
 
-def name_of(source: Source) -> str:
-    """What a source is, for people."""
-    return source.stem if isinstance(source, Path) else f"a simulated person, {source[0]}"
-
-
-def recorded(source: Source) -> tuple[Recording, str, str]:
-    """The recording, its data set or "simulated", and whose it is."""
+def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
     if isinstance(source, Path):
         recording = read(source)
-        return recording, *source_of(recording)
+        return work(recording, *source_of(recording))
     recording = simulated_person(*source)
-    return recording, SIMULATED, f"{SIMULATED}/{recording.name}"
+    return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")
 
 
 def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:

@@ -12,10 +12,10 @@ import platform
 from abc import ABC, abstractmethod
 from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Self, TypeVar
 
 import numpy as np
 import sklearn
@@ -76,8 +76,21 @@ def label_of(recording: Recording, start_s: float, end_s: float) -> tuple[str, s
     return None
 
 
+class Columns:
+    """Base of a dataclass of arrays with a row for each window."""
+
+    def part(self, use: BoolArray | slice) -> Self:
+        """Some of the windows."""
+        return type(self)(*(getattr(self, name)[use] for name in vars(self)))
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """All windows of at least one part, one part after the other."""
+        return cls(*(np.concatenate([getattr(part, name) for part in parts]) for name in vars(parts[0])))
+
+
 @dataclass(frozen=True, eq=False)
-class LabelledWindows:
+class LabelledWindows(Columns):
     """Feature windows that lie inside one label, with whose they are."""
 
     features: FloatArray  # (W, F)
@@ -91,21 +104,6 @@ class LabelledWindows:
     def label(self, head: str) -> TextArray:
         """True labels of a head, "" where unknown."""
         return self.context if head == "context" else self.carrying_mode
-
-    def part(self, use: BoolArray) -> LabelledWindows:
-        """Some of the windows."""
-        return part_of(self, use)
-
-
-def part_of(columns: R, use: BoolArray | slice) -> R:
-    """Some rows of a dataclass of columns."""
-    return type(columns)(*(getattr(columns, f.name)[use] for f in fields(columns)))  # pyright: ignore[reportArgumentType]
-
-
-def joined(parts: Sequence[R]) -> R:
-    """Dataclasses of columns one below the other; at least one."""
-    names = [f.name for f in fields(parts[0])]  # pyright: ignore[reportArgumentType]
-    return type(parts[0])(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 # --- plans ----------------------------------------------------------------------------------------------------------
@@ -136,6 +134,9 @@ class Plan(ABC):
         Fits its machine.
     description, use, limits : str
         For people, on its card.
+    has_gyroscope : bool
+        Without, the angular rate is taken away before anything else: the attitude, and with it what is vertical, is
+        another when it comes from the accelerometer alone.
     feature_limit : float
         Standard deviations at which its features are cut.
     """
@@ -149,6 +150,7 @@ class Plan(ABC):
     description: str
     use: str
     limits: str
+    has_gyroscope: bool = True
     feature_limit: float = FEATURE_LIMIT
 
     @property
@@ -193,6 +195,29 @@ class Plan(ABC):
     def fit(self, windows: LabelledWindows) -> ContextModel:
         """A model of some windows as it is used: for those left out, and in the end of all."""
         return self.fit_machine(windows)
+
+    def card(self, windows: LabelledWindows, scores: Mapping[str, Any], sites: Mapping[str, Any]) -> dict[str, Any]:
+        """The model card: what it is made of and for, and the figures of `SCORED_DATASET` and of sites left out."""
+        real = windows.part(self.is_real(windows))
+        n_windows = Counter(real.label(self.head).tolist())
+        n_scored = len(np.unique(real.person[real.dataset == SCORED_DATASET]))
+        return {
+            "name": self.name,
+            "description": self.description,
+            "intended_use": self.use,
+            "limits": self.limits,
+            "head": self.head,
+            "data": list(self.datasets),
+            "n_people": len(np.unique(real.person)),
+            "n_windows": {label: n_windows[label] for label in self.labels},
+            "feature_set": self.feature_set,
+            "n_features": len(self.feature_names),
+            "window_s": 2.0,
+            "hop_s": 1.0,
+            "leave_one_subject_out": {"people": f"{SCORED_DATASET}, {n_scored} people", **scores},
+            "site_left_out": dict(sites),
+            **provenance("pdr-filter train DATA_DIR --out models"),
+        }
 
     @abstractmethod
     def held_out(self, windows: LabelledWindows) -> Mapping[str, BoolArray]:
@@ -298,32 +323,6 @@ def worst_person_accuracy(truth: TextArray, prob: FloatArray, person: TextArray,
     """Accuracy of the person with the lowest, of (W, L)."""
     right = predicted(prob, labels) == truth
     return round(float(min(right[person == name].mean() for name in np.unique(person))), 4)
-
-
-def card_of(
-    plan: Plan, windows: LabelledWindows, scores: Mapping[str, Any], sites: Mapping[str, Any]
-) -> dict[str, Any]:
-    """The model card: what it is made of and for, and the figures of `SCORED_DATASET` and of sites left out."""
-    real = windows.part(plan.is_real(windows))
-    n_windows = Counter(real.label(plan.head).tolist())
-    n_scored = len(np.unique(real.person[real.dataset == SCORED_DATASET]))
-    return {
-        "name": plan.name,
-        "description": plan.description,
-        "intended_use": plan.use,
-        "limits": plan.limits,
-        "head": plan.head,
-        "data": list(plan.datasets),
-        "n_people": len(np.unique(real.person)),
-        "n_windows": {label: n_windows[label] for label in plan.labels},
-        "feature_set": plan.feature_set,
-        "n_features": len(plan.feature_names),
-        "window_s": 2.0,
-        "hop_s": 1.0,
-        "leave_one_subject_out": {"people": f"{SCORED_DATASET}, {n_scored} people", **scores},
-        "site_left_out": dict(sites),
-        **provenance("pdr-filter train DATA_DIR --out models"),
-    }
 
 
 def provenance(command: str) -> dict[str, Any]:

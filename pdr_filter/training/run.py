@@ -59,8 +59,8 @@ def _train_contexts(
     cards: list[dict[str, Any]] = []
     default_without: Callable[[Sequence[str]], ContextModel] = shipped_model_without
     share = 1 / len(contexts.PLANS)
-    for kind in sorted({plan.windows for plan in contexts.PLANS}):
-        plans = [plan for plan in contexts.PLANS if plan.windows == kind]
+    for kind in sorted({(plan.feature_set, plan.has_gyroscope) for plan in contexts.PLANS}):
+        plans = [plan for plan in contexts.PLANS if (plan.feature_set, plan.has_gyroscope) == kind]
         start, span = len(cards) * share, len(plans) * share
         windows = contexts.labelled_windows(paths, part_progress(progress, start, 0.2 * span), *kind)
         for i, plan in enumerate(plans):
