@@ -234,10 +234,10 @@ def _check(model: ContextModel) -> None:
         )
     if model.feature_mean.shape != (n_features,) or model.feature_scale.shape != (n_features,):
         raise ValueError(f"feature_mean and feature_scale must be ({n_features},), one entry for each feature")
-    if not (np.isfinite(model.feature_mean).all() and np.isfinite(model.feature_scale).all()):
-        raise ValueError("feature_mean and feature_scale must be finite")
-    if not (model.feature_scale > 0).all():
-        raise ValueError("feature_scale must be positive; use one for a feature that does not vary")
+    if not (np.isfinite((model.feature_mean, model.feature_scale)).all() and (model.feature_scale > 0).all()):
+        raise ValueError(
+            "feature_mean must be finite and feature_scale positive; use one for a feature that does not vary"
+        )
     if not (np.isfinite(model.temperature) and model.temperature > 0 and model.feature_limit > 0):
         raise ValueError(
             f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"

@@ -141,18 +141,9 @@ PLANS: tuple[CarryingPlan, ...] = (
 def train_carrying(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> list[dict[str, Any]]:
-    """Cards of the models of `PLANS`, which are written to `out_dir`.
+    """Cards of the models of `PLANS`, which are written to `out_dir`, with so many simulated people in each mode.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings; those of other data sets than a plan's are not used.
-    out_dir : Path
-        Where `<name>.npz` and `<name>.json` go.
-    progress : callable
-        Called with what is done and the fraction of the whole, 0 to 1.
-    n_simulated : int
-        Simulated people in each carrying mode.
+    Recordings of other data sets than a plan's are not used.
     """
     cards: list[dict[str, Any]] = []
     for i, plan in enumerate(PLANS):
@@ -245,17 +236,8 @@ def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
     with threadpool_limits(1):
-        features = features_of(signals.samples)
-    n = len(features)
-    return LabelledWindows(
-        features=features[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]],
-        context=signals.context,
-        carrying_mode=signals.mode,
-        person=np.full(n, person),
-        dataset=np.full(n, source),
-        recording=np.full(n, name),
-        has_gyroscope=signals.has_gyroscope,
-    )
+        features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
+    return LabelledWindows.of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
 
 
 # Rows of `invariant.SIGNALS`: what is in the world's frame, and the vectors in the sensor's.

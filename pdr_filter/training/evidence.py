@@ -46,7 +46,7 @@ MIN_CHANGES = 10
 MIN_PEOPLE = 4
 # Held-out figures are of at most so many parts of the people: the time grows with them.
 MAX_PARTS = 10
-# Models are trained anew without a third of the people each.
+# Models are trained again without a third of the people each.
 N_FOLDS = 3
 HALF_WINDOW_S = 1.0
 # A window a second, and 1.6 to 2 steps a second.
@@ -58,22 +58,12 @@ ModelWithout = Callable[[Sequence[str]], ContextModel]
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequences:
-    """Steps and windows of recordings in which people change their context.
+    """Steps and windows of recordings in which people change their context."""
 
-    Parameters
-    ----------
-    step_label, step_person, step_sequence : (K,)
-        True context of each step (`UNKNOWN` outside every label), whose it is, and of which stretch without gaps.
-    windows : LabelledProbabilities
-        The label of a window is the true context at its middle.
-    n_recordings : int
-        How many they are.
-    """
-
-    step_label: IntArray
-    step_person: TextArray
-    step_sequence: TextArray
-    windows: LabelledProbabilities
+    step_label: IntArray  # (K,) true context of each step, `UNKNOWN` outside every label
+    step_person: TextArray  # (K,)
+    step_sequence: TextArray  # (K,) stretch without gaps
+    windows: LabelledProbabilities  # their label is the true context at their middle
     n_recordings: int
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
@@ -87,16 +77,8 @@ def train_evidence(
 ) -> dict[str, Any]:
     """Card of the transitions and exponents, which are written to `out_dir` as `transitions.json`.
 
-    Parameters
-    ----------
-    changing : mapping of Path to str
-        Recordings in which people change their context, and whose they are: `changing_recordings`.
-    out_dir : Path
-        Where the file goes.
-    model_without : callable
-        Takes people and gives the default's context model as it is without them in its training.
-    progress : callable
-        Called with what is done and the fraction of the whole, 0 to 1.
+    `changing` are recordings in which people change their context, and whose they are (`changing_recordings`);
+    `model_without` takes people and gives the default's context model as it is without them in its training.
     """
     found = estimate(labelled_sequences(changing, model_without, progress), default().tracker)
     found.save(out_dir)
@@ -154,15 +136,13 @@ def labelled_sequences(
             progress(f"transitions: {path.stem}", n_done / len(changing))
     if not windows:
         return None
-    prob, prior, label, person, sequence = zip(*windows, strict=True)
+    step_label, step_person, step_sequence = (np.array([step[i] for step in steps]) for i in range(3))
     return LabelledSequences(
-        step_label=np.array([label for label, _, _ in steps], dtype=np.int64),
-        step_person=np.array([person for _, person, _ in steps], dtype=np.str_),
-        step_sequence=np.array([sequence for _, _, sequence in steps], dtype=np.str_),
-        windows=LabelledProbabilities(
-            np.array(prob), np.array(prior), np.array(label), np.array(person), np.array(sequence)
-        ),
-        n_recordings=len(changing),
+        step_label.astype(np.int64),
+        step_person.astype(np.str_),
+        step_sequence.astype(np.str_),
+        LabelledProbabilities(*(np.array(column) for column in zip(*windows, strict=True))),
+        len(changing),
     )
 
 
@@ -211,9 +191,9 @@ def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitio
     )
     if sequences is not None and n_changes >= MIN_CHANGES:
         transition_prob, of_matrix = estimate_transitions(counts, default.transition_prob), "estimated"
-        people = np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN])
-        of_exponents = f"default: {len(people)} people (subject.id in meta.json), needed are {MIN_PEOPLE}"
-        if len(people) >= MIN_PEOPLE:
+        n_people = len(np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN]))
+        of_exponents = f"default: {n_people} people (subject.id in meta.json), needed are {MIN_PEOPLE}"
+        if n_people >= MIN_PEOPLE:
             losses = held_out_log_loss(sequences, default)
             of_exponents = "default: exponents chosen on some people do not lower the log loss of others"
             if losses["held_out"] < losses["held_out_default_exponents"]:
@@ -221,7 +201,24 @@ def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitio
                 chosen = fit_tempering(sequences.windows, between, default.evidence_floor)
                 evidence_exponent, prior_exponent = chosen.evidence_exponent, chosen.prior_exponent
                 of_exponents = "estimated"
-    card = _card(sequences, counts, of_matrix, of_exponents, losses)
+    people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
+    card = {
+        "name": "transitions",
+        "file": "transitions.json",
+        "description": "How contexts follow each other from step to step, and how much a window counts.",
+        "transition_prob": of_matrix,
+        "exponents": of_exponents,
+        "model": DEFAULT_MODEL,
+        "data": sorted({person.split("/")[0] for person in people}),
+        "n_people": len(people),
+        "n_recordings": 0 if sequences is None else sequences.n_recordings,
+        "n_windows": 0 if sequences is None else int((sequences.windows.label != UNKNOWN).sum()),
+        "n_steps": int(counts.sum()),
+        "n_changes": n_changes,
+        "prior_steps": PRIOR_STEPS,
+        "log_loss": {name: round(value, 4) for name, value in losses.items()},
+        **provenance("pdr-filter train DATA_DIR --sequences FOLDER --out models"),
+    }
     return Transitions(transition_prob, evidence_exponent, prior_exponent, counts, card)
 
 
@@ -253,31 +250,4 @@ def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[st
         "default": float(of_default[-1].mean()),
         "held_out_default_exponents": float(matrix_only.mean()),
         "held_out": float(both.mean()),
-    }
-
-
-def _card(
-    sequences: LabelledSequences | None,
-    counts: FloatArray,
-    of_matrix: str,
-    of_exponents: str,
-    losses: Mapping[str, float],
-) -> dict[str, Any]:
-    people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
-    return {
-        "name": "transitions",
-        "file": "transitions.json",
-        "description": "How contexts follow each other from step to step, and how much a window counts.",
-        "transition_prob": of_matrix,
-        "exponents": of_exponents,
-        "model": DEFAULT_MODEL,
-        "data": sorted({person.split("/")[0] for person in people}),
-        "n_people": len(people),
-        "n_recordings": 0 if sequences is None else sequences.n_recordings,
-        "n_windows": 0 if sequences is None else int((sequences.windows.label != UNKNOWN).sum()),
-        "n_steps": int(counts.sum()),
-        "n_changes": int(counts.sum() - np.trace(counts)),
-        "prior_steps": PRIOR_STEPS,
-        "log_loss": {name: round(value, 4) for name, value in losses.items()},
-        **provenance("pdr-filter train DATA_DIR --sequences FOLDER --out models"),
     }

@@ -144,18 +144,9 @@ PLAN = PosePlan(
 def train_guo(
     paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> dict[str, Any]:
-    """Card of the model `guo_pose`, which is written to `out_dir`.
+    """Card of the model `guo_pose`, which is written to `out_dir`, with so many simulated people in each pose.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings; those of data sets other than `DATASETS` are not used.
-    out_dir : Path
-        Where `guo_pose.npz` and `guo_pose.json` go.
-    progress : callable
-        Called with what is done and the fraction of the whole, 0 to 1.
-    n_simulated : int
-        Simulated people in each pose.
+    Recordings of data sets other than `DATASETS` are not used.
     """
     windows, walks = labelled_poses(paths, n_simulated, part_progress(progress, 0.0, 0.6))
     model = train_one(PLAN, windows, part_progress(progress, 0.6, 0.4))
@@ -259,10 +250,7 @@ def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
 
 def _labelled(ups: _Ups, source: str, person: str, name: str) -> LabelledWindows:
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
-    n = len(features)
-    return LabelledWindows(
-        features, ups.context, ups.mode, np.full(n, person), np.full(n, source), np.full(n, name), ups.has_rate
-    )
+    return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
 
 
 # --- figures --------------------------------------------------------------------------------------------------------
@@ -332,7 +320,9 @@ def walk_card(walks: WalkWindows) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    train_guo(
+    from pdr_filter.training import guo2018  # by its name: other processes cannot import __main__
+
+    guo2018.train_guo(
         recordings_of(Path(sys.argv[1]), DATASETS),
         Path(sys.argv[2]),
         lambda what, done: print(f"{100 * done:5.1f} %  {what}"),

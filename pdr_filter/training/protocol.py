@@ -101,6 +101,21 @@ class LabelledWindows(Columns):
     recording: TextArray  # (W,) name
     has_gyroscope: BoolArray  # (W,)
 
+    @classmethod
+    def of_one(
+        cls,
+        features: FloatArray,
+        context: TextArray,
+        carrying_mode: TextArray,
+        person: str,
+        dataset: str,
+        recording: str,
+        has_gyroscope: BoolArray,
+    ) -> Self:
+        """Windows of one recording, or made of it."""
+        whose, source, name = (np.full(len(features), text) for text in (person, dataset, recording))
+        return cls(features, context, carrying_mode, whose, source, name, has_gyroscope)
+
     def label(self, head: str) -> TextArray:
         """True labels of a head, "" where unknown."""
         return self.context if head == "context" else self.carrying_mode
