@@ -24,10 +24,12 @@ def train(
 
     Without DATA_DIR only transitions and tempering, for the shipped models.
     """
-    from pdr_filter.training.contexts import train as train_models
+    from pdr_filter.io.folders import recordings_in
+    from pdr_filter.training.run import train as train_models
 
     with console.one_line_errors(), console.progress("training") as show:
-        cards = train_models(data_dir, out, lambda what, fraction: show(fraction, what), sequences)
+        found = None if sequences is None else recordings_in(sequences)
+        cards = train_models(data_dir, out, lambda what, fraction: show(fraction, what), found)
     for card in cards:
         typer.echo(out / card.get("file", f"{card['name']}.npz"))
         for what in ("transition_prob", "exponents"):

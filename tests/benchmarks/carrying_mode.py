@@ -80,7 +80,7 @@ def main() -> None:
     args = parser.parse_args()
     tables, recalls, places = Tables.of(__spec__.name, args), [], []
     for plan in PLANS:
-        model = load_model(args.models / f"{plan.plan.name}.npz")
+        model = load_model(args.models / f"{plan.name}.npz")
         recalls += left_out(model.card)
         places += placements(args.data, model, plan.has_gyroscope)
     columns = ["model", "left out", *MODES, "worst person", "log loss", "calibration error"]

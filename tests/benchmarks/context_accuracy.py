@@ -19,47 +19,31 @@ import matplotlib as mpl
 import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
-from sklearn.ensemble import RandomForestClassifier
 
-from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.probability_calibration import reliability
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.features.windows import FEATURE_SETS
-from pdr_filter.training.contexts import (
-    PLANS,
-    Fitted,
-    LabelledWindows,
-    Plan,
-    fit,
-    fit_blend,
-    fit_relevance_vectors,
-    fit_softmax,
-    labelled_windows,
-    score,
-)
+from pdr_filter.training.contexts import PLANS, ContextPlan, labelled_windows
+from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
+from pdr_filter.training.protocol import LabelledWindows, recordings_of, score
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
-from tests.benchmarks.common import Tables, options, paths
+from tests.benchmarks.common import Tables, options
 
 WALKING = CONTEXTS.index("walking")
 SHIPPED = {plan.name: plan for plan in PLANS}
 ALONE = replace(SHIPPED["context"], datasets=("motionsense",))
 
 
-def fit_large_forest(Z: FloatArray, y: Any, weight: FloatArray) -> tuple[Forest, tuple[str, ...]]:  # noqa: N803
-    """100 trees with leaves of 20 windows."""
-    forest = RandomForestClassifier(100, min_samples_leaf=20, random_state=0, n_jobs=1).fit(Z, y, sample_weight=weight)
-    return Forest.from_sklearn(forest), tuple(str(c) for c in forest.classes_)
-
-
 PAPER = replace(
     SHIPPED["context_martinelli_rvm"], datasets=("motionsense",), feature_names=martinelli.WITHOUT_MAGNETOMETER
 )
-ROWS: dict[str, Plan] = {
+ROWS: dict[str, ContextPlan] = {
     "logistic regression": replace(ALONE, machine_fit=fit_softmax),
     "RVM, RBF kernel": replace(ALONE, machine_fit=fit_relevance_vectors),
     "RVM, linear": replace(ALONE, machine_fit=partial(fit_relevance_vectors, kernel="linear", window_weight=0.03)),
-    "random forest, 100 trees": replace(ALONE, machine_fit=fit_large_forest),
+    "random forest, 100 trees": replace(ALONE, machine_fit=partial(fit_forest, n_trees=100)),
     "logistic regression + boosting": replace(ALONE, machine_fit=fit_blend),
     "the paper's features, RVM": PAPER,
     "all sites: LR + boosting": SHIPPED["context"],
@@ -71,20 +55,17 @@ IN_FIGURE = ("logistic regression", "RVM, RBF kernel", "all sites: LR + boosting
 class Problem:
     """What a plan learns from and is scored on."""
 
-    plan: Plan
-    features: FloatArray
-    windows: LabelledWindows
-    use: BoolArray
+    plan: ContextPlan
+    windows: LabelledWindows  # all, with the plan's features
+    use: BoolArray  # (W,) those that the plan learns from
 
-    def fitted(self, rows: BoolArray) -> Fitted:
-        rows = rows & self.use
-        y, person = self.windows.context[rows], self.windows.person[rows]
-        return fit(self.plan.machine_fit, CONTEXTS, self.features[rows], y, person, np.ones(len(y)))
+    def fitted(self, rows: BoolArray) -> ContextModel:
+        return self.plan.fit(self.windows.part(rows & self.use))
 
 
 def of_person(problem: Problem, test: BoolArray) -> FloatArray:
     """Probabilities (W, 6) of the windows to test by a model that has not seen their person."""
-    return problem.fitted(~test).prob(problem.features[test])
+    return problem.fitted(~test).probabilities(problem.windows.features[test])
 
 
 def in_pockets(data: Path, windows: LabelledWindows) -> BoolArray:
@@ -118,8 +99,8 @@ def main() -> None:
     parser.add_argument("--only", nargs="*", help="rows of these names")
     args = parser.parse_args()
     datasets = sorted({d for plan in PLANS for d in plan.datasets} | {"ubicomp13"})
-    files = [p for d in datasets for p in paths(args.data, d) if p.stem != "motionsense_s01_sit_13"]
-    windows = {name: labelled_windows(files, None, name) for name in sorted(FEATURE_SETS)}
+    files = recordings_of(args.data, datasets)
+    windows = {name: labelled_windows(files, feature_set=name) for name in sorted(FEATURE_SETS)}
 
     rows: dict[str, dict[str, Any]] = {}
     probs: dict[str, tuple[FloatArray, BoolArray]] = {}
@@ -127,9 +108,8 @@ def main() -> None:
         if args.only and name not in args.only:
             continue
         w = windows[plan.feature_set]
-        names = FEATURE_SETS[plan.feature_set]
-        features = w.features[:, [names.index(n) for n in plan.feature_names]]
-        problem = Problem(plan, features, w, plan.rows(w))
+        features = plan.features(w)
+        problem = Problem(plan, replace(w, features=features), plan.rows(w))
         scored = w.dataset == "motionsense"
         people = [w.person == p for p in np.unique(w.person[scored])]
         found = Parallel(n_jobs=-1)(delayed(of_person)(problem, test) for test in people)
@@ -139,7 +119,7 @@ def main() -> None:
         result = score(w.context[scored], prob[scored])
         correct = np.array(CONTEXTS)[prob.argmax(axis=1)] == w.context
         pocket = in_pockets(args.data, w)
-        elsewhere = problem.fitted(np.ones(len(w.context), bool)).prob(features[pocket])
+        elsewhere = problem.fitted(np.ones(len(w.context), bool)).probabilities(features[pocket])
         rows[name] = {
             "accuracy": result["accuracy"],
             "worst person": min(correct[test].mean() for test in people),

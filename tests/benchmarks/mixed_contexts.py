@@ -30,14 +30,6 @@ from threadpoolctl import threadpool_limits
 import pdr_filter as pdr
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.model import ContextModel
-from pdr_filter.classifiers.transitions import (
-    UNKNOWN,
-    LabelledProbabilities,
-    count_transitions,
-    estimate_transitions,
-    filter_windows,
-    fit_tempering,
-)
 from pdr_filter.config import Config
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.pedestrian import StepUpdate
@@ -46,22 +38,22 @@ from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.sensing.features.windows import FEATURE_SETS
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.training.contexts import (
-    FEATURE_LIMIT,
-    PLANS,
-    Fitted,
-    LabelledWindows,
-    fit,
-    label_of,
-    labelled_windows,
+from pdr_filter.training.contexts import PLANS, labelled_windows
+from pdr_filter.training.protocol import LabelledWindows, label_of, recordings_of, with_familiarity
+from pdr_filter.training.sequences import (
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    filter_windows,
+    fit_tempering,
 )
 from pdr_filter.values.arrays import FloatArray, IntArray, table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import ImuBlock, Samples
-from tests.benchmarks.common import Tables, options, paths
+from tests.benchmarks.common import Tables, options
 
 PLAN = PLANS[0]
 N_FOLDS = 3
@@ -101,41 +93,20 @@ def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
 
 def windows_of(data: Path) -> LabelledWindows:
     """All windows that the default's model is made of."""
-    files = [p for d in PLAN.datasets for p in paths(data, d) if p.stem != "motionsense_s01_sit_13"]
-    return labelled_windows(files, feature_set=PLAN.feature_set)
+    paths = recordings_of(data, PLAN.datasets)
+    return PLAN.of(labelled_windows(paths, feature_set=PLAN.feature_set))
 
 
 def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
     """The default's model as `pdr-filter train` makes it, of all people but these."""
-    names = FEATURE_SETS[PLAN.feature_set]
-    use = PLAN.rows(windows) & ~np.isin(windows.person, people)
-    features = windows.features[use][:, [names.index(n) for n in PLAN.feature_names]]
-    y, person = windows.context[use], windows.person[use]
+    rest = windows.part(~np.isin(windows.person, people))
     with threadpool_limits(1):
-        fitted = fit(PLAN.machine_fit, CONTEXTS, features, y, person, np.ones(len(y)))
+        model = replace(PLAN.fit(rest), name="left_out")
     # The limit of what is familiar: from four of the people in training, left out for it.
-    four = np.isin(person, [p for p in np.unique(person) if p.startswith("motionsense")][:4])
-    part = fit_familiarity(standardised(features[~four], fitted), 1.0)
-    limit = float(np.quantile([part.distance(z) for z in standardised(features[four], fitted)], 0.99))
-    return ContextModel(
-        name="left_out",
-        feature_names=PLAN.feature_names,
-        classes=fitted.classes,
-        training_prior=np.array([np.mean(y == c) for c in CONTEXTS]),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card={},
-        temperature=fitted.temperature,
-        slip=fitted.slip,
-        feature_limit=FEATURE_LIMIT,
-        familiarity=fit_familiarity(standardised(features, fitted), limit),
-    )
-
-
-def standardised(features: FloatArray, fitted: Fitted) -> FloatArray:
-    """Features as the machine sees them, uncut."""
-    return (features - fitted.mean) / fitted.scale
+    four = np.isin(rest.person, [p for p in np.unique(rest.person) if p.startswith("motionsense")][:4])
+    part = fit_familiarity(model.standardised(rest.features[~four]), 1.0)
+    limit = float(np.quantile([part.distance(z) for z in model.standardised(rest.features[four])], 0.99))
+    return with_familiarity(model, rest, limit)
 
 
 # --- Mixed walks of real recordings ----------------------------------------------------------------------------------

@@ -27,6 +27,7 @@ from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOU
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
 from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.training.protocol import DUPLICATES
 from pdr_filter.values.arrays import IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from tests.studies.data import recordings
@@ -271,8 +272,7 @@ def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], 
     """Tables and figures of real recordings, and the walks put together of them."""
     stages = {f"{s:g}": FeatureWindows("martinelli", window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
     stages["invariant"] = FeatureWindows("invariant")
-    # sit_13 of subject 1 is the same recording as sit_5
-    walks = (r for r in recordings(data, "motionsense") if r.name != "motionsense_s01_sit_13")
+    walks = (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
     examples = examples_of(walks, stages, size.n_windows)
     if not examples or len(np.unique(examples["2"].person)) < 3:
         return [StudyTable(t, (), _NO_MOTIONSENSE, "nothing to compare") for t in _TITLES], [], []

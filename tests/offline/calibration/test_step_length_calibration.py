@@ -632,10 +632,10 @@ def test_damaged_files_are_refused_by_name(calibration: Calibration, tmp_path: P
     other = tmp_path / "other.json"
     other.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
     other.with_suffix(".npz").write_bytes(path.with_suffix(".npz").read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"other\.json: not a usable calibration: .*damaged"):
+    with pytest.raises(ValueError, match=r"other\.json: not usable as calibration: .*damaged"):
         load_calibration(other)
     path.write_text("{}", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"me\.json: not a usable calibration: it is no calibration"):
+    with pytest.raises(ValueError, match=r"me\.json: not usable as calibration: its kind is None"):
         load_calibration(path)
 
 

@@ -29,6 +29,8 @@ from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
 from pdr_filter.training import guo2018 as train_guo
+from pdr_filter.training.machines import fit_pose_forest
+from pdr_filter.training.protocol import leave_out, recordings_of
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.step import Step
@@ -67,11 +69,12 @@ class Classified:
 
 def classified_poses(data: Path) -> Classified | None:
     """Poses of windows of people who walk, each classified by a forest without them; None without two of the folds."""
-    paths = [p for p in train_guo.recordings(data) if not p.stem.startswith("motionsense") or "_wlk_" in p.stem]
+    found = recordings_of(data, train_guo.DATASETS)
+    paths = [p for p in found if not p.stem.startswith("motionsense") or "_wlk_" in p.stem]
     if not paths:
         return None
     windows, _ = train_guo.labelled_poses(paths, _N_SIMULATED_IN_TRAINING)
-    real = train_guo.is_real(windows)
+    real = train_guo.PLAN.is_real(windows)
     folds = [_of_people(windows.person, names) for names in _FOLDS]
     if sum(bool((fold & real).any()) for fold in folds) < 2:
         return None
@@ -81,8 +84,7 @@ def classified_poses(data: Path) -> Classified | None:
     for fold in folds:
         test = fold & real
         if test.any():
-            forest = train_guo.fitted_model(windows, ~fold, {})
-            prob = train_guo.probabilities(forest, windows.features[test])[:, columns]
+            prob = leave_out(train_guo.PLAN, windows, fold).prob[:, columns]
             predicted.append(prob.argmax(axis=1))
             truth.append(np.array([POSES.index(mode) for mode in windows.carrying_mode[test]]))
     found = tuple(str(d) for d in np.unique(windows.dataset[real]))
@@ -167,7 +169,7 @@ def sided_confusion(n_people: int = N_SIDED) -> IntArray:
     """Confusion (7, 7) of the last 40 % of simulated people, by a forest of the others, as the paper shares them."""
     features, label, person = _sided_windows(n_people)
     test = person >= round(0.6 * n_people)
-    forest, classes = train_guo.fit_forest(features[~test], np.array(SIDED)[label[~test]], np.ones(int((~test).sum())))
+    forest, classes = fit_pose_forest(features[~test], np.array(SIDED)[label[~test]], np.ones(int((~test).sum())))
     predicted = np.array([SIDED.index(c) for c in classes])[forest.predict_proba(features[test]).argmax(axis=1)]
     return confusion_matrix(label[test], predicted, len(SIDED))
 

@@ -37,7 +37,8 @@ from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.gait import STAIR_TREAD_M
 from pdr_filter.tracks import Track
-from pdr_filter.training.contexts import FEATURE_LIMIT, fit, fit_blend, label_of
+from pdr_filter.training.contexts import PLANS
+from pdr_filter.training.protocol import LabelledWindows, label_of
 from pdr_filter.values.arrays import FloatArray, IntArray, table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import Samples
@@ -156,23 +157,14 @@ def relevance_machine(examples: Examples, names: Sequence[str]) -> ContextModel:
 
 def default_machine(examples: Examples) -> ContextModel:
     """The default recipe's model, of other people; the two numbers of its calibration are the shipped model's."""
-    weight, nobody = np.ones(len(examples.person)), np.full(len(examples.person), "")
-    # without people to leave out nothing is calibrated, which would take four times as long again
-    fitted = fit(fit_blend, CONTEXTS, examples.of(invariant.NAMES), examples.context, nobody, weight)
-    shipped = load_model("context")
-    return ContextModel(
-        name="left_out",
-        feature_names=invariant.NAMES,
-        classes=fitted.classes,
-        training_prior=_prior(examples),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card={},
-        temperature=shipped.temperature,
-        slip=shipped.slip,
-        feature_limit=FEATURE_LIMIT,
+    # not calibrated, which would take four times as long again
+    unknown = np.full(len(examples.person), "")
+    has_gyroscope = np.ones(len(examples.person), dtype=bool)
+    windows = LabelledWindows(
+        examples.of(invariant.NAMES), examples.context, unknown, unknown, unknown, unknown, has_gyroscope
     )
+    plan, shipped = next(plan for plan in PLANS if plan.name == "context"), load_model("context")
+    return replace(plan.fit_machine(windows), name="left_out", temperature=shipped.temperature, slip=shipped.slip)
 
 
 def _prior(examples: Examples) -> FloatArray:
