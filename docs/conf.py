@@ -1,4 +1,4 @@
-"""Sphinx configuration; the table of models is made from their cards when the documentation is built."""
+"""Sphinx configuration; the tables of models are made from their cards when the documentation is built."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ version = release = pdr_filter.__version__
 
 extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
 myst_enable_extensions = ["amsmath", "dollarmath", "substitution"]
-exclude_patterns = ["_build"]
+myst_heading_anchors = 3
+exclude_patterns = ["_build", "tables"]  # tables are included by the pages
 html_theme = "furo"
 html_title = f"pdr_filter {version}"
 
@@ -33,7 +34,7 @@ def model_card(description: dict[str, Any]) -> str:
     scores = card.get("leave_one_subject_out", {})
     sites = card.get("site_left_out", {}).items()
     rows = {
-        "tells apart": f"{', '.join(description['classes'])} ({description['head'].replace('_', ' ')})",
+        "classes": f"{', '.join(description['classes'])} ({description['head'].replace('_', ' ')})",
         "for": card.get("intended_use"),
         "limits": card.get("limits"),
         "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
@@ -60,9 +61,28 @@ def shares(values: dict[str, float]) -> str:
     return ", ".join(f"{name} {value:.2f}" for name, value in values.items())
 
 
+def model_table(descriptions: list[dict[str, Any]]) -> str:
+    """The context models side by side, on people left out."""
+    columns = {"accuracy": "accuracy", "worst person": "worst_person_accuracy", "macro recall": "macro_recall"}
+    columns |= {"log loss": "log_loss", "Brier": "brier", "ECE": "expected_calibration_error"}
+    rows = []
+    for description in descriptions:
+        card = description.get("card", {})
+        scores = card.get("leave_one_subject_out", {})
+        if description["head"] == "context" and scores:
+            name = f"`{description['name']}` ({card.get('n_features')})"
+            rows.append(" | ".join([name, *(f"{scores.get(key, float('nan')):.3f}" for key in columns.values())]))
+    head = " | ".join(["model (features)", *columns])
+    return "\n".join([f"| {head} |", "|---" * (len(columns) + 1) + "|", *(f"| {row} |" for row in rows)])
+
+
 models = Path(__file__).resolve().parents[1] / "models"
 cards = sorted(path for path in models.glob("*.json") if path.with_suffix(".npz").is_file())
-myst_substitutions = {"model_cards": "\n\n".join(model_card(json.loads(path.read_text("utf-8"))) for path in cards)}
+descriptions = [json.loads(path.read_text("utf-8")) for path in cards]
+myst_substitutions = {
+    "model_cards": "\n\n".join(map(model_card, descriptions)),
+    "model_table": model_table(descriptions),
+}
 
 
 def escape_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: list[str]) -> None:

@@ -7,7 +7,7 @@ from . import simulate as simulate
 from .calibration import Calibration as Calibration
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
 from .config import Config as Config
-from .filter.tracking import StepUpdate as StepUpdate
+from .filter.pedestrian import StepUpdate as StepUpdate
 from .io.errors import RecordingError as RecordingError
 from .io.formats import read as read
 from .io.recording import MissingSensorError as MissingSensorError

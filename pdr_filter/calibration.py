@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
-import io
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
@@ -13,19 +10,23 @@ from typing import TYPE_CHECKING, Any, cast
 
 import numpy as np
 
+from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.config import Config
 from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Subject
 from pdr_filter.values.arrays import FloatArray, Table, read_only, table
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.notes import Note
 from pdr_filter.values.step import Step
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 
-FORMAT_VERSION = 1
+FORMAT = ArtefactFormat("calibration", 1, "calibrate again, or use the version that wrote it")
+_ARRAYS = ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
+_SEGMENT = "segment_"  # before the names of the columns of `segments`
 _MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
 # A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
 TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
@@ -97,7 +98,7 @@ class Calibration:
     card: Mapping[str, Any] | None = None
 
     def __post_init__(self) -> None:
-        for name in ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m"):
+        for name in _ARRAYS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
         n, s = slices_of(self.models)[1], len(self.subject_ids)
         shapes = {
@@ -204,14 +205,14 @@ class Calibration:
         used = self.contexts
         modes = tuple(
             replace(mode, step_length=fits[mode.context]) if mode.context in used else mode
-            for mode in config.tracker.modes
+            for mode in config.model.modes
         )
-        noise = replace(config.tracker.noise, log_scale_std=self.scale_std(subject))
+        noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
         known = subject is not None and subject.id in self.subject_ids
         who = f"of {subject.id}" if subject is not None and known else "of the calibrated population"
-        note = f"step lengths {who}: {', '.join(used) or 'none calibrated'}"
-        notes = tuple(n for n in config.notes if "height is not known" not in n or not known)
-        return replace(config, tracker=replace(config.tracker, modes=modes, noise=noise), notes=(*notes, note))
+        note = Note("step lengths", f"step lengths {who}: {', '.join(used) or 'none calibrated'}")
+        notes = tuple(n for n in config.notes if n.about != "height" or not known)
+        return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
 
     def report(self) -> str:
         """Parameters, errors and doubts as text."""
@@ -242,33 +243,21 @@ class Calibration:
 
     def save(self, path: str | Path) -> Path:
         """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""
-        stem = _stem(path)
-        arrays: dict[str, Any] = {
-            name: getattr(self, name)
-            for name in ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
-        }
-        arrays |= {f"segment_{name}": np.asarray(self.segments[name]) for name in self.segments.dtype.names or ()}
-        buffer = io.BytesIO()
-        np.savez_compressed(buffer, allow_pickle=False, **arrays)
-        content = buffer.getvalue()
+        arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
+        arrays |= prefixed(
+            _SEGMENT, {name: np.asarray(self.segments[name]) for name in self.segments.dtype.names or ()}
+        )
         description = {
-            "format_version": FORMAT_VERSION,
-            "kind": "calibration",
             "models": {name: _model_to_plain(model) for name, model in self.models.items()},
             "subject_ids": list(self.subject_ids),
             "residual_std_m": dict(self.residual_std_m),
             "recording_std": self.recording_std,
             "n_segments": dict(self.n_segments),
             "notes": list(self.notes),
-            "npz_sha256": hashlib.sha256(content).hexdigest(),
             "card": dict(self.card or {}),
         }
-        stem.parent.mkdir(parents=True, exist_ok=True)
-        _with_ending(stem, "npz").write_bytes(content)
-        text = json.dumps(description, indent=2, ensure_ascii=False) + "\n"
-        target = _with_ending(stem, "json")
-        target.write_text(text, encoding="utf-8")
-        return target
+        FORMAT.write(path, description, arrays)
+        return file_pair(path)[0]
 
     def _parameter_lines(self) -> list[str]:
         rows, n_people = self.segments, len(self.subject_ids)
@@ -359,39 +348,22 @@ def _shortened(name: str) -> str:
 
 def load_calibration(path: str | Path) -> Calibration:
     """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy."""
-    stem = _stem(path)
-    npz_path, json_path = _with_ending(stem, "npz"), _with_ending(stem, "json")
-    for needed in (json_path, npz_path):
-        if not needed.is_file():
-            raise ValueError(f"{needed}: no such file; a calibration is a .json and a .npz of the same name")
-    try:
-        description = json.loads(json_path.read_text(encoding="utf-8"))
-        if not isinstance(description, dict) or description.get("kind") != "calibration":
-            raise ValueError("it is no calibration")
-        if description.get("format_version") != FORMAT_VERSION:
-            raise ValueError(
-                f"format_version is {description.get('format_version')}, this version reads {FORMAT_VERSION}"
-            )
-        content = npz_path.read_bytes()
-        if hashlib.sha256(content).hexdigest() != description["npz_sha256"]:
-            raise ValueError(f"{npz_path.name} belongs to another calibration or is damaged; copy both files again")
-        with np.load(io.BytesIO(content), allow_pickle=False) as file:
-            arrays = {name: file[name] for name in file.files}
-        prefix = "segment_"
-        return Calibration(
-            models={name: _model_from_plain(m) for name, m in description["models"].items()},
-            **cast(Any, {name: array for name, array in arrays.items() if not name.startswith(prefix)}),
-            subject_ids=tuple(description["subject_ids"]),
-            residual_std_m=description["residual_std_m"],
-            recording_std=float(description["recording_std"]),
-            n_segments=description["n_segments"],
-            segments=table({n.removeprefix(prefix): a for n, a in arrays.items() if n.startswith(prefix)}),
-            notes=tuple(description["notes"]),
-            card=description["card"],
-        )
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
-        what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
-        raise ValueError(f"{json_path}: not a usable calibration: {what}; calibrate again") from error
+    return FORMAT.read(path, _assemble)
+
+
+def _assemble(description: Mapping[str, Any], arrays: Arrays) -> Calibration:
+    """Return the calibration; KeyError, TypeError or ValueError if anything is missing or does not fit."""
+    return Calibration(
+        models={name: _model_from_plain(m) for name, m in description["models"].items()},
+        **cast(Any, {name: arrays[name] for name in _ARRAYS}),
+        subject_ids=tuple(description["subject_ids"]),
+        residual_std_m=description["residual_std_m"],
+        recording_std=float(description["recording_std"]),
+        n_segments=description["n_segments"],
+        segments=table(of_prefix(_SEGMENT, arrays)),
+        notes=tuple(description["notes"]),
+        card=description["card"],
+    )
 
 
 def _model_to_plain(model: StepLengthModel) -> dict[str, Any]:
@@ -409,12 +381,3 @@ def _model_from_plain(plain: Mapping[str, Any]) -> StepLengthModel:
         raise ValueError(f"no step-length model {plain['class']!r}")
     values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name != "class"}
     return cast(StepLengthModel, kind(**values))
-
-
-def _stem(path: str | Path) -> Path:
-    path = Path(path)
-    return path.with_suffix("") if path.suffix in (".json", ".npz") else path
-
-
-def _with_ending(stem: Path, ending: str) -> Path:
-    return stem.with_name(f"{stem.name}.{ending}")

@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from typing import Any, cast
 
-from pdr_filter.filter.tracking import Tracker
+from pdr_filter.filter.alignment import UNKNOWN_FRAME
+from pdr_filter.filter.imm_tracker import ImmTracker
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.tracker import Tracker
+from pdr_filter.filter.weighted_tracker import WeightedTracker
+from pdr_filter.filter.weighting import HC, WEIGHTINGS
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_direction import WalkingDirection
+from pdr_filter.values.notes import Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -23,21 +30,44 @@ class Config:
     tracker: Tracker
     climb_rate: ClimbRate = field(default_factory=ClimbRate)
     needs: tuple[str, ...] = ()
-    notes: tuple[str, ...] = ()
+    notes: tuple[Note, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
 
     def __post_init__(self) -> None:
-        heading, drift = self.sensing.heading, self.tracker.noise.heading_drift
+        heading, drift = self.sensing.heading, self.model.noise.heading_drift
         if isinstance(heading, WalkingDirection) and heading.drift != drift:
             raise ValueError(
                 f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
                 "one HeadingDrift to both"
             )
 
+    @property
+    def model(self) -> PedestrianModel:
+        """Modes, transitions, noise and evidence of the tracker."""
+        return self.tracker.model
+
+    def with_model(self, **changes: Any) -> Config:
+        """The same with other values of some fields of the model."""
+        return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
+
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
-        return replace(self, tracker=replace(self.tracker, frame="world"))
+        return self.with_model(frame=UNKNOWN_FRAME)
 
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""
-        return replace(self, tracker=replace(self.tracker, weighting=weighting))
+        if weighting not in WEIGHTINGS:
+            raise ValueError(f"weighting must be one of {WEIGHTINGS}, got {weighting!r}")
+        if weighting == self.tracker.weighting:
+            return self
+        if weighting == "imm":
+            return replace(self, tracker=ImmTracker(self.model))
+        threshold = {"threshold": HC} if weighting == "hc" else {}
+        return replace(self, tracker=WeightedTracker(self.model, **threshold))
+
+    @property
+    def fix_delay_s(self) -> float:
+        """How long a fix waits for the step that it falls into to be final."""
+        sensing = self.sensing
+        waits_s = self.tracker.waits_for_windows * sensing.window_hop_s
+        return sensing.step_latency_s + sensing.steps.first_step_s + waits_s

@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from bisect import bisect_right
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.filter.tracking import StepUpdate, TrackerState
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.fixes import Fix, FixResult, Standstill, received_s
+from pdr_filter.values.notes import Note
 from pdr_filter.values.samples import ImuBlock
 
-# How old a fix of an app may be: the remembered steps (`tracking.TRAIL_STEPS`) are half a minute of walking, and a
+# How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
 # pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
 MAX_FIX_AGE_S = 60.0
 
@@ -60,6 +62,7 @@ class State:
     seen: WindowCounts = WindowCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
+    n_rejected_fixes: int = 0
     finished: bool = False
 
 
@@ -70,6 +73,12 @@ class Output:
     updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
     windows: list[WindowContext] = field(default_factory=list[WindowContext])
     fixes: list[FixResult] = field(default_factory=list[FixResult])
+    passages: list[Passage] = field(default_factory=list[Passage])  # how steps and gaps led the estimates on
+
+    def extend(self, later: Output) -> None:
+        """Add what came later."""
+        for name in ("updates", "windows", "fixes", "passages"):
+            getattr(self, name).extend(getattr(later, name))
 
 
 def init(config: Config) -> State:
@@ -77,11 +86,7 @@ def init(config: Config) -> State:
     return State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
 
 
-# Sees the filter's state before each event that changes it.
-Watch = Callable[[TrackerState, Event], None]
-
-
-def step(config: Config, state: State, block: ImuBlock, watch: Watch | None = None) -> tuple[State, Output]:
+def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
     """New state and output after a block of samples of any length.
 
     The result depends on the samples and fixes only, not on how they were cut into blocks. ValueError after `finish`.
@@ -91,10 +96,8 @@ def step(config: Config, state: State, block: ImuBlock, watch: Watch | None = No
     whole = Output()
     for part in parts(block):
         sensing, events = config.sensing.step(state.sensing, part)
-        state, output = _process(config, replace(state, sensing=sensing), events, watch)
-        whole.updates.extend(output.updates)
-        whole.windows.extend(output.windows)
-        whole.fixes.extend(output.fixes)
+        state, output = _process(config, replace(state, sensing=sensing), events)
+        whole.extend(output)
     return state, whole
 
 
@@ -117,7 +120,7 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
     """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
 
-    Give the pressure of a time before the other samples of that time: a window that is classified is not seen anew.
+    Give the pressure of a time before the other samples of that time: a window is classified once.
     """
     barometer, climbs = config.climb_rate.step(state.barometer, time_s, pressure_hpa)
     return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
@@ -127,24 +130,41 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
 
-def context_notes(seen: WindowCounts) -> list[str]:
-    """Where a sensor was missing, and where the classifiers do not know what they see."""
-    notes: list[str] = []
+def notes_of(config: Config, state: State) -> list[Note]:
+    """What to keep in mind about the track so far: the same for a whole recording and for an app."""
+    report, seen = state.sensing.conditioner.report, state.seen
+    notes = [Note("samples", text) for text in report.notes()]
+    if state.finished and state.tracker.pedestrian.n_final == 0:
+        notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
     if seen.without_gyroscope:
         notes.append(
-            f"contexts of {seen.without_gyroscope} of {seen.n} windows without gyroscope, which are less sure: there "
-            "was no angular rate"
+            Note(
+                "sensors",
+                f"contexts of {seen.without_gyroscope} of {seen.n} windows without gyroscope, which are less sure: "
+                "there was no angular rate",
+            )
         )
     if seen.unknown > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
         notes.append(
-            f"{seen.unknown} of {seen.n} windows are unlike all that the context model was trained on: "
-            "contexts are unsure there"
+            Note(
+                "contexts",
+                f"{seen.unknown} of {seen.n} windows are unlike all that the context model was trained on: contexts "
+                "are unsure there",
+            )
         )
     if seen.irregular > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
         notes.append(
-            f"in {seen.irregular} of {seen.n} windows the phone seems to be handled, not carried by somebody who "
-            "walks: steps there may be false"
+            Note(
+                "steps",
+                f"in {seen.irregular} of {seen.n} windows the phone seems to be handled, not carried by somebody who "
+                "walks: steps there may be false",
+            )
         )
+    notes += config.notes
+    if state.n_rejected_fixes:
+        notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
+    if state.finished and state.waiting_fixes:
+        notes.append(Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}"))
     return notes
 
 
@@ -162,62 +182,57 @@ def _time_s(climb: Climb) -> float:
     return climb.time_s
 
 
-def finish(config: Config, state: State, watch: Watch | None = None) -> tuple[State, Output]:
+def finish(config: Config, state: State) -> tuple[State, Output]:
     """New state and output when no further sample will come: late steps are found, waiting ones become final.
 
     Fixes of the recording's time that still wait are used; later ones stay waiting. A second call gives nothing.
     """
     if state.finished:
         return state, Output()
-    state, output = _process(config, state, config.sensing.finish(state.sensing), watch)
+    state, output = _process(config, state, config.sensing.finish(state.sensing))
     tracker, last = config.tracker.finish(state.tracker)
-    due = [f for f in state.waiting_fixes if received_s(f) <= state.sensing.processed_s]
-    late = tuple(f for f in state.waiting_fixes if received_s(f) > state.sensing.processed_s)
+    output.updates.extend(last.updates)
+    output.passages.extend(last.passages)
+    end_s = state.sensing.processed_s
+    due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
+    later = [f for f in state.waiting_fixes if received_s(f) > end_s]
+    state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
     for fix in due:
-        first_s = state.sensing.conditioner.report.first_time_s
-        tracker, result = _use_fix(config, tracker, fix, state.sensing.processed_s, first_s)
+        state, result = _use_fix(config, state, fix, end_s)
         output.fixes.append(result)
-    state = replace(state, tracker=tracker, waiting_fixes=late, finished=True)
-    return state, replace(output, updates=[*output.updates, *last])
-
-
-def _process(
-    config: Config, state: State, events: list[tuple[float, Event]], watch: Watch | None
-) -> tuple[State, Output]:
-    output = Output()
-    tracker, fixes, seen = state.tracker, state.waiting_fixes, state.seen
-    first_s = state.sensing.conditioner.report.first_time_s
-    for known_s, event in events:
-        tracker, fixes, used = _apply_fixes(config, tracker, fixes, known_s, first_s)
-        output.fixes.extend(used)
-        if watch is not None:
-            watch(tracker, event)
-        if isinstance(event, WindowContext):
-            context = with_climb(event, climb_at(state.climbs, event.time_s))
-            output.windows.append(context)
-            seen = seen.plus(context)
-            tracker, updates = config.tracker.on_window(tracker, context)
-        elif isinstance(event, Gap):
-            tracker, updates = config.tracker.on_gap(tracker, event.duration_s)
-        else:
-            tracker, updates = config.tracker.on_step(tracker, event)
-        output.updates.extend(updates)
-    tracker, fixes, used = _apply_fixes(config, tracker, fixes, state.sensing.processed_s, first_s)
-    output.fixes.extend(used)
-    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
-    state = replace(state, tracker=tracker, waiting_fixes=fixes, climbs=climbs, seen=seen)
     return state, output
 
 
-def _apply_fixes(
-    config: Config, state: TrackerState, fixes: tuple[Fix, ...], until_s: float, first_s: float
-) -> tuple[TrackerState, tuple[Fix, ...], list[FixResult]]:
+def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
+    output = Output()
+    for known_s, event in events:
+        state, used = _use_due_fixes(config, state, known_s)
+        output.fixes.extend(used)
+        if isinstance(event, WindowContext):
+            context = with_climb(event, climb_at(state.climbs, event.time_s))
+            output.windows.append(context)
+            state = replace(state, seen=state.seen.plus(context))
+            tracker, brought = config.tracker.on_window(state.tracker, context)
+        elif isinstance(event, Gap):
+            tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+        else:
+            tracker, brought = config.tracker.on_step(state.tracker, event)
+        state = replace(state, tracker=tracker)
+        output.updates.extend(brought.updates)
+        output.passages.extend(brought.passages)
+    state, used = _use_due_fixes(config, state, state.sensing.processed_s)
+    output.fixes.extend(used)
+    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
+    return replace(state, climbs=climbs), output
+
+
+def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
     used: list[FixResult] = []
-    while fixes and due_s(config, fixes[0]) <= until_s:
-        state, result = _use_fix(config, state, fixes[0], until_s, first_s)
+    while state.waiting_fixes and due_s(config, state.waiting_fixes[0]) <= until_s:
+        first, *later = state.waiting_fixes
+        state, result = _use_fix(config, replace(state, waiting_fixes=tuple(later)), first, until_s)
         used.append(result)
-        fixes = fixes[1:]
-    return state, fixes, used
+    return state, used
 
 
 def due_s(config: Config, fix: Fix) -> float:
@@ -227,19 +242,17 @@ def due_s(config: Config, fix: Fix) -> float:
     """
     if isinstance(fix, Standstill):
         return received_s(fix)
-    sensing = config.sensing
-    delay_s = sensing.step_latency_s + sensing.steps.first_step_s + config.tracker.fix_delay_s
-    return max(received_s(fix), fix.time_s + delay_s)
+    return max(received_s(fix), fix.time_s + config.fix_delay_s)
 
 
-def _use_fix(
-    config: Config, state: TrackerState, fix: Fix, now_s: float, first_s: float
-) -> tuple[TrackerState, FixResult]:
-    if untimely(fix, first_s, received_s(fix)):
-        return replace(state, rejected_fixes=state.rejected_fixes + 1), FixResult.of(fix, now_s, np.inf, False)
-    n_rejected = state.rejected_fixes
-    state, nis = config.tracker.on_fix(state, fix)
-    return state, FixResult.of(fix, now_s, nis, state.rejected_fixes == n_rejected)
+def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[State, FixResult]:
+    if untimely(fix, state.sensing.conditioner.report.first_time_s, received_s(fix)):
+        outcome, nis = "rejected", np.inf
+    else:
+        tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
+        state = replace(state, tracker=tracker)
+    state = replace(state, n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"))
+    return state, FixResult.of(fix, now_s, outcome, nis)
 
 
 def untimely(fix: Fix, first_s: float, last_s: float) -> str:

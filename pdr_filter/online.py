@@ -9,8 +9,8 @@ from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
 from pdr_filter.config import Config
-from pdr_filter.filter.tracking import StepUpdate, present_position
-from pdr_filter.filtering import Output, State, add_pressure, context_notes, due_s, finish, init, step, untimely
+from pdr_filter.filter.pedestrian import StepUpdate, present_position
+from pdr_filter.filtering import Output, State, add_pressure, due_s, finish, init, notes_of, step, untimely
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.fixes import Fix
 from pdr_filter.values.samples import ImuBlock
@@ -71,7 +71,7 @@ class OnlineFilter:
         return self._advance(imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)).updates
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
-        """Take samples of a barometer, (N,) each: the climb rate tells stairs from flat walking.
+        """Take samples of a barometer, (N,) each: the climb rate distinguishes stairs from flat walking.
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """
@@ -107,24 +107,17 @@ class OnlineFilter:
     @property
     def position_m(self) -> FloatArray:
         """East and north of the last final step, shape (2,)."""
-        return present_position(self.state.tracker)[0]
+        return present_position(self.state.tracker.pedestrian)[0]
 
     @property
     def position_cov_m2(self) -> FloatArray:
         """Covariance of `position_m`, shape (2, 2)."""
-        return present_position(self.state.tracker)[1]
+        return present_position(self.state.tracker.pedestrian)[1]
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was wrong with the samples so far, in plain words."""
-        rejected = self.state.tracker.rejected_fixes
-        fixes = (f"fixes rejected as outliers: {rejected}",) if rejected else ()
-        return (
-            *self.state.sensing.conditioner.report.notes(),
-            *context_notes(self.state.seen),
-            *fixes,
-            *self.config.notes,
-        )
+        """What to keep in mind about the track so far, in plain words."""
+        return tuple(note.text for note in notes_of(self.config, self.state))
 
     def save(self) -> bytes:
         """Bytes from which `load` continues as if nothing had happened, configuration and models included."""
@@ -148,8 +141,8 @@ def _shape(state: State) -> tuple[object, ...]:
     """What a configuration fixes of a state: the arrays of its modes, and the kinds of the stages' own states."""
     stages = (getattr(state.sensing, f.name) for f in fields(state.sensing))
     sensing = tuple(type(stage) for stage in stages if is_dataclass(stage))
-    tracker = state.tracker
-    return (tracker.mean.shape, tracker.cov.shape, tracker.mode_prob.shape, tracker.shared_m.shape, sensing)
+    known = state.tracker.pedestrian
+    return (type(state.tracker), known.mean.shape, known.cov.shape, known.prob.shape, known.shared_m.shape, sensing)
 
 
 def imu_block(

@@ -13,6 +13,8 @@ import numpy as np
 from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.classifiers.transitions import Transitions, load_transitions
 from pdr_filter.config import Config
+from pdr_filter.filter.imm_tracker import ImmTracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import Mode, MotionNoise
 from pdr_filter.filter.step_length import (
     FrequencyVarianceStepLength,
@@ -25,7 +27,8 @@ from pdr_filter.filter.step_length import (
     static_fit,
     tian_fit,
 )
-from pdr_filter.filter.tracking import Tracker
+from pdr_filter.filter.weighted_tracker import WeightedTracker
+from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording, Subject
 from pdr_filter.papers.guo2018.contexts import NOTE as POSE_NOTE
 from pdr_filter.papers.guo2018.contexts import PoseContext
@@ -47,6 +50,7 @@ from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.heading_drift import HeadingDrift
+from pdr_filter.values.notes import Note
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
 # the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
@@ -135,20 +139,18 @@ def with_transitions(config: Config, transitions: Transitions | str | Path) -> C
     if the file cannot be used, or if the modes of the configuration are not the contexts, each once.
     """
     learnt = transitions if isinstance(transitions, Transitions) else load_transitions(transitions)
-    contexts = [mode.context for mode in config.tracker.modes]
+    contexts = [mode.context for mode in config.model.modes]
     if sorted(contexts) != sorted(CONTEXTS):
         raise ValueError(
             f"transitions are between the contexts {CONTEXTS}, but recipe {config.name!r} has modes of {contexts}; "
-            "give its tracker a transition_prob of its own"
+            "give its model a transition_prob of its own"
         )
     of_mode = [CONTEXTS.index(context) for context in contexts]
-    tracker = replace(
-        config.tracker,
+    return config.with_model(
         transition_prob=learnt.transition_prob[np.ix_(of_mode, of_mode)],
         evidence_exponent=learnt.evidence_exponent,
         prior_exponent=learnt.prior_exponent,
     )
-    return replace(config, tracker=tracker)
 
 
 def learned_contexts(with_gyroscope: ContextModel, feature_set: str) -> LearnedContexts:
@@ -181,10 +183,12 @@ def default(subject: Subject | None = None) -> Config:
             contexts=learned_contexts(_model("context"), "invariant"),
             heading=WalkingDirection(drift=drift),
         ),
-        tracker=Tracker(
-            modes=context_modes(bounce_fit(height_m)),
-            transition_prob=context_transitions(),
-            noise=MotionNoise(heading_drift=drift, log_scale_std=0.08 if height_m is None else 0.065),
+        tracker=ImmTracker(
+            PedestrianModel(
+                modes=context_modes(bounce_fit(height_m)),
+                transition_prob=context_transitions(),
+                noise=MotionNoise(heading_drift=drift, log_scale_std=0.08 if height_m is None else 0.065),
+            )
         ),
         notes=_height_note(height_m, _HEIGHT_M),
     )
@@ -200,8 +204,8 @@ def martinelli2018(subject: Subject | None = None) -> Config:
     return Config(
         name="martinelli2018",
         sensing=Sensing(contexts=learned_contexts(_model("context_martinelli_rvm"), "martinelli")),
-        tracker=Tracker(
-            modes=context_modes(_FREQUENCY_VARIANCE_WALKING), transition_prob=context_transitions(), weighting="wc"
+        tracker=WeightedTracker(
+            PedestrianModel(context_modes(_FREQUENCY_VARIANCE_WALKING), context_transitions()), threshold=0.8
         ),
     )
 
@@ -223,8 +227,11 @@ def tian2016(subject: Subject | None = None) -> Config:
         Sensing(contexts=TianContexts(), steps=TianStepDetector(), heading=OffsetCompensation()),
         context_modes(tian_fit(height_m, gender)),
         notes=(
-            "tian2016 follows changes of the carrying mode: a phone that was put away before the recording began is "
-            "taken to be held",
+            Note(
+                "recipe",
+                "tian2016 follows changes of the carrying mode: a phone that was put away before the recording began "
+                "is taken to be held",
+            ),
             *_height_note(subject.height_m if subject else None, _HEIGHT_M),
         ),
     )
@@ -262,7 +269,7 @@ def zhou2019(subject: Subject | None = None, placement: str = "carried") -> Conf
         if placement == "foot"
         else "zhou2019 is made for a sensor on the foot; here every event is a step of a carried phone"
     )
-    config = _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=(), notes=(note,))
+    config = _of_one_hot_contexts("zhou2019", sensing, context_modes(*lengths), needs=(), notes=(Note("recipe", note),))
     return replace(config, on_foot=placement == "foot")
 
 
@@ -277,7 +284,7 @@ def guo2018(subject: Subject | None = None) -> Config:
         "guo2018",
         Sensing(contexts=PoseContext(), steps=PoseStepDetector()),
         context_modes(chen_fit(height_m)),
-        notes=(POSE_NOTE, *_height_note(subject.height_m if subject else None, _HEIGHT_M)),
+        notes=(Note("recipe", POSE_NOTE), *_height_note(subject.height_m if subject else None, _HEIGHT_M)),
     )
 
 
@@ -293,8 +300,11 @@ def susi2013(subject: Subject | None = None) -> Config:
         Sensing(contexts=MotionModes(), steps=NormMinimaStepDetector()),
         context_modes(static_fit(height_m, gender)),
         notes=(
-            "susi2013 is made for a phone in the hand, at the ear or in a bag: a trouser pocket looks like a swinging "
-            "arm to it",
+            Note(
+                "recipe",
+                "susi2013 is made for a phone in the hand, at the ear or in a bag: a trouser pocket looks like a "
+                "swinging arm to it",
+            ),
             *_height_note(subject.height_m if subject else None, _HEIGHT_M),
         ),
     )
@@ -310,28 +320,32 @@ def _of_one_hot_contexts(
     sensing: Sensing,
     modes: tuple[Mode, ...],
     needs: tuple[str, ...] = ("gyroscope",),
-    notes: tuple[str, ...] = (),
+    notes: tuple[Note, ...] = (),
 ) -> Config:
     """A published system that decides for one context: the step length is that of the most probable one."""
-    tracker = Tracker(modes=modes, transition_prob=context_transitions(), weighting="hc")
+    tracker = WeightedTracker(PedestrianModel(modes, context_transitions()), HC)
     return Config(name=name, sensing=sensing, tracker=tracker, needs=needs, notes=notes)
 
 
-def _height_note(height_m: float | None, assumed_m: float) -> tuple[str, ...]:
+def _height_note(height_m: float | None, assumed_m: float) -> tuple[Note, ...]:
     if height_m is not None:
         return ()
-    return (
-        f"the person's height is not known: {assumed_m:.2f} m is assumed, and the track may be 8 % too long or short",
-    )
+    text = f"the person's height is not known: {assumed_m:.2f} m is assumed, and the track may be 8 % too long or short"
+    return (Note("height", text),)
 
 
 def for_recording(name: str, recording: Recording) -> Config:
     """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
-    if name not in RECIPES:
-        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
+    check_name(name)
     if name == "zhou2019" and "foot" in str(recording.meta.get("placement", "")).lower():
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
+
+
+def check_name(name: str) -> None:
+    """ValueError that lists the recipes if there is none of that name."""
+    if name not in RECIPES:
+        raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
 
 
 RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -11,8 +11,8 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Alignment
-from pdr_filter.filter.tracking import StepUpdate, TrackerState
-from pdr_filter.filtering import Output, Watch, climb_at, context_notes, due_s, finish, init, parts, step
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filtering import Output, State, climb_at, due_s, finish, init, notes_of, parts, step
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -23,6 +23,7 @@ from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import Table, read_only
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.fixes import Fix, FixResult
+from pdr_filter.values.notes import Note
 from pdr_filter.values.samples import ImuBlock
 from pdr_filter.values.step import Step, step_table
 from pdr_filter.values.windows import Windows
@@ -59,78 +60,73 @@ def track(
     calibration : Calibration or path, optional
         Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     """
-    config = config or _default(recording)
+    config = config or default_config(recording)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
 
         known = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = known.config(config, recording.subject)
-    _check_sensors(config, recording)
     if weighting is not None:
         config = config.with_weighting(weighting)
-    return _run(recording, config, fixes, progress, None)[0]
+    return collected(recording, config, outputs(recording, config, fixes, progress))
 
 
-def watched_track(
-    recording: Recording, config: Config | None, fixes: Sequence[Fix], watch: Watch
-) -> tuple[Track, TrackerState, Config]:
-    """The track, the filter's last state, and the configuration used; `watch` sees every state before."""
-    config = config or _default(recording)
-    _check_sensors(config, recording)
-    return *_run(recording, config, fixes, None, watch), config
-
-
-def _run(
+def outputs(
     recording: Recording,
     config: Config,
-    fixes: Sequence[Fix],
-    progress: Callable[[float], None] | None,
-    watch: Watch | None,
-) -> tuple[Track, TrackerState]:
-    state = replace(init(config), waiting_fixes=tuple(sorted(fixes, key=lambda f: due_s(config, f))))
-    state = replace(state, climbs=_climbs(config, recording))
-    updates: list[StepUpdate] = []
-    windows: list[WindowContext] = []
-    results: list[FixResult] = []
+    fixes: Sequence[Fix] = (),
+    progress: Callable[[float], None] | None = None,
+) -> Iterator[tuple[State, Output]]:
+    """What each stretch of a recording brings, with the filter's state after it; the last one is the end's.
 
-    def collect(output: Output) -> None:
-        updates.extend(u for u in output.updates if u.is_final)
-        windows.extend(output.windows)
-        results.extend(output.fixes)
-
+    MissingSensorError if the tracks of the recipe need what was not recorded.
+    """
+    _check_sensors(config, recording)
+    state = replace(
+        init(config),
+        waiting_fixes=tuple(sorted(fixes, key=lambda f: due_s(config, f))),
+        climbs=_climbs(config, recording),
+    )
     for part in _parts(merge_streams(recording), progress):
-        state, output = step(config, state, part, watch)
-        collect(output)
-    state, output = finish(config, state, watch)
-    collect(output)
+        state, output = step(config, state, part)
+        yield state, output
+    yield finish(config, state)
 
-    report = state.sensing.conditioner.report
-    notes = [*recording.notes, *report.notes(), *_fit_notes(recording, config, updates)]
-    notes += [*context_notes(state.seen), *config.notes]
-    if state.tracker.rejected_fixes:
-        notes.append(f"fixes rejected as outliers: {state.tracker.rejected_fixes}")
-    if state.waiting_fixes:
-        notes.append(f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")
-        end_s = state.sensing.processed_s
-        results += [FixResult.of(fix, end_s, np.inf, False) for fix in state.waiting_fixes]
+
+def collected(recording: Recording, config: Config, brought: Iterable[tuple[State, Output]]) -> Track:
+    """The track of a recording from its `outputs`."""
+    state, whole = init(config), Output()
+    for after, output in brought:
+        state = after
+        whole.extend(replace(output, passages=[]))
+    report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
+    late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
-    track = _collect(recording.name, config, updates, _windows(windows), start_s, duration_s, notes)
-    track = replace(track, fixes=tuple(results))
-    if state.tracker.alignment is not None:
-        track = _in_world(track, state.tracker.alignment)
-    return track, state.tracker
+    track = _track(recording.name, config, [u for u in whole.updates if u.is_final], _windows(whole.windows))
+    track = replace(
+        track,
+        start_time_s=start_s,
+        duration_s=duration_s,
+        fixes=(*whole.fixes, *late),
+        notes=(
+            *recording.notes,
+            *(note.text for note in (*_placement_notes(recording, config), *notes_of(config, state))),
+        ),
+    )
+    alignment = state.tracker.pedestrian.frame.alignment
+    return track if alignment is None else _in_world(track, alignment)
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
-    config = config or _default(recording)
+    config = config or default_config(recording)
     return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
-    config = config or _default(recording)
+    config = config or default_config(recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)
     return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
@@ -144,7 +140,8 @@ def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
     return tuple(config.climb_rate.step(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
 
 
-def _default(recording: Recording) -> Config:
+def default_config(recording: Recording) -> Config:
+    """The default recipe for the person of a recording."""
     from pdr_filter.recipes import default  # loads the shipped models, which training makes
 
     return default(recording.subject)
@@ -192,16 +189,8 @@ def _windows(found: Sequence[WindowContext]) -> Windows:
     )
 
 
-def _collect(
-    name: str,
-    config: Config,
-    updates: Sequence[StepUpdate],
-    windows: Windows,
-    start_s: float,
-    duration_s: float,
-    notes: Sequence[str],
-) -> Track:
-    n, n_modes = len(updates), len(config.tracker.modes)
+def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Windows) -> Track:
+    n, modes = len(updates), config.model.modes
     steps = step_table([u.step for u in updates])
     return Track(
         name=name,
@@ -214,16 +203,17 @@ def _collect(
         step_speed_std_mps=read_only(np.array([u.speed.step_std_mps for u in updates])),
         smoothed_speed_mps=read_only(np.array([u.speed.smoothed_mps for u in updates])),
         smoothed_speed_std_mps=read_only(np.array([u.speed.smoothed_std_mps for u in updates])),
+        gap_before_s=read_only(np.array([u.gap_before_s for u in updates])),
         context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS))),
         contexts=CONTEXTS,
-        mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, n_modes)),
-        modes=tuple(m.name for m in config.tracker.modes),
+        mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, len(modes))),
+        modes=tuple(m.name for m in modes),
+        mode_contexts=tuple(m.context for m in modes),
         steps=steps,
         windows=windows,
-        start_time_s=start_s,
-        duration_s=duration_s,
+        start_time_s=0.0,
+        duration_s=0.0,
         weighting=config.tracker.weighting,
-        notes=tuple(notes),
     )
 
 
@@ -243,10 +233,7 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
     )
 
 
-def _fit_notes(recording: Recording, config: Config, updates: Sequence[StepUpdate]) -> list[str]:
-    notes: list[str] = []
-    if not config.on_foot and "foot" in str(recording.meta.get("placement", "")).lower():
-        notes.append("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")
-    if not updates:
-        notes.append("no steps found: dead reckoning does not apply here")
-    return notes
+def _placement_notes(recording: Recording, config: Config) -> list[Note]:
+    if config.on_foot or "foot" not in str(recording.meta.get("placement", "")).lower():
+        return []
+    return [Note("placement", "worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")]

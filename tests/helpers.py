@@ -5,9 +5,16 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import pairwise
+from typing import TypeVar
 
 import numpy as np
 
+from pdr_filter.filter.imm_tracker import ImmTracker
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.tracker import TrackerOutput
+from pdr_filter.filter.weighted_tracker import WeightedTracker
+from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
@@ -17,6 +24,8 @@ from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock
 from pdr_filter.values.step import Step
 from pdr_filter.values.windows import Windows
+
+T = TypeVar("T")
 
 
 def imu(
@@ -168,3 +177,24 @@ def windows_of(time_s: np.ndarray, context_prob: np.ndarray, contexts: tuple[str
     return Windows(
         time_s, context_prob, contexts, np.full((n, 5), 0.2), CARRYING_MODES, np.zeros(n), np.zeros(n), none, ("",) * n
     )
+
+
+def even_transitions(n_modes: int, stay_prob: float) -> np.ndarray:
+    """Transition matrix (M, M) that stays with one probability and leaves for every other mode alike."""
+    if n_modes == 1:
+        return np.ones((1, 1))
+    leave = (1 - stay_prob) / (n_modes - 1)
+    return np.full((n_modes, n_modes), leave) + (stay_prob - leave) * np.eye(n_modes)
+
+
+def updates_of(result: tuple[T, TrackerOutput]) -> tuple[T, list[StepUpdate]]:
+    """State and updates of what a tracker returns."""
+    state, output = result
+    return state, list(output.updates)
+
+
+def tracker_of(weighting: str, model: PedestrianModel) -> ImmTracker | WeightedTracker:
+    """The tracker of a weighting, with its usual threshold."""
+    if weighting == "imm":
+        return ImmTracker(model)
+    return WeightedTracker(model, HC if weighting == "hc" else 0.8)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import inspect
 import re
 from collections.abc import Iterator
 from dataclasses import replace
@@ -19,13 +20,15 @@ import pdr_filter as pdr
 from pdr_filter.cli.app import app
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values.samples import Samples
+from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
 PAGES = {
     str(path.relative_to(ROOT)): path.read_text(encoding="utf-8")
     for path in sorted([ROOT / "README.md", ROOT / "CONTRIBUTING.md", *ROOT.glob("docs/**/*.md")])
-    if "_build" not in path.parts
+    if not {"_build", "tables"} & set(path.parts)
 }
+TABLES = {path.stem: path.read_text(encoding="utf-8") for path in sorted(FOLDER.glob("*.md"))}
 # They need a cluster, the arrays of a study, and a walk of six minutes.
 NOT_RUN = {"docs/methods/batch.md", "docs/methods/rvm.md", "docs/methods/smoothing.md"}
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -158,3 +161,99 @@ def test_every_page_is_in_the_table_of_contents() -> None:
     listed = set(re.findall(r"^([\w/]+)$", PAGES["docs/index.md"], re.MULTILINE))
     pages = {str(Path(name).relative_to("docs").with_suffix("")) for name in PAGES if name.startswith("docs/")}
     assert pages - {"index"} <= listed
+
+
+# --- tables and figures ----------------------------------------------------------------------------------------------
+
+
+def tables_of(text: str) -> list[str]:
+    """Names of the table files that a page includes, or holds a copy of."""
+    found = re.findall(r"^```\{include\} \S*tables/(\w+)\.md$|^<!-- table (\w+) -->$", text, re.MULTILINE)
+    return [included or copied for included, copied in found]
+
+
+def test_every_table_file_stands_on_a_page_and_every_table_of_a_page_is_there() -> None:
+    assert {name for text in PAGES.values() for name in tables_of(text)} == set(TABLES)
+
+
+@pytest.mark.parametrize("name", TABLES)
+def test_a_table_says_the_command_that_wrote_it_and_the_day(name: str) -> None:
+    *_, caption = TABLES[name].strip().splitlines()
+    found = re.search(r"`python -m (tests\.benchmarks(?:\.\w+)+)`, \d{4}-\d\d-\d\d", caption)
+    assert found, caption
+    script = ROOT / found[1].replace(".", "/")
+    assert script.with_suffix(".py").is_file() or (script / "__main__.py").is_file()
+    source = "".join(p.read_text("utf-8") for p in (ROOT / "tests" / "benchmarks").rglob("*.py"))
+    assert f'"{name}"' in source or name.split("_")[0] in (
+        "martinelli2018",
+        "tian2016",
+        "zhou2019",
+        "guo2018",
+        "susi2013",
+    )
+
+
+def test_the_tables_of_the_first_page_are_those_of_their_files() -> None:
+    assert readme_with_tables(PAGES["README.md"]) == PAGES["README.md"], "run python -m tests.benchmarks.common"
+
+
+def test_a_table_with_the_same_numbers_has_the_same_bytes_another_day(tmp_path: Path) -> None:
+    tables, path = Tables("python -m tests.benchmarks.steps", tmp_path), tmp_path / "some.md"
+    tables.write("some", ["a", "b"], [["x", 1.5]], day="2020-01-01")
+    first = path.read_text("utf-8")
+    assert first == "| a | b |\n| --- | --- |\n| x | 1.5 |\n\n*`python -m tests.benchmarks.steps`, 2020-01-01.*\n"
+    tables.write("some", ["a", "b"], [["x", 1.5]], day="2020-01-02")
+    assert path.read_text("utf-8") == first
+    tables.write("some", ["a", "b"], [["x", 1.6]], day="2020-01-02")
+    assert "1.6" in path.read_text("utf-8")
+    with pytest.raises(ValueError, match="2 cells"):
+        tables.write("some", ["a", "b"], [["x"]])
+
+
+def figures(text: str) -> set[str]:
+    """Numbers in prose that may be results: decimals, and numbers of per cent, points and times; none of code."""
+    text = re.sub(r"^```.*?^```$|<!--.*?-->|\$\$.*?\$\$|\$[^$]*\$|`[^`]*`|^\|.*$", " ", text, flags=re.M | re.S)
+    text = re.sub(r"\]\([^)]*\)|doi:\S+", " ", text)
+    decimals = re.findall(r"(?<![\w.])\d+\.\d+(?![\w.]*\d)", text)
+    return {*decimals, *re.findall(r"(?<![\w.])(\d+)(?= (?:%|points|times)(?: |[.,:;)]|$))", text, re.MULTILINE)}
+
+
+def sections(text: str) -> list[str]:
+    """A page, cut at its headings."""
+    return re.split(r"^(?=#+ )", text, flags=re.MULTILINE)
+
+
+@pytest.mark.parametrize("page", [page for page, text in PAGES.items() if tables_of(text)])
+def test_figures_in_the_text_beside_a_table_stand_in_a_table_of_the_page(page: str) -> None:
+    known = set(re.findall(r"\d+(?:\.\d+)?", " ".join(TABLES[name] for name in tables_of(PAGES[page]))))
+    for section in sections(PAGES[page]):
+        if tables_of(section):
+            given = {
+                number for numbers in re.findall(r"<!-- given: ([\d. ]+) -->", section) for number in numbers.split()
+            }
+            assert figures(section) <= known | given, section.splitlines()[0]
+            assert given <= figures(section), f"{section.splitlines()[0]}: exempted and not there"
+
+
+def test_a_figure_is_found_in_prose_and_not_in_formulas_or_code() -> None:
+    assert figures(
+        "It has 1.03 %, 12 points and 0.48 a minute, 3 walks.\n| 9.9 % |\n$k = 0.5$ and `0.6` <!-- 7.7 % -->"
+    ) == {
+        "1.03",
+        "12",
+        "0.48",
+    }
+
+
+def test_the_places_of_the_equations_exist() -> None:
+    rows = re.findall(r"^\|.*\|.*\|.*\|(.*)\|$", PAGES["docs/architecture.md"], re.MULTILINE)
+    names = [re.findall(r"`([\w.]+)`", cell) for cell in rows if "`" in cell and "pdr_filter`" not in cell]
+    assert len(names) > 20
+    for first, *others in names:
+        there = resolved(f"pdr_filter.{first}")
+        for name in others:
+            if "." in name:
+                resolved(f"pdr_filter.{name}")
+            else:  # of the same module as the first
+                module = there if inspect.ismodule(there) else inspect.getmodule(there)
+                assert hasattr(module, name), f"{name} is not in {first}"

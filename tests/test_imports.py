@@ -1,9 +1,11 @@
-"""Importing costs nothing that is not needed."""
+"""Importing costs nothing that is not needed, and no module imports from a room above its own."""
 
 from __future__ import annotations
 
+import ast
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
@@ -63,4 +65,91 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
         "n = len(online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps))\n"
         "assert n > 100, n"
     )
-    assert "pdr_filter.filter.tracking" in loaded_by(statement)
+    assert "pdr_filter.filter.imm_tracker" in loaded_by(statement)
+
+
+# --- the rooms, from the ground up ------------------------------------------------------------------------------------
+
+ROOMS = [
+    "values",
+    "io",
+    "classifiers",
+    "sensing",
+    "filter",
+    "config",
+    "papers",
+    "recipes",
+    "filtering",
+    "serialise",
+    "online",
+    "report",
+    "calibration",
+    "tracks",
+    "recording_run",
+    "simulate",
+    "evaluate",
+    "offline",
+    "training",
+    "batch",
+    "cli",
+]
+LEVEL = {room: level for level, room in enumerate(ROOMS)}
+PACKAGE = Path(__file__).resolve().parents[1] / "pdr_filter"
+
+
+def imports_of_modules() -> dict[str, set[str]]:
+    """For each module of the package those that it imports, inside of functions too; not those for types alone."""
+    names = {path: ".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts) for path in PACKAGE.rglob("*.py")}
+    names = {path: name.removesuffix(".__init__") for path, name in names.items()}
+    modules, found = set(names.values()), {}
+    for path, name in names.items():
+        tree = ast.parse(path.read_text(encoding="utf-8"))
+        for_types = {
+            id(inner)
+            for node in ast.walk(tree)
+            if isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+            for inner in ast.walk(node)
+        }
+        targets: set[str] = set()
+        for node in ast.walk(tree):
+            if isinstance(node, ast.Import):
+                targets |= {alias.name for alias in node.names}
+            elif isinstance(node, ast.ImportFrom) and id(node) not in for_types:
+                inner = {f"{node.module}.{alias.name}" for alias in node.names}
+                targets |= (inner & modules) or {str(node.module)}
+        found[name] = (targets & modules) - {name}
+    return found
+
+
+def room_of(module: str) -> str:
+    return module.split(".")[1] if "." in module else ""
+
+
+def test_every_module_lives_in_a_known_room() -> None:
+    assert {room_of(m) for m in imports_of_modules()} == {"", *ROOMS}
+
+
+def test_no_module_imports_from_a_room_above_its_own() -> None:
+    up = [
+        f"{module} -> {target}"
+        for module, targets in imports_of_modules().items()
+        for target in targets
+        if module != "pdr_filter" and (not room_of(target) or LEVEL[room_of(target)] > LEVEL[room_of(module)])
+    ]
+    assert up == []
+
+
+def test_no_modules_import_each_other_in_a_circle() -> None:
+    graph = {m: targets - {"pdr_filter"} for m, targets in imports_of_modules().items()}
+    while leaves := {m for m, targets in graph.items() if not targets & graph.keys()}:
+        graph = {m: targets for m, targets in graph.items() if m not in leaves}
+    assert graph == {}
+
+
+def test_gtsam_is_imported_in_the_offline_room_only() -> None:
+    users = {
+        room_of(".".join(path.relative_to(PACKAGE.parent).with_suffix("").parts))
+        for path in PACKAGE.rglob("*.py")
+        if "import gtsam" in path.read_text(encoding="utf-8")
+    }
+    assert users == {"offline"}

@@ -548,3 +548,22 @@ def test_a_recipe_that_needs_a_sensor_says_which_one_is_missing(short_walk: Reco
     assert len(pdr.detect_steps(short_walk, config)) > 0
     assert len(pdr.classify(short_walk, config)) > 0
     assert tracked(short_walk, replace(recipes.default(), needs=("gyroscope",))).n_steps > 0
+
+
+def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
+    """With a rejected fix, a person of unknown height, and a fix that comes too late."""
+    walk = demo_walk()
+    stranger = replace(walk, meta={k: v for k, v in walk.meta.items() if k != "subject"})
+    fixes = [
+        PositionFix(20.0, np.array([900.0, 0.0]), np.eye(2)),
+        PositionFix(walk.duration_s + 30.0, np.zeros(2), np.eye(2)),
+    ]
+    track = pdr.track(stranger, fixes=fixes)
+    online, samples = pdr.OnlineFilter(), pdr.merge_streams(stranger)
+    for fix in fixes:
+        online.add_fix(fix)
+    online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps, samples.magnetic_field_ut)
+    online.finish()
+    assert track.notes == (*stranger.notes, *online.notes)
+    for words in ("height is not known", "rejected as outliers: 1", "after the last sample, not used: 1"):
+        assert any(words in note for note in online.notes)

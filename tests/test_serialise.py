@@ -134,7 +134,7 @@ def test_what_cannot_come_back_is_refused(value: object) -> None:
 
 
 def blob(value: Any, **content: Any) -> bytes:
-    return zlib.compress(json.dumps({"format": 1, "value": value, **content}).encode())
+    return zlib.compress(json.dumps({"format": 2, "value": value, **content}).encode())
 
 
 @pytest.mark.parametrize(
@@ -167,6 +167,12 @@ def blob(value: Any, **content: Any) -> bytes:
 def test_bytes_that_name_anything_else_are_refused(value: Any) -> None:
     with pytest.raises(ValueError, match="not a saved filter"):
         from_bytes(blob(value))
+
+
+def test_a_filter_saved_by_an_older_layout_of_the_package_is_refused_with_what_to_do() -> None:
+    old = zlib.compress(json.dumps({"format": 1, "value": None}).encode())
+    with pytest.raises(ValueError, match=r"format 1, this version reads 2\); save it again"):
+        from_bytes(old)
 
 
 def test_a_dataclass_of_another_package_is_refused_and_its_module_not_even_imported() -> None:

@@ -19,33 +19,33 @@ from matplotlib.figure import Figure
 from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
+from pdr_filter.report.palette import BLUE, FAINT, INK, ORANGE
 from pdr_filter.report.plotting import plot_track
 
 HERE = Path(__file__).resolve().parent
 REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"
 
-INK, FAINT = "#222222", "#666666"
-# What runs while somebody walks, and what runs afterwards; told apart by the border, too.
-ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": "#0072B2", "linestyle": "-"}
-OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": "#CC6600", "linestyle": (0, (4, 2))}
-OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": "#777777", "linestyle": "-"}
+# What runs while somebody walks, and what runs afterwards; distinguished by the border, too.
+ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linestyle": "-"}
+OFFLINE: dict[str, object] = {"facecolor": "#FBEBDD", "edgecolor": ORANGE, "linestyle": (0, (4, 2))}
+OUTSIDE: dict[str, object] = {"facecolor": "#FFFFFF", "edgecolor": FAINT, "linestyle": "-"}
 
-# name: centre, half width and half height (in the units of the figure below), title, what is in it, style
+# name: centre, half width and half height (in the units of the figure below), title, its room, style
 BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]] = {
     "file": (3.4, 10.0, 1.35, 0.42, "file or folder", "io", OUTSIDE),
-    "app": (7.0, 10.0, 1.35, 0.42, "app", "samples as they come", OUTSIDE),
-    "uniform": (5.2, 8.4, 1.35, 0.42, "uniform samples", "conditioning", ONLINE),
-    "attitude": (1.75, 6.8, 1.3, 0.42, "attitude", "attitude, bias", ONLINE),
-    "contexts": (5.2, 6.8, 1.3, 0.42, "contexts", "features, context", ONLINE),
-    "steps": (8.65, 6.8, 1.3, 0.42, "steps, gate", "steps", ONLINE),
-    "heading": (5.2, 5.2, 1.35, 0.42, "walking direction", "heading", ONLINE),
-    "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "features.barometric", ONLINE),
-    "filter": (5.2, 3.35, 1.4, 0.6, "filter", "step_length, motion,\nweighting, imm, speed", ONLINE),
-    "fixes": (8.85, 3.35, 1.3, 0.42, "fixes", "position, heading, ...", OUTSIDE),
+    "app": (7.0, 10.0, 1.35, 0.42, "app", "online", OUTSIDE),
+    "uniform": (5.2, 8.4, 1.35, 0.42, "uniform samples", "sensing.conditioning", ONLINE),
+    "attitude": (1.75, 6.8, 1.35, 0.42, "attitude", "sensing.attitude, bias", ONLINE),
+    "contexts": (5.2, 6.8, 1.25, 0.48, "contexts", "sensing.features, contexts\nclassifiers, papers", ONLINE),
+    "steps": (8.7, 6.8, 1.25, 0.42, "steps, gate", "sensing.steps, papers", ONLINE),
+    "heading": (5.2, 5.2, 1.45, 0.42, "walking direction", "sensing.heading, papers", ONLINE),
+    "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "sensing.features", ONLINE),
+    "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter: step_length, motion,\nweighting, imm, tracking", ONLINE),
+    "fixes": (8.9, 3.35, 1.2, 0.42, "fixes", "values.fixes", OUTSIDE),
     "calibrate": (1.55, 1.6, 1.3, 0.42, "calibrate", "offline.calibration", OFFLINE),
-    "track": (5.2, 1.6, 1.4, 0.42, "Track", "positions, covariances", OUTSIDE),
-    "smooth": (8.85, 1.6, 1.3, 0.42, "smooth", "offline.smoother", OFFLINE),
-    "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, plotting, io", OFFLINE),
+    "track": (5.2, 1.6, 1.4, 0.42, "Track", "recording_run, tracks", OUTSIDE),
+    "smooth": (8.9, 1.6, 1.3, 0.42, "smooth", "offline.smoothing", OFFLINE),
+    "results": (5.2, 0.25, 1.4, 0.42, "results", "evaluate, report, io", OFFLINE),
 }
 # from, its side, to, its side, what flows, where the words stand relative to the middle of the arrow
 ARROWS: list[tuple[str, str, str, str, str, tuple[float, float]]] = [
@@ -83,7 +83,7 @@ def data_flow() -> Figure:
             (0.15, 4.5), 10.1, 4.6, "round,pad=0,rounding_size=0.15", facecolor="#F6F8FA", edgecolor="#BBBBBB"
         )
     )
-    axes.text(0.35, 8.75, "sensing", color=FAINT, fontsize=10, style="italic")
+    axes.text(0.35, 8.75, "sensing.front_end", color=FAINT, fontsize=10, style="italic")
     for x, y, half_width, half_height, title, module, style in BOXES.values():
         corner = (x - half_width, y - half_height)
         shape = "round,pad=0,rounding_size=0.1"

@@ -6,14 +6,15 @@ their mean is better than either (docs/benchmarks.md).
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
+from pdr_filter.classifiers.artefact import Arrays, of_prefix, prefixed
 from pdr_filter.classifiers.boosting import BoostedTrees
+from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.values.arrays import FloatArray
 
@@ -21,7 +22,7 @@ _LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Blend:
+class Blend(Machine):
     """p proportional to (p_linear p_trees)^(1/2): the mean of the logits, of the same features and classes."""
 
     linear: SoftmaxRegression
@@ -47,17 +48,14 @@ class Blend:
         relative = np.sqrt(self.linear.predict_proba(X) * self.trees.predict_proba(X))
         return relative / relative.sum(axis=1, keepdims=True)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
+    def to_arrays(self) -> Arrays:
         """Return the plain arrays that `from_arrays` takes."""
-        return {_LINEAR + name: array for name, array in self.linear.to_arrays().items()} | {
-            _TREES + name: array for name, array in self.trees.to_arrays().items()
-        }
+        return prefixed(_LINEAR, self.linear.to_arrays()) | prefixed(_TREES, self.trees.to_arrays())
 
     @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Blend:
+    def from_arrays(cls, arrays: Arrays) -> Self:
         """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
-
-        def part(prefix: str) -> dict[str, NDArray[Any]]:
-            return {name.removeprefix(prefix): a for name, a in arrays.items() if name.startswith(prefix)}
-
-        return cls(SoftmaxRegression.from_arrays(part(_LINEAR)), BoostedTrees.from_arrays(part(_TREES)))
+        return cls(
+            SoftmaxRegression.from_arrays(of_prefix(_LINEAR, arrays)),
+            BoostedTrees.from_arrays(of_prefix(_TREES, arrays)),
+        )

@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.classifiers.machine import Stored
+from pdr_filter.values.arrays import FloatArray
 
 # A feature further out than this counts as this far: one broken feature alone cannot make the distance infinite.
 _CUT = 8.0
@@ -19,7 +17,7 @@ _LEAST_VARIANCE = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Familiarity:
+class Familiarity(Stored):
     """Mahalanobis distance to the training windows, and the share of it that is unknown.
 
     d^2 = 1/F sum_k y_k^2 / max(v_k, 0.05), y the features along the principal axes of the training windows, v their
@@ -40,8 +38,7 @@ class Familiarity:
     limit: float
 
     def __post_init__(self) -> None:
-        for name in ("axes", "variance"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        self._make_read_only("axes", "variance")
         if self.axes.ndim != 2 or self.variance.shape != self.axes.shape[:1]:
             raise ValueError(f"axes must be (K, F) and variance (K,), got {self.axes.shape}, {self.variance.shape}")
         if not (np.isfinite(self.axes).all() and (self.variance >= _LEAST_VARIANCE).all()):
@@ -60,15 +57,6 @@ class Familiarity:
         """1 - (limit / d)^2 beyond the limit, else zero: 0.56 at one and a half times the limit, 0.75 at twice."""
         distance = self.distance(standardised)
         return 1.0 - (self.limit / distance) ** 2 if distance > self.limit else 0.0
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the plain arrays that `from_arrays` takes."""
-        return {"axes": self.axes, "variance": self.variance, "limit": np.array(self.limit)}
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> Familiarity:
-        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
-        return cls(arrays["axes"], arrays["variance"], float(arrays["limit"]))
 
 
 def fit_familiarity(standardised: FloatArray, limit: float) -> Familiarity:

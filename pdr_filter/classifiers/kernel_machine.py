@@ -5,22 +5,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from pdr_filter.classifiers.rows import checked_rows
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.classifiers.machine import Machine
+from pdr_filter.classifiers.softmax import softmax
+from pdr_filter.values.arrays import FloatArray, IntArray
 
 KERNELS = ("rbf", "linear")
 LINKS = ("sigmoid", "softmax")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class RelevanceVectors:
+class RelevanceVectors(Machine):
     """Relevance vector machines, one for each class, that share their relevance vectors.
 
     Machine k has the logit t_k(x) = sum_m weights[k, m] phi[basis[k, m]](x) (eq. 4 of Martinelli et al. 2018), where
@@ -53,17 +51,11 @@ class RelevanceVectors:
     basis: IntArray
     weights: FloatArray
     cov_factor: FloatArray
-    link: str = "sigmoid"
+    link: str = "sigmoid"  # files of version 0.1 have none
 
     def __post_init__(self) -> None:
-        for name in ("vectors", "weights", "cov_factor"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-        basis = np.asarray(self.basis)
-        if not np.issubdtype(basis.dtype, np.integer):
-            raise ValueError(f"basis must hold integers, got {basis.dtype}")
-        basis = basis.astype(np.int64)
-        basis.flags.writeable = False
-        object.__setattr__(self, "basis", basis)
+        self._make_read_only("vectors", "weights", "cov_factor")
+        self._make_integers("basis")
         _check(self)
 
     @property
@@ -76,18 +68,8 @@ class RelevanceVectors:
         """Number of classes, K."""
         return len(self.weights)
 
-    def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K), each row summing to one.
-
-        Every row goes through the same computation on its own, so it has the same bits alone and in any batch.
-        Raises ValueError for NaN or infinite features.
-        """
-        rows = checked_rows(X, self.n_features)
-        probabilities = normalised_sigmoids if self.link == "sigmoid" else moderated_softmax
-        result = np.empty((len(rows), self.n_classes))
-        for row, features in enumerate(rows):
-            result[row] = probabilities(*self._logits(features))
-        return result
+    def _of_row(self, row: FloatArray) -> FloatArray:
+        return (normalised_sigmoids if self.link == "sigmoid" else moderated_softmax)(*self._logits(row))
 
     def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Mean and variance of every machine's logit, (K,) each, for one row (F,).
@@ -104,31 +86,6 @@ class RelevanceVectors:
         projected = np.einsum("kij,kj->ki", self.cov_factor, own)  # G phi
         return np.einsum("km,km->k", self.weights, own), np.einsum("km,km->k", projected, projected)
 
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the plain arrays that `from_arrays` takes."""
-        return {
-            "kernel": np.array(self.kernel),
-            "width": np.array(self.width),
-            "vectors": self.vectors,
-            "basis": self.basis.astype(np.int32),
-            "weights": self.weights,
-            "cov_factor": self.cov_factor,
-            "link": np.array(self.link),
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> RelevanceVectors:
-        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
-        return cls(
-            kernel=str(arrays["kernel"]),
-            width=float(arrays["width"]),
-            vectors=arrays["vectors"],
-            basis=arrays["basis"],
-            weights=arrays["weights"],
-            cov_factor=arrays["cov_factor"],
-            link=str(arrays["link"]) if "link" in arrays else "sigmoid",  # files of version 0.1 have none
-        )
-
 
 def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
     """Class probabilities (K,) from the one-against-all logits and their variances, (K,) each.
@@ -137,9 +94,7 @@ def normalised_sigmoids(logit: FloatArray, variance: FloatArray) -> FloatArray:
     over the uncertainty of the logit (MacKay 1992; Bishop 2006, eq. 4.153 and 4.154).
     """
     moderated = logit / np.sqrt(1.0 + np.pi / 8.0 * variance)
-    log_sigmoid = -np.logaddexp(0.0, -moderated)  # in logarithms: far from all classes every sigmoid underflows
-    relative = np.exp(log_sigmoid - log_sigmoid.max())
-    return relative / relative.sum()
+    return softmax(-np.logaddexp(0.0, -moderated))  # in logarithms: far from all classes every sigmoid underflows
 
 
 def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
@@ -152,9 +107,7 @@ def moderated_softmax(logit: FloatArray, variance: FloatArray) -> FloatArray:
     kappa = 1.0 / np.sqrt(1.0 + np.pi / 8.0 * (variance[:, None] + variance))
     advantage = kappa * (logit - logit[:, None])  # [k, j]: of j over k
     most = advantage.max(axis=1)  # not negative: a class has no advantage over itself
-    log_share = -most - np.log(np.exp(advantage - most[:, None]).sum(axis=1))
-    relative = np.exp(log_share - log_share.max())
-    return relative / relative.sum()
+    return softmax(-most - np.log(np.exp(advantage - most[:, None]).sum(axis=1)))
 
 
 def _check(machine: RelevanceVectors) -> None:

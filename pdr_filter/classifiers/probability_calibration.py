@@ -9,6 +9,7 @@ import numpy as np
 from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit
 
+from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -21,9 +22,7 @@ def tempered(prob: FloatArray, temperature: float) -> FloatArray:
     if temperature == 1.0:
         return prob
     with np.errstate(divide="ignore"):
-        log_prob = np.log(prob) / temperature
-    relative = np.exp(log_prob - log_prob.max(axis=-1, keepdims=True))
-    return relative / relative.sum(axis=-1, keepdims=True)
+        return softmax(np.log(prob) / temperature)
 
 
 def fit_temperature(prob: FloatArray, label: IntArray) -> float:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -58,16 +58,6 @@ class Budget:
     tol: float
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Machine:
-    """One trained machine (bias and candidates as basis functions) and the budgets that it used up."""
-
-    posterior: Posterior
-    n_iter: int
-    out_of_passes: bool
-    out_of_basis: bool
-
-
 def basis_functions(X: FloatArray, vectors: FloatArray, kernel: str, width: float) -> FloatArray:
     """Basis functions at the rows, (1 + R, N): ones for the bias, then K(x, v) of each vector (eq. 5)."""
     functions = np.ones((len(vectors) + 1, len(X)))
@@ -90,22 +80,24 @@ def median_distance(vectors: FloatArray) -> float:
 
 def train_one_against_all(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
-) -> list[Machine]:
+) -> list[Trained]:
     """K machines, each for its class against all others; with two classes the first mirrors the second.
+
+    A machine is a `Trained` on the bias and the candidates as basis functions.
 
     functions (R, N), label (N,) 0 to K - 1, weight (N,) how often each row counts.
     """
     no_offset = np.zeros(len(label))
-    machines: list[Machine] = []
+    machines: list[Trained] = []
     for k in [1] if n_classes == 2 else range(n_classes):
         likelihood = Bernoulli((label == k).astype(np.float64), weight, no_offset)
-        machines.append(_machine(_train(functions, likelihood, None, budget.max_iter, budget)))
+        machines.append(_train(functions, likelihood, None, budget.max_iter, budget))
     return [_mirrored(machines[0]), machines[0]] if n_classes == 2 else machines
 
 
 def train_multinomial(
     functions: FloatArray, label: IntArray, weight: FloatArray, n_classes: int, budget: Budget
-) -> list[Machine]:
+) -> list[Trained]:
     """K machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j), for three classes or more.
 
     While the others stand still, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j), and the
@@ -114,8 +106,7 @@ def train_multinomial(
     the joint log posterior and evidence by less than `tol` a class.
     """
     targets = [(label == k).astype(np.float64) for k in range(n_classes)]
-    no_offset = np.zeros(len(label))
-    trained = [_train(functions, Bernoulli(t, weight, no_offset), None, budget.max_iter, budget) for t in targets]
+    trained = train_one_against_all(functions, label, weight, n_classes, budget)
     n_iter = [t.n_passes for t in trained]
     logit = np.array([t.posterior.logit for t in trained])
     value, settled = _joint_value(logit, label, weight, trained), False
@@ -135,7 +126,7 @@ def train_multinomial(
         if settled:
             break
     return [
-        Machine(t.posterior, n, not settled or n >= budget.max_iter, t.out_of_basis)
+        replace(t, n_passes=n, out_of_passes=not settled or n >= budget.max_iter)
         for t, n in zip(trained, n_iter, strict=True)
     ]
 
@@ -157,19 +148,14 @@ def _train(
     return train(likelihood, functions, start, max_basis=budget.max_basis, max_passes=max_passes, tol=budget.tol)
 
 
-def _machine(trained: Trained) -> Machine:
-    return Machine(trained.posterior, trained.n_passes, trained.out_of_passes, trained.out_of_basis)
-
-
-def _mirrored(machine: Machine) -> Machine:
+def _mirrored(machine: Trained) -> Trained:
     """Return the machine for the other of two classes: the opposite logit with the same covariance."""
     p = machine.posterior
-    mirrored = Posterior(p.basis, p.alpha, -p.mean, p.cov_factor, -p.logit, p.log_evidence)
-    return Machine(mirrored, machine.n_iter, machine.out_of_passes, machine.out_of_basis)
+    return replace(machine, posterior=replace(p, mean=-p.mean, logit=-p.logit))
 
 
 def assemble(
-    machines: Sequence[Machine], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
+    machines: Sequence[Trained], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
 ) -> RelevanceVectors:
     """Machines (K), trained on the bias and `vectors` (R, F), as arrays; vectors that none uses are left out."""
     used = np.unique(
@@ -311,7 +297,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         messages += self._used_up(machines)
         if messages:
             warnings.warn("; ".join(messages), ConvergenceWarning, stacklevel=2)
-        self.n_iter_ = max(machine.n_iter for machine in machines)
+        self.n_iter_ = max(machine.n_passes for machine in machines)
         self.log_evidence_ = np.array([machine.posterior.log_evidence for machine in machines])
         self.relevance_vectors_ = self.machine_.vectors
         return self
@@ -396,7 +382,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
 
     def _fitted(
         self, rows: FloatArray, label: IntArray, weight: FloatArray, candidates: FloatArray, width: float
-    ) -> tuple[list[Machine], RelevanceVectors]:
+    ) -> tuple[list[Trained], RelevanceVectors]:
         """Trained machines, and the same as arrays for prediction."""
         functions = basis_functions(rows, candidates, self.kernel, width)
         budget = Budget(self.max_basis, self.max_iter, self.tol)
@@ -407,7 +393,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         link = "softmax" if multinomial else "sigmoid"
         return machines, assemble(machines, candidates, self.kernel, width, link, self.moderate)
 
-    def _used_up(self, machines: Sequence[Machine]) -> list[str]:
+    def _used_up(self, machines: Sequence[Trained]) -> list[str]:
         """What to say about budgets that were used up."""
         passes = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_passes]
         basis = [c for c, m in zip(self.classes_.tolist(), machines, strict=True) if m.out_of_basis]

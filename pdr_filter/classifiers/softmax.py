@@ -2,19 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
-from pdr_filter.classifiers.rows import checked_rows
-from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.classifiers.machine import Machine
+from pdr_filter.values.arrays import FloatArray
+
+
+def softmax(logit: FloatArray) -> FloatArray:
+    """exp(t_k) / sum_j exp(t_j) over the last axis, without overflow."""
+    relative = np.exp(logit - logit.max(axis=-1, keepdims=True))
+    return relative / relative.sum(axis=-1, keepdims=True)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class SoftmaxRegression:
+class SoftmaxRegression(Machine):
     """p_k = softmax_k(w_k . x + b_k).
 
     Parameters
@@ -29,8 +32,7 @@ class SoftmaxRegression:
     intercept: FloatArray
 
     def __post_init__(self) -> None:
-        for name in ("weights", "intercept"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
+        self._make_read_only("weights", "intercept")
         shape = self.weights.shape
         if len(shape) != 2 or shape[0] < 2 or self.intercept.shape != shape[:1]:
             raise ValueError(
@@ -49,24 +51,5 @@ class SoftmaxRegression:
         """Number of classes, K."""
         return len(self.weights)
 
-    def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K), each row computed on its own: the same bits in any batch."""
-        rows = checked_rows(X, self.n_features)
-        result = np.empty((len(rows), self.n_classes))
-        for i, row in enumerate(rows):
-            logit = (self.weights * row).sum(axis=1) + self.intercept
-            relative = np.exp(logit - logit.max())
-            result[i] = relative / relative.sum()
-        return result
-
-    def to_arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the plain arrays that `from_arrays` takes."""
-        return {
-            "weights": self.weights,
-            "intercept": self.intercept,
-        }
-
-    @classmethod
-    def from_arrays(cls, arrays: Mapping[str, NDArray[Any]]) -> SoftmaxRegression:
-        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
-        return cls(arrays["weights"], arrays["intercept"])
+    def _of_row(self, row: FloatArray) -> FloatArray:
+        return softmax((self.weights * row).sum(axis=1) + self.intercept)

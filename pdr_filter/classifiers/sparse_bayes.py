@@ -102,28 +102,6 @@ class Bernoulli:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Gaussian:
-    """Targets t_n plus noise of a known precision: the regression of Tipping 2001, for which nothing is approximate."""
-
-    target: FloatArray  # (N,)
-    noise_precision: float
-
-    def log_likelihood(self, logit: FloatArray) -> float:
-        """Logarithm of N(y | t, 1 / precision), in nats."""
-        n = len(self.target)
-        squares = float(np.sum((self.target - logit) ** 2))
-        return 0.5 * (n * np.log(self.noise_precision / (2.0 * np.pi)) - self.noise_precision * squares)
-
-    def slope(self, logit: FloatArray) -> FloatArray:
-        """Return precision times residual, (N,)."""
-        return self.noise_precision * (self.target - logit)
-
-    def curvature(self, logit: FloatArray) -> FloatArray:
-        """Return the precision, (N,)."""
-        return np.full_like(logit, self.noise_precision)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class Posterior:
     """Gaussian (Laplace) posterior of the weights of M basis functions, and the evidence of their alphas."""
 

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, fields
+from typing import Any, Self
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
-from pdr_filter.classifiers.rows import checked_rows
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.classifiers.artefact import Arrays
+from pdr_filter.classifiers.machine import Machine, Stored
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
 
@@ -41,7 +42,7 @@ _LOWEST_BYTE = 0 if sys.byteorder == "little" else np.dtype(np.intp).itemsize - 
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Trees:
+class Trees(Stored):
     """All trees, concatenated; children come after their parents.
 
     Parameters
@@ -71,12 +72,10 @@ class Trees:
     _first_of_level: tuple[int, ...] = field(init=False, repr=False)  # place of the first node of each level
 
     def __post_init__(self) -> None:
-        for name in ("roots", "feature", "left", "right"):
-            object.__setattr__(self, name, _read_only_integers(name, getattr(self, name)))
-        object.__setattr__(self, "threshold", read_only(self.threshold))
+        self._make_integers("roots", "feature", "left", "right")
+        self._make_read_only("threshold")
         _check_shapes(self)
         _check_links(self)
-        _check_splits(self)
         levels = _levels(self)
         order = np.concatenate(levels)
         nodes = _walkable(self, order).view(_NODE_AS_NUMBER)
@@ -111,17 +110,13 @@ class Trees:
         """Which nodes are leaves, (n_nodes,)."""
         return self.left == NO_CHILD
 
-    def leaves(self, X: ArrayLike) -> Iterator[tuple[slice, NDArray[np.intp]]]:
-        """Some rows of (N, F) after the other, with the nodes (T, n) of the leaves that they come to.
-
-        Raises ValueError for NaN or infinite features.
-        """
-        rows = checked_rows(X, self.n_features)
+    def leaves(self, rows: FloatArray) -> Iterator[NDArray[np.intp]]:
+        """Nodes (T, n) of the leaves at which some finite rows of (N, F) after the other arrive."""
         with np.errstate(over="ignore"):  # beyond the range of float32 is infinite and goes right
             values = rows.astype(np.float32)
         at_once = max(1, _WALKS_AT_ONCE // len(self.roots))
         for i in range(0, len(rows), at_once):
-            yield slice(i, i + at_once), self._leaves(values[i : i + at_once])
+            yield self._leaves(values[i : i + at_once])
 
     def _leaves(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
         """Leaf at which a few rows (N, F) arrive in each tree, (T, N).
@@ -151,23 +146,38 @@ class Trees:
         return self._original.take(place).reshape(n_trees, n_rows)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class TreeMachine(Machine):
+    """Trees with something in their leaves; the arrays of the trees are stored beside those of the leaves."""
+
+    trees: Trees
+
+    @property
+    def n_features(self) -> int:
+        """Number of features, F."""
+        return self.trees.n_features
+
+    def to_arrays(self) -> Arrays:
+        """Return the plain arrays that `from_arrays` takes, integers as int32."""
+        return self.trees.to_arrays() | {name: getattr(self, name) for name in self._of_leaves()}
+
+    @classmethod
+    def from_arrays(cls, arrays: Arrays) -> Self:
+        """Return what `to_arrays` wrote; KeyError or ValueError if it is something else."""
+        return cls(Trees.from_arrays(arrays), *(arrays[name] for name in cls._of_leaves()))
+
+    @classmethod
+    def _of_leaves(cls) -> list[str]:
+        return [f.name for f in fields(cls) if f.name != "trees"]
+
+
 def _shifted(children: NDArray[Any], start: int) -> IntArray:
     """Children of one tree as node numbers of the whole forest, (n_nodes,)."""
     return np.where(children == NO_CHILD, NO_CHILD, children + start).astype(np.int64)
 
 
-def _read_only_integers(name: str, values: ArrayLike) -> IntArray:
-    """Return a read-only int64 copy; floats are refused, not rounded."""
-    array = np.asarray(values)
-    if not np.issubdtype(array.dtype, np.integer):
-        raise ValueError(f"{name} must hold integers, got {array.dtype}")
-    array = array.astype(np.int64)
-    array.flags.writeable = False
-    return array
-
-
 def _check_shapes(trees: Trees) -> None:
-    """Raise ValueError unless all arrays belong to the same nodes."""
+    """Raise ValueError unless all arrays belong to the same nodes, features exist and thresholds are finite."""
     n_nodes = len(trees.left) if trees.left.ndim == 1 else -1
     expected = {name: (n_nodes,) for name in ("feature", "threshold", "left", "right")}
     shapes = {name: getattr(trees, name).shape for name in expected}
@@ -175,6 +185,11 @@ def _check_shapes(trees: Trees) -> None:
         raise ValueError(f"trees need one entry for each node, got shapes {shapes}")
     if trees.roots.ndim != 1 or not len(trees.roots) or trees.n_features < 1:
         raise ValueError(f"at least one tree and one feature is needed, got {trees.roots.shape} and {trees.n_features}")
+    feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
+    if ((feature < 0) | (feature >= trees.n_features)).any():
+        raise ValueError(f"a node looks at a feature outside 0 to {trees.n_features - 1}")
+    if not np.isfinite(threshold).all():
+        raise ValueError("a threshold is not finite")
 
 
 def _check_links(trees: Trees) -> None:
@@ -194,15 +209,6 @@ def _check_links(trees: Trees) -> None:
     visits = np.bincount(np.concatenate([children, trees.roots]), minlength=n_nodes)
     if (visits != 1).any():
         raise ValueError(f"node {np.flatnonzero(visits != 1)[0]} belongs to no tree or to more than one place")
-
-
-def _check_splits(trees: Trees) -> None:
-    """Raise ValueError unless features exist and thresholds are finite."""
-    feature, threshold = trees.feature[~trees.is_leaf], trees.threshold[~trees.is_leaf]
-    if ((feature < 0) | (feature >= trees.n_features)).any():
-        raise ValueError(f"a node looks at a feature outside 0 to {trees.n_features - 1}")
-    if not np.isfinite(threshold).all():
-        raise ValueError("a threshold is not finite")
 
 
 def _levels(trees: Trees) -> list[NDArray[np.intp]]:

@@ -14,7 +14,8 @@ from rich.table import Table
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track
-from pdr_filter.report.plotting import context_colours, plot_track
+from pdr_filter.report.palette import context_colours
+from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray
@@ -95,9 +96,10 @@ def run_demo(file: Path | None, out_dir: Path, progress: Callable[[float], None]
     )
 
 
-def _true_way(recording: Recording) -> FloatArray | None:
+def _true_way(recording: Recording) -> FloatArray:
     position = recording.truth.position
-    return None if position is None else np.column_stack([position.east_m, position.north_m])
+    assert position is not None  # of every simulated recording
+    return np.column_stack([position.east_m, position.north_m])
 
 
 def _facts(demo: Demo) -> Table:
@@ -116,10 +118,9 @@ def _facts(demo: Demo) -> Table:
 
 
 def _true_facts(recording: Recording, end_m: FloatArray) -> tuple[str, str, str]:
-    truth, way_m = recording.truth, _true_way(recording)
-    if truth.steps is None or truth.segments is None or way_m is None:
-        return "", "", ""
-    apart_m = float(np.hypot(*(end_m - way_m[-1])))
+    truth = recording.truth
+    assert truth.steps is not None and truth.segments is not None  # of every simulated recording
+    apart_m = float(np.hypot(*(end_m - _true_way(recording)[-1])))
     return (
         f"(truth: {len(truth.steps)})",
         f"(truth: {float(truth.segments.distance_m.sum()):.1f} m)",

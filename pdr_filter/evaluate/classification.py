@@ -1,4 +1,4 @@
-"""How well contexts were told: labels against labels, and probabilities against labels."""
+"""How well contexts were recognised: labels against labels, and probabilities against labels."""
 
 from __future__ import annotations
 

@@ -2,21 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping
 
 import numpy as np
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at, rigid_fit
-from pdr_filter.filter.motion import Mode
-from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.recording import Recording
-from pdr_filter.recording_run import track as track_of
 from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.step import Step
 from pdr_filter.values.track_rows import TrackRows
 
 
@@ -62,24 +56,6 @@ def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
     return np.vstack([[0.0, 0.0], track.position_m]) @ rotation.T + shift_m
 
 
-def weighting_tracks(recording: Recording, config: Config) -> dict[str, TrackRows]:
-    """Tracks of the recording with HC, WC and IMM, all else alike."""
-    return {name: track_of(recording, config, weighting=name) for name in WEIGHTINGS}
-
-
-def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:
-    """Distance with WC at each threshold, columns `threshold, distance_m`.
-
-    0 is always WC, 1 is HC (Martinelli et al. 2018, Fig. 14).
-    """
-    weighted = config.with_weighting("wc")
-    tracks = [
-        track_of(recording, replace(weighted, tracker=replace(weighted.tracker, wc_threshold=float(t))))
-        for t in thresholds
-    ]
-    return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
-
-
 def second_over_first(prob: FloatArray) -> FloatArray:
     """Second-highest over highest probability, (N,) of (N, C): at or above the threshold, WC weights.
 
@@ -89,33 +65,6 @@ def second_over_first(prob: FloatArray) -> FloatArray:
         return np.zeros(0)
     second, first = np.partition(prob, -2, axis=1)[:, -2:].T
     return second / first
-
-
-def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
-
-    Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
-    eq. 17 and 18), and the probabilities of all windows.
-
-    Parameters
-    ----------
-    track : TrackRows
-    modes : sequence of Mode
-        One for each context, as in `config.tracker.modes`.
-    """
-    if sorted(m.context for m in modes) != sorted(track.contexts):
-        raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")
-    fit = {m.context: m.step_length for m in modes}
-    steps = [_step(row) for row in track.steps]
-    length_m = np.array([[fit[c].predict(s)[0] for c in track.contexts] for s in steps]).reshape(-1, len(fit))
-    ends_s = track.windows.time_s
-    each = [walked_m(track.time_s, length_m[:, c], ends_s[:-1], ends_s[1:]) for c in range(len(fit))]
-    return np.column_stack(each), track.windows.context_prob
-
-
-def _step(row: np.record) -> Step:
-    values = {name: float(row[name]) for name in row.dtype.names or () if name != "from_rest"}
-    return Step(**values, from_rest=bool(row["from_rest"]))
 
 
 def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, float]:

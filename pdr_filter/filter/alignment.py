@@ -8,23 +8,23 @@ best rotation to relate two sets of vectors", Acta Cryst. A32, 1976, in the plan
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pdr_filter.filter.motion import HEADING_OFFSET
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.arrays import FloatArray, read_only
 
 # The rotation is taken when it is known to 15 degrees (one standard deviation): the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
 # Fixes that are remembered for it; of more, the first and the last ones.
-MAX_ANCHORS = 24
+MAX_PAIRS = 24
 # Errors of dead reckoning itself, as a part of the distance between two fixes.
 _DRIFT = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Anchor:
+class PairedPoint:
     """A fix, and where the track was at its time."""
 
     track_m: FloatArray  # (2,)
@@ -41,7 +41,7 @@ class Alignment:
     track_centre_m: FloatArray  # (2,)
     world_centre_m: FloatArray  # (2,)
     centre_var_m2: float
-    n_steps: int  # steps that were told in the frame of the start
+    n_steps: int  # steps that were reported in the frame of the start
 
     @property
     def rotation(self) -> FloatArray:
@@ -54,17 +54,17 @@ class Alignment:
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
 
-def align(anchors: Sequence[Anchor], n_steps: int) -> Alignment | None:
-    """The alignment that the anchors show, or None while they leave the angle open.
+def align(pairs: Sequence[PairedPoint], n_steps: int) -> Alignment | None:
+    """The alignment that the pairs show, or None while they leave the angle open.
 
     With weights w and centred places l in the track and d in the world, a = atan2(sum w (d_e l_n - d_n l_e),
     sum w d . l), and var a = 1 / sum w l . l.
     """
-    if len(anchors) < 2:
+    if len(pairs) < 2:
         return None
-    track, world = np.stack([a.track_m for a in anchors]), np.stack([a.world_m for a in anchors])
+    track, world = np.stack([a.track_m for a in pairs]), np.stack([a.world_m for a in pairs])
     reach = np.linalg.norm(track - track.mean(axis=0), axis=1)
-    weight = 1.0 / (np.array([a.var_m2 for a in anchors]) + (_DRIFT * reach) ** 2)
+    weight = 1.0 / (np.array([a.var_m2 for a in pairs]) + (_DRIFT * reach) ** 2)
     track_centre, world_centre = weight @ track / weight.sum(), weight @ world / weight.sum()
     l, d = track - track_centre, world - world_centre
     spread = float(weight @ (l * l).sum(axis=1))
@@ -76,9 +76,28 @@ def align(anchors: Sequence[Anchor], n_steps: int) -> Alignment | None:
     return Alignment(angle_rad, 1.0 / spread, track_centre, world_centre, float(1.0 / weight.sum()), n_steps)
 
 
-def with_anchor(anchors: tuple[Anchor, ...], anchor: Anchor) -> tuple[Anchor, ...]:
-    """The anchors with one more, the first of them and the latest kept."""
-    return anchors[:1] + (*anchors[1:], anchor)[-(MAX_ANCHORS - 1) :] if anchors else (anchor,)
+@dataclass(frozen=True, slots=True, eq=False)
+class Frame:
+    """Whether positions are in the frame of the fixes, and what is known of how to bring them there."""
+
+    is_joined: bool
+    pairs: tuple[PairedPoint, ...] = ()  # fixes that wait for the alignment
+    alignment: Alignment | None = None  # how the frame of the start became that of the fixes
+    knows_north: bool = False  # a heading fix has turned the frame
+
+    def with_pair(self, pair: PairedPoint) -> Frame:
+        """With one more pair: the first of them and the latest are kept."""
+        pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
+        return replace(self, pairs=pairs)
+
+    def moved(self, alignment: Alignment) -> Frame:
+        """With the places of the track moved."""
+        pairs = tuple(replace(p, track_m=read_only(alignment.positions(p.track_m))) for p in self.pairs)
+        return replace(self, pairs=pairs)
+
+
+START_FRAME = Frame(is_joined=True)
+UNKNOWN_FRAME = Frame(is_joined=False)
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:

@@ -8,11 +8,34 @@ interacting multiple model algorithm for systems with Markovian switching coeffi
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from typing import Protocol
+
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray
 
 _LOG_2_PI = float(np.log(2 * np.pi))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeEstimates:
+    """Of each mode at one time."""
+
+    mean: FloatArray  # (M, n)
+    cov: FloatArray  # (M, n, n)
+    mode_prob: FloatArray  # (M,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transition:
+    """From one time to the next, linearised: x = a_i + F_i (x_before - b_i) + noise of Q_i in mode i."""
+
+    transition_prob: FloatArray  # (M, M) from mode j to mode i
+    origin: FloatArray  # (M, n) b_i, about which mode i was linearised
+    predicted: FloatArray  # (M, n) a_i, where that leads
+    F: FloatArray  # (M, n, n)
+    Q: FloatArray  # (M, n, n)
 
 
 def check_transition_prob(transition_prob: FloatArray, n_modes: int) -> None:
@@ -91,18 +114,20 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
     highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
-    told = np.isfinite(highest)
-    if not told.any():
+    is_finite = np.isfinite(highest)
+    if not is_finite.any():
         return predicted_mode_prob
-    relative = np.exp(log_posterior - np.where(told, highest, 0.0), where=told, out=np.ones_like(log_posterior))
-    return np.where(told, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
+    relative = np.exp(
+        log_posterior - np.where(is_finite, highest, 0.0), where=is_finite, out=np.ones_like(log_posterior)
+    )
+    return np.where(is_finite, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
 
 
-def lagged_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int) -> FloatArray:
-    """Mode probabilities (K, M) of each step with the evidence of up to `lag` more, from the filtered ones (K, M).
+def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: int | None = None) -> FloatArray:
+    """Mode probabilities (K, M) of each step with the evidence of later ones, from the filtered ones (K, M).
 
-    The fixed-lag smoother of the modes: p(j at k | k + L) = sum_i p(i at k + 1 | k + L) mu_k(j) t_ji /
-    sum_j mu_k(j) t_ji, backwards from k + L. Exact for modes that move alike, a hidden Markov model; what the positions
+    The backward pass of a hidden Markov model: p(j at k | k + L) = mu_k(j) sum_i t_ji p(i at k + 1 | k + L) /
+    sum_j mu_k(j) t_ji, from k + L backwards, or from the last step. Exact for modes that move alike; what the positions
     say of the modes between is in the filtered probabilities only.
 
     Parameters
@@ -110,24 +135,36 @@ def lagged_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: in
     mode_prob : (K, M)
         After each step, as `Track.mode_prob`.
     transition_prob : (M, M)
-        From one step to the next, as `Tracker.transition_prob`.
-    lag : int
-        Steps of hindsight L; 4 are two seconds of walking.
+        From one step to the next, as `PedestrianModel.transition_prob`.
+    lag : int, optional
+        Steps of hindsight L; 4 are two seconds of walking. All later steps if not given.
     """
     mode_prob = np.asarray(mode_prob, dtype=float)
     check_transition_prob(transition_prob, mode_prob.shape[-1])
-    if lag < 0:
+    if lag is not None and lag < 0:
         raise ValueError(f"lag must be 0 steps or more, got {lag}")
-    predicted = mode_prob @ transition_prob
-    k = np.arange(len(mode_prob))
-    end = np.minimum(k + lag, len(k) - 1)
-    lagged = mode_prob[end]
+    n_steps = len(mode_prob)
+    if lag is None:
+        smoothed = mode_prob.copy()
+        for k in range(n_steps - 2, -1, -1):
+            smoothed[k] = _one_step_back(mode_prob[k], smoothed[k + 1], transition_prob)
+        return smoothed
+    k = np.arange(n_steps)
+    end = np.minimum(k + lag, n_steps - 1)
+    smoothed = mode_prob[end]
     for back in range(1, lag + 1):
         use = end - back >= k
-        at = end[use] - back
-        ratio = np.divide(lagged[use], predicted[at], where=predicted[at] > 0, out=np.zeros((len(at), lagged.shape[1])))
-        lagged[use] = mode_prob[at] * (ratio @ transition_prob.T)
-    return lagged
+        smoothed[use] = _one_step_back(mode_prob[end[use] - back], smoothed[use], transition_prob)
+    return smoothed
+
+
+def _one_step_back(filtered: FloatArray, later: FloatArray, transition_prob: FloatArray) -> FloatArray:
+    """Smoothed probabilities (..., M) from the filtered ones and the smoothed ones of the step after."""
+    predicted = filtered @ transition_prob
+    ratio = np.divide(later, predicted, where=predicted > 0, out=np.zeros_like(predicted))
+    smoothed = filtered * (ratio @ transition_prob.T)
+    total = smoothed.sum(axis=-1, keepdims=True)
+    return np.where(total > 0, smoothed / np.where(total > 0, total, 1.0), filtered)
 
 
 def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -141,3 +178,37 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
     spread = mean - combined
     within = (weights @ cov.reshape(*batch, n_modes, n * n)).reshape(*batch, n, n)
     return combined[..., 0, :], within + (mode_prob[..., None] * spread).swapaxes(-1, -2) @ spread
+
+
+class ImmArithmetic(Protocol):
+    """Whose arithmetic a tracker uses; the results are those of the functions here."""
+
+    def mix(
+        self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `mix`."""
+        ...
+
+    def update(
+        self, mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """As `update`."""
+        ...
+
+    def update_mode_prob(self, predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+        """As `update_mode_prob`."""
+        ...
+
+    def combine(self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `combine`."""
+        ...
+
+
+@dataclass(frozen=True)
+class NumpyImm:
+    """The functions of this module."""
+
+    mix = staticmethod(mix)
+    update = staticmethod(update)
+    update_mode_prob = staticmethod(update_mode_prob)
+    combine = staticmethod(combine)

@@ -10,12 +10,13 @@
 Besides, a mode that no other can reach divides zero by zero; here it keeps its own estimate.
 
 The functions have the names, the arguments and the results of those in `pdr_filter.filter.imm`, for one pedestrian:
-`Tracker(..., backend="filterpy")` filters with them.
+`ImmTracker(model, FilterpyImm())` filters with them.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -102,6 +103,16 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
         return mean[0], cov[0]
     imm = estimator(mean, cov, mode_prob, np.eye(len(mean)))
     return imm.x, imm.P
+
+
+@dataclass(frozen=True)
+class FilterpyImm:
+    """The functions of this module, as a tracker takes them."""
+
+    mix = staticmethod(mix)
+    update = staticmethod(update)
+    update_mode_prob = staticmethod(update_mode_prob)
+    combine = staticmethod(combine)
 
 
 def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:

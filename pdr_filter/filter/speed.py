@@ -33,8 +33,8 @@ def after_step(
 ) -> WalkingSpeed:
     """Speed after a step; `before` is that of the step before in the same bout, None for the first of a bout.
 
-    v = L / T with var v = (var L + 2 v^2 s^2) / T^2, s the deviation of a contact. Smoothed: P = P + q T;
-    K = P / (P + var v); v_s = v_s + K (v - v_s); P = (1 - K) P. Both deviations have v^2 var(log scale) added.
+    v = L / T with var v = (var L + 2 v^2 s^2) / T^2, s the standard deviation of a contact. Smoothed: P = P + q T;
+    K = P / (P + var v); v_s = v_s + K (v - v_s); P = (1 - K) P. Both standard deviations have v^2 var(log scale) added.
 
     Parameters
     ----------

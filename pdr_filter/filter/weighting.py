@@ -110,8 +110,8 @@ def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows
     even = np.where(known, 1.0 / n_known, 0.0)
     changes = (1.0 - CARRYING_STAY_PROB) * n_known / max(n_known - 1, 1)
     predicted = even if before is None else even + (before - even) * (1.0 - changes) ** n_windows
-    told = known & (predicted > 0)
-    return np.log(np.where(told, prob, 1.0)) - np.log(np.where(told, predicted, 1.0))
+    comparable = known & (predicted > 0)
+    return np.log(np.where(comparable, prob, 1.0)) - np.log(np.where(comparable, predicted, 1.0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,8 +126,6 @@ class ModeEvidence:
         Of each mode; None for any.
     exponent, prior_exponent, floor
         See `context_log_evidence`.
-    window_hop_s : float
-        Time from one window end to the next.
     """
 
     contexts: tuple[str, ...]
@@ -135,7 +133,6 @@ class ModeEvidence:
     exponent: float
     prior_exponent: float
     floor: float
-    window_hop_s: float
 
     @cached_property
     def _context_index(self) -> IntArray:
@@ -147,8 +144,8 @@ class ModeEvidence:
         # the last entry is that of any carrying mode
         return np.array([len(CARRYING_MODES) if c is None else CARRYING_MODES.index(c) for c in self.carrying_modes])
 
-    def of(self, window: WindowContext, used: WindowContext | None) -> FloatArray:
-        """Log evidence (M,) of a window, given the window that was evidence before it.
+    def of(self, window: WindowContext, used: WindowContext | None, n_windows: int) -> FloatArray:
+        """Log evidence (M,) of a window, given the one that was evidence `n_windows` before it (None: there was none).
 
         With an irregular mode the contexts share what the gate leaves: (1 - p_irregular) p_c, of a prior of one half.
         """
@@ -161,7 +158,6 @@ class ModeEvidence:
         evidence = evidence[self._context_index]
         if all(c is None for c in self.carrying_modes) or not np.isfinite(window.carrying_prob).all():
             return evidence
-        n_windows = 1 if used is None else max(round((window.time_s - used.time_s) / self.window_hop_s), 1)
         before = used.carrying_prob if used is not None and np.isfinite(used.carrying_prob).all() else None
         of_carrying = carrying_log_evidence(window.carrying_prob, before, n_windows)
         return evidence + np.append(of_carrying, 0.0)[self._carrying_index]

@@ -11,11 +11,11 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from pdr_filter.report.plotting import context_colours, save
+from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
+from pdr_filter.report.plotting import save
 from pdr_filter.values.arrays import Table
 
 _MAX_POINTS, _MAX_PEOPLE = 5000, 60
-_INK, _BLUE, _RED = "#222222", "#0072B2", "#AA0000"
 
 
 def plot_calibration(
@@ -57,14 +57,14 @@ def _draw_segments(axes: Axes, rows: Any) -> None:
         rows = rows[np.linspace(0, len(rows) - 1, _MAX_POINTS).astype(int)]
     error = 100 * (rows.left_out_m / rows.distance_m - 1)
     colours = context_colours()
-    style: dict[str, Any] = {"s": 16, "linewidths": 0.4, "edgecolors": _INK}
+    style: dict[str, Any] = {"s": 16, "linewidths": 0.4, "edgecolors": INK}
     for name in dict.fromkeys(rows.context):
         own = (rows.context == name) & ~rows.distrusted
         axes.scatter(rows.distance_m[own], error[own], color=colours[str(name)], label=str(name), **style)
     if rows.distrusted.any():
         x, y = rows.distance_m[rows.distrusted], error[rows.distrusted]
-        axes.scatter(x, y, marker="x", color=_RED, s=30, label="distrusted")
-    axes.axhline(0.0, color=_INK, linewidth=0.8)
+        axes.scatter(x, y, marker="x", color=WRONG, s=30, label="distrusted")
+    axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set(xlabel="known length (m)", ylabel="error with this segment left out (%)")
     axes.legend(frameon=False)
 
@@ -74,12 +74,12 @@ def _draw_people(
 ) -> None:
     length_m, std_m = np.array(list(people_m.values())).reshape(-1, 2).T
     number = np.arange(len(people_m))
-    interval: dict[str, Any] = {"fmt": "o", "color": _BLUE, "markersize": 4, "linewidth": 1}
+    interval: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 4, "linewidth": 1}
     axes.errorbar(length_m, number, xerr=1.96 * std_m, label="person, 95 % interval", **interval)
     if between_m > 0:
         band = (centre_m - 1.96 * between_m, centre_m + 1.96 * between_m)
-        axes.axvspan(*band, color=_BLUE, alpha=0.1, linewidth=0, label="95 % of all people")
-    axes.axvline(centre_m, color=_INK, linewidth=0.8, label="population")
+        axes.axvspan(*band, color=BLUE, alpha=0.1, linewidth=0, label="95 % of all people")
+    axes.axvline(centre_m, color=INK, linewidth=0.8, label="population")
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9, columnspacing=1.0)
     names = [n if len(n) <= 22 else f"{n[:9]}...{n[-10:]}" for n in people_m]
     axes.set_yticks(number, names, fontsize=8 if len(names) < 25 else 5)

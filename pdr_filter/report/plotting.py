@@ -15,32 +15,19 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from pdr_filter.report import palette
+from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
+from pdr_filter.report.palette import FAINT, GRID, INK, context_colours
 from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.windows import Windows
 
-# Chosen by search over the usual colour-blind safe palettes: any two differ by 18 or more in CIE Lab for normal sight
-# and for the three dichromacies.
-_COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
-_INK = "#222222"
-_FAINT = "#777777"
-# Half axes of the 95 % ellipse in standard deviations: the square root of chi-square with two degrees of freedom.
-_SCALE_95 = 2.4477
-_N_ELLIPSES = 8
-# Fewer metres than this across look like a zoom into noise.
-_MIN_EXTENT_M = 4.0
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
 # Journals refuse the Type 3 fonts that matplotlib makes of its own accord: this embeds the font itself.
 _TRUETYPE = 42
 # A context that never has this probability is a hair line in the stack and has no place in the legend.
 _VISIBLE_PROB = 0.1
-
-
-def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:
-    """Colour of each context, as #rrggbb."""
-    return {name: _COLOURS[i % len(_COLOURS)] for i, name in enumerate(contexts)}
 
 
 def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
@@ -81,19 +68,19 @@ def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = No
     way = np.vstack([track.start_position_m, track.position_m])
     colours = context_colours(track.contexts)
     if reference_m is not None:
-        axes.plot(*reference_m.T, color=_INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
+        axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:
         _draw_ellipses(axes, track)
         colour = [colours[track.contexts[i]] for i in track.context_prob.argmax(axis=1)]
         parts = np.stack([way[:-1], way[1:]], axis=1)
         # A dark line under the coloured one: light colours stay visible on white.
-        axes.plot(*way.T, color=_INK, linewidth=4.2, solid_capstyle="round", zorder=3)
+        axes.plot(*way.T, color=INK, linewidth=4.2, solid_capstyle="round", zorder=3)
         axes.add_collection(LineCollection(list(parts), colors=colour, linewidths=3.0, capstyle="round", zorder=4))
     else:
-        axes.text(0.5, 0.75, "no steps", transform=axes.transAxes, ha="center", color=_FAINT, fontsize=14)
-    marker: dict[str, Any] = {"linestyle": "none", "markeredgecolor": _INK, "markeredgewidth": 1.5, "zorder": 6}
+        axes.text(0.5, 0.75, "no steps", transform=axes.transAxes, ha="center", color=FAINT, fontsize=14)
+    marker: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markeredgewidth": 1.5, "zorder": 6}
     axes.plot(*way[0], marker="o", markersize=9, markerfacecolor="white", **marker)
-    axes.plot(*way[-1], marker="s", markersize=7, markerfacecolor=_INK, **marker)
+    axes.plot(*way[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
     _frame_plane(axes, way if reference_m is None else np.vstack([way, reference_m]))
     axes.legend(
         handles=_plane_legend(track, reference_m is not None),
@@ -116,10 +103,10 @@ def plot_contexts(axes: Axes, track: TrackRows) -> None:
         for i, colour in enumerate(context_colours(windows.contexts).values()):
             axes.fill_between(edge_s / unit_s, lower[:, i], upper[:, i], color=colour, linewidth=0)
     else:
-        axes.text(0.5, 0.5, "no context windows", transform=axes.transAxes, ha="center", va="center", color=_FAINT)
+        axes.text(0.5, 0.5, "no context windows", transform=axes.transAxes, ha="center", va="center", color=FAINT)
     # With thousands of steps thin ticks become a grey band that still shows where nobody walked.
     width = float(np.clip(150.0 / max(track.n_steps, 1), 0.1, 0.8))
-    axes.vlines(track.time_s / unit_s, 1.04, 1.14, color=_INK, linewidth=width, snap=False)
+    axes.vlines(track.time_s / unit_s, 1.04, 1.14, color=INK, linewidth=width, snap=False)
     end_s = max([track.start_time_s + track.duration_s, *track.time_s[-1:], *windows.time_s[-1:]])
     axes.set_xlim(track.start_time_s / unit_s, max(end_s, track.start_time_s + 1.0) / unit_s)
     axes.set_ylim(0.0, 1.18)
@@ -134,10 +121,8 @@ def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArr
 
     Where windows are missing a row of NaN breaks the curve.
     """
-    ends_s = windows.time_s
-    previous_s = np.concatenate([[start_time_s], ends_s[:-1]])
-    starts_s = np.maximum(previous_s, ends_s - 2.0)  # a window tells about its own 2 s
-    time_s = np.stack([starts_s, ends_s], axis=1).ravel()
+    starts_s, previous_s = window_starts(windows, start_time_s)
+    time_s = np.stack([starts_s, windows.time_s], axis=1).ravel()
     prob = np.repeat(windows.context_prob, 2, axis=0)
     breaks = 2 * np.flatnonzero(starts_s > previous_s + 0.01)
     return np.insert(time_s, breaks, starts_s[breaks // 2]), np.insert(prob, breaks, np.nan, axis=0)
@@ -145,48 +130,42 @@ def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArr
 
 def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
     """95 % ellipses at the end and every so many metres before it."""
-    walked_m = np.cumsum(track.step_length_m)
-    marks_m = np.arange(1, _N_ELLIPSES) * _round_up(walked_m[-1] / _N_ELLIPSES)
-    rows = np.unique([*np.searchsorted(walked_m, marks_m[marks_m < walked_m[-1]]), track.n_steps - 1])
-    variance, direction = np.linalg.eigh(track.position_cov_m2[rows])
-    diameter_m = 2 * _SCALE_95 * np.sqrt(np.maximum(variance, 0.0))
-    angle_deg = np.degrees(np.arctan2(direction[:, 1, 1], direction[:, 0, 1]))
+    rows = ellipse_rows(track.step_length_m)
+    half_m, angle_rad = ellipse_axes(track.position_cov_m2[rows])
     axes.add_collection(
         EllipseCollection(
-            diameter_m[:, 1],
-            diameter_m[:, 0],
-            angle_deg,
+            2 * half_m[:, 1],
+            2 * half_m[:, 0],
+            np.degrees(angle_rad),
             units="xy",
             offsets=track.position_m[rows],
             offset_transform=axes.transData,
-            facecolors="#55667718",
-            edgecolors="#55667799",
+            **_ellipse_style("facecolors", "edgecolors"),
             linewidths=0.8,
             zorder=1,
         )
     )
     # Collections of ellipses do not widen the axes: their bounding boxes do.
-    half_m = _SCALE_95 * np.sqrt(np.diagonal(track.position_cov_m2[rows], axis1=1, axis2=2))
-    axes.update_datalim(np.vstack([track.position_m[rows] - half_m, track.position_m[rows] + half_m]))
+    reach_m = ellipse_extent(track.position_cov_m2[rows])
+    axes.update_datalim(np.vstack([track.position_m[rows] - reach_m, track.position_m[rows] + reach_m]))
 
 
-def _round_up(value: float) -> float:
-    """The next of 1, 2, 5, 10, 20, 50 ... and their tenths."""
-    if not value > 0:
-        return 1.0
-    power = 10.0 ** np.floor(np.log10(value))
-    return float(next(m * power for m in (1.0, 2.0, 5.0, 10.0) if m * power >= value * (1 - 1e-9)))
+def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
+    return {
+        face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA),
+        edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA),
+    }
 
 
 def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     centre_m = 0.5 * (points_m.min(axis=0) + points_m.max(axis=0))
-    axes.update_datalim([centre_m - _MIN_EXTENT_M / 2, centre_m + _MIN_EXTENT_M / 2])
+    axes.update_datalim([centre_m - MIN_EXTENT_M / 2, centre_m + MIN_EXTENT_M / 2])
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.05)
     axes.autoscale_view()
     axes.set_xlabel("east (m)")
     axes.set_ylabel("north (m)")
-    axes.grid(color="#E6E6E6", linewidth=0.7)
+    axes.grid(color=GRID, linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)
 
@@ -195,17 +174,17 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
     occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
     handles: list[Line2D | Patch] = [
-        Patch(facecolor=colour, edgecolor=_INK, linewidth=0.5, label=name)
+        Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name)
         for name, colour in context_colours(track.contexts).items()
         if name in occurring
     ]
-    ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": _INK, "markersize": 7}
+    ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markersize": 7}
     handles.append(Line2D([], [], marker="o", markerfacecolor="white", label="start", **ends))
-    handles.append(Line2D([], [], marker="s", markerfacecolor=_INK, label="end", **ends))
+    handles.append(Line2D([], [], marker="s", markerfacecolor=INK, label="end", **ends))
     if track.n_steps:
-        handles.append(Patch(facecolor="#55667718", edgecolor="#55667799", label="95 % ellipse"))
+        handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
     if has_reference:
-        handles.append(Line2D([], [], color=_INK, linewidth=1.2, linestyle=(0, (2, 2)), label="truth"))
+        handles.append(Line2D([], [], color=INK, linewidth=1.2, linestyle=(0, (2, 2)), label="truth"))
     return handles
 
 
@@ -214,10 +193,10 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
     steps = f"{track.n_steps} step" if track.n_steps == 1 else f"{track.n_steps:,} steps"
     facts = f"{steps}  ·  {track.distance_m:,.1f} m  ·  {duration}  ·  weighting {track.weighting}"
-    axes.set_title(facts, loc="left", fontsize=11.5, color=_INK, pad=10)
+    axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
-    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, fontsize=15, fontweight="bold", color=_INK)
+    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, fontsize=15, fontweight="bold", color=INK)
 
 
 def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
@@ -227,4 +206,4 @@ def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
     if len(notes) > _MAX_NOTES:
         shown.append(f"and {len(notes) - _MAX_NOTES} more notes")
     text = "\n".join(textwrap.fill(note, 110) for note in shown)
-    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=_FAINT)
+    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT)

@@ -20,52 +20,52 @@ _DOUBTFUL_MODES = 1.9
 def doubts(track: TrackRows) -> list[str]:
     """Sentences about the stretches of a track that mean little, each with its times; empty if there are none."""
     windows = track.windows
-    told: list[str] = []
+    found: list[str] = []
     if len(windows):
         moves = windows.context_prob[:, _STATIONARY] < 0.5
         stepless = moves & ~_has_step(track)
         if track.n_steps == 0 and not moves.any():
-            told.append("The phone did not move: there is no walk to reckon.")
+            found.append("The phone did not move: there is no walk to reckon.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        told += [
+        found += [
             f"From {a:.0f} to {b:.0f} s the phone moved without steps, as in a vehicle or a lift: dead reckoning does "
             "not apply, and the track stands still there."
             for a, b in rides
         ]
-        told += [
+        found += [
             f"From {a:.0f} to {b:.0f} s the phone was handled, not carried: steps there may be false or lost."
             for a, b in _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
         ]
-        told += [
+        found += [
             f"From {a:.0f} to {b:.0f} s the motion is unlike all that the classifier was trained on: its contexts, and "
             "the step lengths that follow from them, are guesses."
             for a, b in _long(windows.time_s, windows.unknown_share > 0.5)
         ]
     if track.n_steps:
         undecided = track.effective_modes > _DOUBTFUL_MODES
-        told += [
+        found += [
             f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
             for a, b in _long(track.time_s, undecided)
         ]
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        told += [
+        found += [
             f"From {a:.0f} to {b:.0f} s there is no angular rate: the direction of the walk is unknown."
             for a, b in _long(track.time_s, blind)
         ]
-        told += [
+        found += [
             f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
             "track goes on where it was."
             for a, b in zip(track.time_s[:-1], track.time_s[1:], strict=True)
             if b - a > 60.0
         ]
-    rejected = [fix for fix in track.fixes if not fix.accepted]
+    rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if rejected:
         times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
-        told.append(
+        found.append(
             f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
             f"at {times} s."
         )
-    return told
+    return found
 
 
 def report(track: TrackRows) -> str:
@@ -74,9 +74,7 @@ def report(track: TrackRows) -> str:
         f"{track.name}: {track.n_steps} steps, {track.distance_m:.1f} m in {track.duration_s:.0f} s ({track.weighting})"
     ]
     if track.n_steps:
-        std_m = float(np.sqrt(np.trace(track.position_cov_m2[-1])))
-        east_m, north_m = track.position_m[-1]
-        lines.append(f"end: {east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m")
+        lines.append(f"end: {end(track)}")
     seconds = {name: s for name, s in track.context_seconds().items() if s >= 0.5}
     if seconds:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
@@ -87,6 +85,13 @@ def report(track: TrackRows) -> str:
     problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
     return "\n".join(lines)
+
+
+def end(track: TrackRows) -> str:
+    """Where a track with steps ends, and how sure that is: the square root of the trace of the covariance."""
+    std_m = np.sqrt(max(float(np.trace(track.position_cov_m2[-1])), 0.0))
+    east_m, north_m = track.position_m[-1]
+    return f"{east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m"
 
 
 def _has_step(track: TrackRows) -> BoolArray:

@@ -86,6 +86,11 @@ class Sensing:
         """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
         return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)
 
+    @property
+    def window_hop_s(self) -> float:
+        """Time from one window end to the next."""
+        return 1.0
+
     def init(self) -> SensingState:
         """State before the first sample."""
         return SensingState(

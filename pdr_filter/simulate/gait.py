@@ -42,82 +42,17 @@ class ContextGait:
     tremor: float = 1.0  # irregular motion, relative to standing
 
 
-# Frequencies, lengths and amplitudes fitted to public recordings; the module docstring of the package says how well.
-CONTEXT_GAITS: dict[str, ContextGait] = {
-    "stationary": ContextGait(),
-    "walking": ContextGait(
-        frequency_hz=1.9,
-        length_offset=0.06,
-        length_slope_s=0.18,
-        bounce_m=0.0225,
-        bounce2_m=0.0015,
-        surge_m=0.008,
-        sway_m=0.018,
-        impact_mps2=14.5,
-        thigh_mean_rad=0.15,
-        thigh_swing_rad=0.38,
-        arm_swing_rad=0.45,
-        wobble=1.0,
-        tremor=5.0,
-    ),
-    "upstairs": ContextGait(
-        frequency_hz=1.7,
-        rise_m=STAIR_RISE_M,
-        bounce_m=0.018,
-        bounce2_m=0.002,
-        surge_m=0.008,
-        sway_m=0.025,
-        impact_mps2=7.0,
-        thigh_mean_rad=0.45,
-        thigh_swing_rad=0.42,
-        arm_swing_rad=0.25,
-        wobble=1.0,
-        tremor=5.0,
-    ),
-    "downstairs": ContextGait(
-        frequency_hz=1.9,
-        rise_m=-STAIR_RISE_M,
-        bounce_m=0.021,
-        bounce2_m=0.003,
-        surge_m=0.006,
-        sway_m=0.02,
-        impact_mps2=12.0,
-        thigh_mean_rad=0.3,
-        thigh_swing_rad=0.28,
-        arm_swing_rad=0.2,
-        wobble=0.9,
-        tremor=5.0,
-    ),
-    "sideways": ContextGait(
-        frequency_hz=1.4,
-        length_offset=0.089,
-        length_slope_s=0.12,
-        bounce_m=0.015,
-        bounce2_m=0.003,
-        surge_m=0.02,
-        impact_mps2=5.0,
-        thigh_mean_rad=0.1,
-        thigh_swing_rad=0.08,
-        arm_swing_rad=0.05,
-        wobble=0.6,
-        tremor=5.0,
-    ),
-    "running": ContextGait(
-        frequency_hz=2.7,
-        length_offset=-0.239,
-        length_slope_s=0.3,
-        bounce_m=0.042,
-        bounce2_m=0.0035,
-        surge_m=0.008,
-        sway_m=0.012,
-        impact_mps2=18.0,
-        thigh_mean_rad=0.3,
-        thigh_swing_rad=0.45,
-        arm_swing_rad=0.6,
-        wobble=1.3,
-        tremor=8.0,
-    ),
+# Frequencies, lengths and amplitudes fitted to public recordings; the docstring of the package says how well.
+_UP_M, _DOWN_M = STAIR_RISE_M, -STAIR_RISE_M
+_TABLE: dict[str, tuple[float, ...]] = {
+    # frequency, length (offset, slope), rise, bounce (two), surge, sway, impact, thigh (mean, swing), arm, wobble ..
+    "walking": (1.9, 0.06, 0.18, 0.0, 0.0225, 0.0015, 0.008, 0.018, 14.5, 0.15, 0.38, 0.45, 1.0, 5.0),
+    "upstairs": (1.7, 0.0, 0.0, _UP_M, 0.018, 0.002, 0.008, 0.025, 7.0, 0.45, 0.42, 0.25, 1.0, 5.0),
+    "downstairs": (1.9, 0.0, 0.0, _DOWN_M, 0.021, 0.003, 0.006, 0.02, 12.0, 0.3, 0.28, 0.2, 0.9, 5.0),
+    "sideways": (1.4, 0.089, 0.12, 0.0, 0.015, 0.003, 0.02, 0.0, 5.0, 0.1, 0.08, 0.05, 0.6, 5.0),
+    "running": (2.7, -0.239, 0.3, 0.0, 0.042, 0.0035, 0.008, 0.012, 18.0, 0.3, 0.45, 0.6, 1.3, 8.0),
 }
+CONTEXT_GAITS = {"stationary": ContextGait()} | {name: ContextGait(*row) for name, row in _TABLE.items()}
 
 
 @dataclass(frozen=True, slots=True)
@@ -271,42 +206,37 @@ class StepPlan:
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
     """Durations and lengths of all steps, with the person's variability from step to step."""
+    leg_start: list[float] = []
+    leg_end: list[float] = []
+    parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
-    leg_start, leg_end, leg_of, start, length, rise, first, last = ([] for _ in range(8))
     for k, leg in enumerate(legs):
-        joins_previous = k > 0 and legs[k - 1].joins(leg)
-        joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
         leg_start.append(clock_s)
         if leg.moves:
-            before = legs[k - 1] if joins_previous else None
-            durations, lengths = _leg_steps(leg, before, joins_next, gait, rng)
-            n = len(durations)
-            ends = clock_s + np.cumsum(durations)
-            leg_of += [k] * n
-            start += [clock_s, *ends[:-1]]
-            length += list(lengths)
-            rise += [CONTEXT_GAITS[leg.context].rise_m] * n
-            first += [not joins_previous] + [False] * (n - 1)
-            last += [False] * (n - 1) + [not joins_next]
-            clock_s = float(ends[-1])
+            joins_previous = k > 0 and legs[k - 1].joins(leg)
+            joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
+            durations, length = _leg_steps(leg, legs[k - 1] if joins_previous else None, joins_next, gait, rng)
+            number = np.arange(n := len(durations))
+            contact = clock_s + np.cumsum(durations)
+            first, last = (number == 0) & (not joins_previous), (number == n - 1) & (not joins_next)
+            rise = np.full(n, CONTEXT_GAITS[leg.context].rise_m)
+            start = np.append(clock_s, contact[:-1])
+            parts.append((np.full(n, k), start, contact, length, rise, first, last))
+            clock_s = float(contact[-1])
         else:
             clock_s += float(leg.duration_s or 0.0)
         leg_end.append(clock_s)
-    starts = np.array(start, dtype=float)
-    ends_of_legs = np.array(leg_end)[leg_of] if leg_of else np.zeros(0)
-    # Inside a leg the next step starts where this one ends; the last step of a leg ends with the leg.
-    same_leg = np.append(np.diff(leg_of) == 0, False)[: len(starts)]
-    contacts = np.where(same_leg, np.append(starts[1:], np.nan)[: len(starts)], ends_of_legs)
+    leg_of, start, contact, length, rise, first, last = (np.concatenate(column) for column in zip(*parts, strict=True))
     return StepPlan(
         leg_start_s=np.array(leg_start),
         leg_end_s=np.array(leg_end),
-        leg=np.array(leg_of, dtype=np.int64),
-        start_s=starts,
-        contact_s=contacts,
-        length_m=np.array(length, dtype=float),
-        rise_m=np.array(rise, dtype=float),
-        first=np.array(first, dtype=bool),
-        last=np.array(last, dtype=bool),
+        leg=leg_of.astype(np.int64),
+        start_s=start,
+        contact_s=contact,
+        length_m=length,
+        rise_m=rise,
+        first=first.astype(bool),
+        last=last.astype(bool),
     )
 
 

@@ -8,7 +8,7 @@ same spline, so they agree with position and attitude to rounding.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, fields
 
 import numpy as np
@@ -25,6 +25,7 @@ MARGIN_S = 0.25
 CONTEXT_BLEND_S = 0.5
 CARRYING_BLEND_S = 1.2
 KNOCK_RADPM = 5.0  # angular acceleration by which the phone rocks, for each m/s2 of a heel strike
+STILL_HAND_RADPS, STILL_HAND_MPS = 0.045, 0.0025  # root mean square of a hand that holds a phone still
 TURN_RATE_RADPS = 1.3  # mean; the peak of a minimum-jerk turn is 1.9 times higher
 
 
@@ -260,8 +261,7 @@ def tremor(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
 
 def build_motion(
     legs: Sequence[Leg],
-    modes: Sequence[str],
-    places: Mapping[str, Carrying],
+    places: Sequence[tuple[str, Carrying]],
     gait: Gait,
     plan: StepPlan,
     rng: np.random.Generator,
@@ -269,20 +269,20 @@ def build_motion(
 ) -> Motion:
     """Motion of body and phone along the planned steps.
 
-    `modes` has the carrying mode of each leg, `places` where the phone is in each mode.
+    `places` has for each leg the carrying mode and where the phone is then.
     """
     n = round((plan.leg_end_s[-1] + 2 * MARGIN_S) * GRID_HZ) + 1
     time_s = np.arange(n) / GRID_HZ - MARGIN_S
     phase = through_contacts(time_s, plan, np.ones(len(plan.leg)))
     context = _blended(leg_blend(time_s, plan, legs, CONTEXT_BLEND_S), [_context_row(leg, gait) for leg in legs])
-    rows = [_carrying_row(mode, places[mode], gait) for mode in modes]
+    rows = [_carrying_row(mode, carrying, gait) for mode, carrying in places]
     carrying = _blended(leg_blend(time_s, plan, legs, CARRYING_BLEND_S), rows)
     facing, travel = heading_course(time_s, plan, legs, start_heading_rad)
     body = body_path(time_s, plan, travel, context["surge_m"], phase)
-    limb = _limb_angle(phase, context, carrying)
-    angles = _phone_angles(time_s, phase, facing, limb, context, carrying, gait, rng)
-    offset = _phone_offset(time_s, phase, limb, context, carrying, gait, rng)
-    shift, rotation = _heel_strikes(time_s, plan, legs, [places[mode] for mode in modes], gait, rng)
+    course = _Course(time_s, phase, context, carrying)
+    angles = _phone_angles(course, facing, course.unsteady(STILL_HAND_RADPS, gait, rng))
+    offset = _phone_offset(course, course.unsteady(STILL_HAND_MPS, gait, rng))
+    shift, rotation = _heel_strikes(time_s, plan, legs, [carrying for _, carrying in places], gait, rng)
     offset += shift
     angles[:, 1:] += rotation
     position = body + _about("Z", -facing).apply(offset)
@@ -338,79 +338,56 @@ def _swing_shape(phase: FloatArray) -> FloatArray:
     return np.cos(angle) - 0.17 * np.sin(2 * angle) - 0.09 * np.cos(3 * angle)
 
 
-def _limb_angle(phase: FloatArray, context: Courses, carrying: Courses) -> FloatArray:
-    """Swing of the limb that carries the phone, forward positive, radians (N,).
+@dataclass(frozen=True, slots=True, eq=False)
+class _Course:
+    """How the steps follow each other, and how the person moves and has the phone, over time."""
 
-    The right foot lands at even phases; the thigh is then just past its foremost angle, the right arm behind.
-    """
-    thigh = context["thigh_mean_rad"] + context["thigh_swing_rad"] * _swing_shape(phase)
-    arm = -context["arm_swing_rad"] * np.cos(np.pi * phase)
-    return carrying["thigh"] * thigh + carrying["arm"] * arm
+    time_s: FloatArray  # (N,)
+    phase: FloatArray  # (N,) number of steps; the right foot lands at even ones
+    context: Courses
+    carrying: Courses
 
+    def limb_rad(self) -> FloatArray:
+        """Swing of the limb that carries the phone, forward positive, radians (N,).
 
-def _phone_angles(
-    time_s: FloatArray,
-    phase: FloatArray,
-    facing_rad: FloatArray,
-    limb_rad: FloatArray,
-    context: Courses,
-    carrying: Courses,
-    gait: Gait,
-    rng: np.random.Generator,
-) -> FloatArray:
-    """The four angles of the attitude, (N, 4)."""
-    stride = np.sin(np.pi * phase)
-    swing = _swing_shape(phase)
-    step = np.cos(2 * np.pi * phase - 1.0)
-    # 0.045 rad/s: a hand that holds a phone still
-    unsteady = 0.045 * gait.tremor_factor * carrying["tremor"] * context["tremor"]
-    wobble = context["wobble"]
-    return np.column_stack(
-        [
-            -facing_rad + wobble * carrying["wobble_yaw_rad"] * stride + unsteady * tremor(time_s, rng),
-            carrying["pitch_rad"]
-            + limb_rad
-            + wobble * carrying["wobble_pitch_rad"] * step
-            + unsteady * tremor(time_s, rng),
-            carrying["roll_rad"] + wobble * carrying["wobble_roll_rad"] * swing + unsteady * tremor(time_s, rng),
-            carrying["twist_rad"] + wobble * carrying["wobble_twist_rad"] * swing,
-        ]
-    )
+        At an even phase the thigh is just past its foremost angle, the right arm behind.
+        """
+        context, carrying = self.context, self.carrying
+        thigh = context["thigh_mean_rad"] + context["thigh_swing_rad"] * _swing_shape(self.phase)
+        arm = -context["arm_swing_rad"] * np.cos(np.pi * self.phase)
+        return carrying["thigh"] * thigh + carrying["arm"] * arm
+
+    def unsteady(self, rate: float, gait: Gait, rng: np.random.Generator) -> list[FloatArray]:
+        """Three irregular courses, (N,) each, whose rate has this root mean square in a still hand."""
+        size = rate * gait.tremor_factor * self.carrying["tremor"] * self.context["tremor"]
+        return [size * tremor(self.time_s, rng) for _ in range(3)]
 
 
-def _phone_offset(
-    time_s: FloatArray,
-    phase: FloatArray,
-    limb_rad: FloatArray,
-    context: Courses,
-    carrying: Courses,
-    gait: Gait,
-    rng: np.random.Generator,
-) -> FloatArray:
+def _phone_angles(course: _Course, facing_rad: FloatArray, unsteady: Sequence[FloatArray]) -> FloatArray:
+    """The four angles of the attitude, (N, 4), the first three of a hand that is unsteady."""
+    carrying, wobble = course.carrying, course.context["wobble"]
+    stride = np.sin(np.pi * course.phase)
+    swing = _swing_shape(course.phase)
+    step = np.cos(2 * np.pi * course.phase - 1.0)
+    yaw = -facing_rad + wobble * carrying["wobble_yaw_rad"] * stride
+    pitch = carrying["pitch_rad"] + course.limb_rad() + wobble * carrying["wobble_pitch_rad"] * step
+    roll = carrying["roll_rad"] + wobble * carrying["wobble_roll_rad"] * swing
+    twist = carrying["twist_rad"] + wobble * carrying["wobble_twist_rad"] * swing
+    return np.column_stack([yaw + unsteady[0], pitch + unsteady[1], roll + unsteady[2], twist])
+
+
+def _phone_offset(course: _Course, unsteady: Sequence[FloatArray]) -> FloatArray:
     """Phone relative to the ground under the person, body frame, without heel strikes, (N, 3)."""
+    context, carrying, phase = course.context, course.carrying, course.phase
     # The hip is lowest, and pushed up most, shortly after a contact.
     lag = 2 * np.pi * (phase - 0.08)
     bounce = -context["bounce_m"] * np.cos(lag) - context["bounce2_m"] * np.cos(2 * lag)
+    limb_rad = course.limb_rad()
     sine, cosine = np.sin(limb_rad), np.cos(limb_rad)
-    # 0.0025 m/s: a hand that holds a phone still
-    unsteady = 0.0025 * gait.tremor_factor * carrying["tremor"] * context["tremor"]
-    return np.column_stack(
-        [
-            carrying["pivot_x"]
-            + carrying["lever_x"]
-            + context["sway_m"] * np.cos(np.pi * phase)
-            + unsteady * tremor(time_s, rng),
-            carrying["pivot_y"]
-            + carrying["lever_y"] * cosine
-            - carrying["lever_z"] * sine
-            + unsteady * tremor(time_s, rng),
-            carrying["pivot_z"]
-            + carrying["lever_y"] * sine
-            + carrying["lever_z"] * cosine
-            + carrying["bounce"] * bounce
-            + unsteady * tremor(time_s, rng),
-        ]
-    )
+    right = carrying["pivot_x"] + carrying["lever_x"] + context["sway_m"] * np.cos(np.pi * phase)
+    forward = carrying["pivot_y"] + carrying["lever_y"] * cosine - carrying["lever_z"] * sine
+    up = carrying["pivot_z"] + carrying["lever_y"] * sine + carrying["lever_z"] * cosine + carrying["bounce"] * bounce
+    return np.column_stack([right + unsteady[0], forward + unsteady[1], up + unsteady[2]])
 
 
 def _heel_strikes(

@@ -8,14 +8,15 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.simulate import simulate
 from pdr_filter.simulate.gait import Gait, Leg
 from pdr_filter.simulate.motion import Carrying
 from pdr_filter.simulate.sensors import SensorErrors
+from pdr_filter.simulate.walk import simulate
 
 MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket")
 # At the ear: the top end raised, and rolled until the screen faces the head.
@@ -85,14 +86,7 @@ def _texting(rng: np.random.Generator) -> Carrying:
         pivot=(rng.uniform(-0.05, 0.05), rng.uniform(0.14, 0.24), rng.uniform(0.62, 0.78)),
         roll_rad=rng.normal(0.0, 0.12),
         twist_rad=across + rng.normal(0.0, 0.12),
-        bounce=rng.uniform(0.6, 1.1),
-        impact=_about(rng, 0.2, 0.5),
-        impact_width_s=rng.uniform(0.012, 0.03),
-        impact_sideways=_about(rng, 0.5, 0.5),
-        wobble_pitch_rad=0.025 * wobble,
-        wobble_roll_rad=0.03 * wobble * rng.uniform(0.5, 1.5),
-        wobble_yaw_rad=0.05 * wobble * rng.uniform(0.5, 1.5),
-        tremor=_about(rng, 0.8, 0.4),
+        **_hand(rng, 0.2, (0.012, 0.03), wobble, 0.03),
     )
 
 
@@ -103,15 +97,24 @@ def _calling(rng: np.random.Generator) -> Carrying:
         pivot=(side * 0.05, 0.03, 0.93),
         pitch_rad=rng.normal(EAR_PITCH_RAD, 0.2),
         roll_rad=-side * rng.normal(EAR_ROLL_RAD, 0.25),
-        bounce=rng.uniform(0.6, 1.1),
-        impact=_about(rng, 0.18, 0.5),
-        impact_width_s=rng.uniform(0.015, 0.035),
-        impact_sideways=_about(rng, 0.5, 0.5),
-        wobble_pitch_rad=0.025 * wobble,
-        wobble_roll_rad=0.04 * wobble * rng.uniform(0.5, 1.5),
-        wobble_yaw_rad=0.05 * wobble * rng.uniform(0.5, 1.5),
-        tremor=_about(rng, 0.8, 0.4),
+        **_hand(rng, 0.18, (0.015, 0.035), wobble, 0.04),
     )
+
+
+def _hand(
+    rng: np.random.Generator, impact: float, width_s: tuple[float, float], wobble: float, roll_rad: float
+) -> dict[str, Any]:
+    """What reaches a phone that a raised hand holds, and how the hand moves."""
+    return {
+        "bounce": rng.uniform(0.6, 1.1),
+        "impact": _about(rng, impact, 0.5),
+        "impact_width_s": rng.uniform(*width_s),
+        "impact_sideways": _about(rng, 0.5, 0.5),
+        "wobble_pitch_rad": 0.025 * wobble,
+        "wobble_roll_rad": roll_rad * wobble * rng.uniform(0.5, 1.5),
+        "wobble_yaw_rad": 0.05 * wobble * rng.uniform(0.5, 1.5),
+        "tremor": _about(rng, 0.8, 0.4),
+    }
 
 
 def _swinging(rng: np.random.Generator) -> Carrying:

@@ -1,87 +1,110 @@
-"""Train the models that tell where a moving person carries the phone.
+"""Train the models of the carrying mode: where a moving person has the phone.
 
-Licensed recordings know calling, swinging and the back pocket of one person, so a classifier of them alone learns that
-person. Three further sources of windows stand for others, each where nothing real does:
+Beside recordings they learn from windows that stand for other people (`made`), each where nothing real does:
 
 - **simulated** people, who differ in gait and in how they hold the phone, in all modes;
-- **turned** windows: a real hand held in front of the body, the phone turned to the ear by one fixed rotation, which is
-  calling with a real hand's motion;
+- **turned** windows: a real hand held in front of the body, the phone turned to the ear by one fixed rotation;
 - **weak** windows: a real trouser pocket, its motion scaled down, for the slow walkers that the recordings lack.
 
-Every class has the same weight, and inside a class every source its own whatever its size, so neither simulation nor
-the largest data set decides. A window that was made of a person's recording is left out together with that person.
 There is no bag: no licensed recording of one has a gyroscope. Its probability is zero.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 from zlib import crc32
 
 import numpy as np
-from joblib import Parallel, delayed
-from scipy.spatial.transform import Rotation
-from sklearn.linear_model import LogisticRegression
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.classifiers.familiarity import fit_familiarity
-from pdr_filter.classifiers.model import ContextModel, Machine
+from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.probability_calibration import fit_temperature, tempered
-from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
 from pdr_filter.sensing.features import carrying, invariant
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.simulate.people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
-from pdr_filter.training.contexts import (
-    FEATURE_LIMIT,
+from pdr_filter.simulate.people import MODES
+from pdr_filter.training.machines import fit_softmax
+from pdr_filter.training.made import SIMULATED, TURNED, balanced_weight, from_sources, grips, made_card
+from pdr_filter.training.protocol import (
     SCORED_DATASET,
-    Fitted,
+    Columns,
     LabelledWindows,
+    LeftOut,
     Plan,
     Progress,
     TextArray,
-    card_of,
+    in_order,
     label_of,
+    part_progress,
     score,
+    silent,
+    train_one,
+    with_familiarity,
+    worst_person_accuracy,
 )
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES
 
-SIMULATED, TURNED, WEAK = "simulated", "turned", "weak"
+WEAK = "weak"
 # Simulated people in each mode: as many as two cores make in a minute.
 N_SIMULATED = 120
 
 FEATURE_NAMES: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES)
-# Of the force, without the timing of the vertical within a step, which is there to tell stairs: with it half of the
-# swinging of oxford, left out, was missed, without it a seventh (calling of tyrex, left out, 12 % and 26 %).
+# Of the force, without the timing of the vertical within a step, which is there to recognise stairs: with it half of
+# the swinging of oxford, left out, was missed, without it a seventh (calling of tyrex, left out, 12 % and 26 %).
 _SHAKING_NAMES: tuple[str, ...] = tuple(n for n in invariant.WITHOUT_GYROSCOPE if not n.startswith("squared_vertical"))
 
 
-@dataclass(frozen=True)
-class CarryingPlan:
-    """How one model is made: `plan`, and what else it is trained on."""
+@dataclass(frozen=True, kw_only=True)
+class CarryingPlan(Plan):
+    """How one model of the carrying mode is made.
 
-    plan: Plan
-    has_gyroscope: bool  # without: the angular rate is taken away before anything else, attitude included
-    source_weight: Mapping[str, float]  # of simulated, turned and weak windows; a data set has one
-
-
-def fit_regression(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Machine, tuple[str, ...]]:
-    """Multinomial logistic regression and its classes.
-
-    C is a seventh of what the contexts take: classes are known from few people, whose habits it must not learn.
+    `source_weight` is of simulated, turned and weak windows; a data set has one.
     """
-    fitted: Any = LogisticRegression(C=0.003, max_iter=300, tol=1e-3).fit(Z, y, sample_weight=weight)
-    return SoftmaxRegression(fitted.coef_, fitted.intercept_), tuple(str(c) for c in fitted.classes_)
+
+    head: str = "carrying_mode"
+    feature_set: str = "invariant"
+    source_weight: Mapping[str, float]
+
+    def weight(self, windows: LabelledWindows) -> FloatArray:
+        """Every mode has the same weight, and inside a mode every source its own."""
+        return balanced_weight(windows.carrying_mode, windows.dataset, self.source_weight)
+
+    def held_out(self, windows: LabelledWindows) -> dict[str, BoolArray]:
+        """Every real person."""
+        return {str(name): windows.person == name for name in np.unique(windows.person[self.is_real(windows)])}
+
+    def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
+        """The model with a temperature and the limit of what it knows, both of people left out, and its card."""
+        rows, prob, distance = in_order(left_out.values())
+        real = windows.part(rows)
+        even = _even_rows(real)
+        label = np.array([CARRYING_MODES.index(mode) for mode in real.carrying_mode])
+        temperature = fit_temperature(prob[even], label[even])
+        prob = tempered(prob, temperature)
+        sites = {str(site): site_scores(real, prob, real.dataset == site) for site in np.unique(real.dataset)}
+        people = sites.pop(SCORED_DATASET, {})
+        card = {
+            **self.card(windows, people, sites),
+            **made_card(windows.dataset[~rows], self.source_weight),
+            "scored": "People and sites that the scored machine has not seen, nor anything made of them. One number, "
+            "the temperature, is fitted on the same people left out. Other simulated people, drawn the same way, move "
+            "the recalls of calling, swinging and pocket on tyrex by up to 6 points: they are one or two recordings "
+            "each.",
+        }
+        known = with_familiarity(model, windows, float(np.quantile(distance[even], 0.99)))
+        return replace(known, temperature=temperature, card=card)
 
 
+# C is a seventh of what the contexts take: classes are known from few people, whose habits it must not learn.
+_FIT = partial(fit_softmax, C=0.003)
 _USE = "Windows of a moving person. Of one who stands or sits it says nothing: a phone that lies still is not carried."
 _LIMITS = (
     "Four modes: a bag is not among the data, its probability is zero, and a phone in a bag is taken for another mode, "
@@ -90,101 +113,67 @@ _LIMITS = (
 )
 PLANS: tuple[CarryingPlan, ...] = (
     CarryingPlan(
-        Plan(
-            "carrying",
-            "carrying_mode",
-            "invariant",
-            carrying.NAMES,
-            ("motionsense", "tyrex", "humolire", "ms_indoor"),
-            fit_regression,
-            "Logistic regression on attitude, force and turning of the phone; real recordings, recordings turned to "
-            "the ear or made weaker, and simulated people.",
-            _USE,
-            _LIMITS.format(more=", calling also from other people's hands turned to the ear"),
-            MODES,
-        ),
-        True,
-        {SIMULATED: 0.3, TURNED: 0.33, WEAK: 2.0},
+        name="carrying",
+        feature_names=carrying.NAMES,
+        datasets=("motionsense", "tyrex", "humolire", "ms_indoor"),
+        machine_fit=_FIT,
+        description="Logistic regression on attitude, force and turning of the phone; real recordings, recordings "
+        "turned to the ear or made weaker, and simulated people.",
+        use=_USE,
+        limits=_LIMITS.format(more=", calling also from other people's hands turned to the ear"),
+        source_weight={SIMULATED: 0.3, TURNED: 0.33, WEAK: 2.0},
     ),
     CarryingPlan(
-        Plan(
-            "carrying_accelerometer",
-            "carrying_mode",
-            "invariant",
-            (*_SHAKING_NAMES, *carrying.ATTITUDE),
-            ("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
-            fit_regression,
-            "Logistic regression on what the accelerometer alone knows of force and attitude; real recordings, their "
-            "angular rate left out, and simulated people.",
-            _USE + " For phones without gyroscope; with one, `carrying` is better.",
-            _LIMITS.format(more=", swinging from a second one"),
-            MODES,
-        ),
-        False,
-        {SIMULATED: 0.3},
+        name="carrying_accelerometer",
+        feature_names=(*_SHAKING_NAMES, *carrying.ATTITUDE),
+        datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
+        machine_fit=_FIT,
+        description="Logistic regression on what the accelerometer alone knows of force and attitude; real "
+        "recordings, their angular rate left out, and simulated people.",
+        use=_USE + " For phones without gyroscope; with one, `carrying` is better.",
+        limits=_LIMITS.format(more=", swinging from a second one"),
+        has_gyroscope=False,
+        source_weight={SIMULATED: 0.3},
     ),
 )
 
 
 def train_carrying(
-    paths: Sequence[Path], out_dir: Path, progress: Progress | None = None, n_simulated: int = N_SIMULATED
+    paths: Sequence[Path], out_dir: Path, progress: Progress = silent, n_simulated: int = N_SIMULATED
 ) -> list[dict[str, Any]]:
-    """Cards of the models of `PLANS`, which are written to `out_dir`.
+    """Cards of the models of `PLANS`, which are written to `out_dir`, with so many simulated people in each mode.
 
-    Parameters
-    ----------
-    paths : sequence of Path
-        Recordings; those of other data sets than a plan's are not used.
-    out_dir : Path
-        Where `<name>.npz` and `<name>.json` go.
-    progress : callable, optional
-        Called with what is done and the fraction of the whole, 0 to 1.
-    n_simulated : int
-        Simulated people in each carrying mode.
+    Recordings of other data sets than a plan's are not used.
     """
     cards: list[dict[str, Any]] = []
     for i, plan in enumerate(PLANS):
-
-        def tell(what: str, fraction: float, start: float = i / len(PLANS)) -> None:
-            if progress is not None:
-                progress(what, start + fraction / len(PLANS))
-
-        windows = carrying_windows(plan, paths, n_simulated, lambda what, done, tell=tell: tell(what, 0.7 * done))
-        model = train_one(plan, windows, lambda what, done, tell=tell: tell(what, 0.7 + 0.3 * done))
+        share = 1 / len(PLANS)
+        windows = carrying_windows(plan, paths, n_simulated, part_progress(progress, i * share, 0.7 * share))
+        model = train_one(plan, windows, part_progress(progress, (i + 0.7) * share, 0.3 * share))
         model.save(out_dir)
         cards.append(dict(model.card))
     return cards
 
 
+# --- windows --------------------------------------------------------------------------------------------------------
+
+
 def carrying_windows(
-    plan: CarryingPlan, paths: Sequence[Path], n_simulated: int, progress: Progress | None = None
+    plan: CarryingPlan, paths: Sequence[Path], n_simulated: int, progress: Progress = silent
 ) -> LabelledWindows:
     """Windows of moving people with the features of the plan: real ones, those made of them, and simulated ones.
 
     `dataset` is the source: a data set, `simulated`, or `turned_` or `weak_` and the data set. `person` is whose motion
     it is.
     """
-    jobs = [delayed(_recorded)(plan, path) for path in paths]
-    jobs += [delayed(_simulated)(plan, mode, person) for person in range(n_simulated) for mode in MODES]
-    parts: list[LabelledWindows] = []
-    done: Any = Parallel(n_jobs=-1, return_as="generator")(jobs)
-    for i, more in enumerate(done):
-        parts += more
-        if progress is not None:
-            what = paths[i].stem if i < len(paths) else "simulated people"
-            progress(f"{plan.plan.name}: features of {what}", (i + 1) / len(jobs))
-    if not any(_is_real(part).any() for part in parts):
+    found = from_sources(partial(_windows_of, plan), paths, n_simulated, f"{plan.name}: features", progress)
+    parts = [part for of_source in found for part in of_source]
+    if not any(plan.is_real(part).any() for part in parts):
         raise ValueError(
-            f"no windows for {plan.plan.name}: it needs recordings of {', '.join(plan.plan.datasets)} of people who "
+            f"no windows for {plan.name}: it needs recordings of {', '.join(plan.datasets)} of people who "
             f"move, with the carrying modes {', '.join(MODES)} in their truth_labels.csv"
         )
-    columns = [f.name for f in fields(LabelledWindows)]
-    return LabelledWindows(*(np.concatenate([getattr(part, name) for part in parts]) for name in columns))
-
-
-def _is_real(windows: LabelledWindows) -> BoolArray:
-    made = [np.char.startswith(windows.dataset, prefix) for prefix in (SIMULATED, f"{TURNED}_", f"{WEAK}_")]
-    return ~np.any(made, axis=0)
+    return LabelledWindows.joined(parts)
 
 
 class SignalWindows(FeatureWindows):
@@ -198,66 +187,45 @@ class SignalWindows(FeatureWindows):
 
 
 @dataclass(frozen=True, eq=False)
-class _Signals:
+class _Signals(Columns):
     """Windows of one recording and one carrying mode, a moving person's."""
 
     samples: FloatArray  # (W, 12, N)
     context: TextArray  # (W,)
-    mode: str
+    mode: TextArray  # (W,)
     has_gyroscope: BoolArray  # (W,)
 
-    def part(self, use: BoolArray | slice) -> _Signals:
-        """Some of the windows."""
-        return _Signals(self.samples[use], self.context[use], self.mode, self.has_gyroscope[use])
+
+def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: str) -> list[LabelledWindows]:
+    """Windows of one recording or simulated person, and what is made of them."""
+    if dataset not in (*plan.datasets, SIMULATED):
+        return []
+    found: list[tuple[str, _Signals]] = []
+    for signals in _signals(plan, recording):
+        found.append((dataset, signals))
+        walking, mode = signals.part(signals.context == "walking"), signals.mode[0]
+        if dataset == SIMULATED or not len(walking.samples):
+            continue
+        if TURNED in plan.source_weight and mode == "texting":
+            found.append((f"{TURNED}_{dataset}", _turned(walking, recording.name)))
+        # of the one data set with more than a few people: of fewer it would be more of the same
+        if WEAK in plan.source_weight and mode == "pocket" and dataset == SCORED_DATASET:
+            found.append((f"{WEAK}_{dataset}", _weak(walking, recording.name)))
+    return [_labelled(plan, signals, person, made_of, recording.name) for made_of, signals in found]
 
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
-    """What of a recording the plan is made of."""
+    """What of a recording the plan is made of, by carrying mode."""
     stage = SignalWindows("invariant")
     recording = recording if plan.has_gyroscope else replace(recording, gyroscope=None)
-    rows: dict[str, list[tuple[FloatArray, str, bool]]] = {}
+    rows: dict[str, list[tuple[FloatArray, str, str, bool]]] = {}
     for window in feature_windows(stage, [merge_streams(recording)]):
         context, mode = label_of(recording, window.time_s - stage.window_s, window.time_s) or ("", "")
         usable = window.has_gyroscope or not plan.has_gyroscope
         if usable and context not in ("", "stationary") and mode in MODES:
             samples = window.features.reshape(len(invariant.SIGNALS), -1)
-            rows.setdefault(mode, []).append((samples, context, window.has_gyroscope))
-    result: list[_Signals] = []
-    for mode, found in rows.items():
-        samples, context, has_gyroscope = zip(*found, strict=True)
-        result.append(_Signals(np.array(samples), np.array(context), mode, np.array(has_gyroscope)))
-    return result
-
-
-def _recorded(plan: CarryingPlan, path: Path) -> list[LabelledWindows]:
-    """Windows of a real recording, and what is made of them."""
-    recording = read(path)
-    dataset = str(recording.meta.get("dataset", ""))
-    if dataset not in plan.plan.datasets:
-        return []
-    person = f"{dataset}/{recording.subject.id}"
-    result: list[LabelledWindows] = []
-    for signals in _signals(plan, recording):
-        result.append(_labelled(plan, signals, person, dataset, recording.name))
-        rng = np.random.default_rng(crc32(recording.name.encode()))
-        walking = signals.part(signals.context == "walking")
-        if not len(walking.samples):
-            continue
-        if TURNED in plan.source_weight and signals.mode == "texting":
-            result.append(_labelled(plan, _turned(walking, rng), person, f"{TURNED}_{dataset}", recording.name))
-        # of the one data set with more than a few people: of fewer it would be more of the same
-        if WEAK in plan.source_weight and signals.mode == "pocket" and dataset == SCORED_DATASET:
-            result.append(_labelled(plan, _weak(walking, rng), person, f"{WEAK}_{dataset}", recording.name))
-    return result
-
-
-def _simulated(plan: CarryingPlan, mode: str, person: int) -> list[LabelledWindows]:
-    """Windows of one simulated person."""
-    recording = simulated_person(mode, person)
-    return [
-        _labelled(plan, signals, f"{SIMULATED}/{mode}{person}", SIMULATED, recording.name)
-        for signals in _signals(plan, recording)
-    ]
+            rows.setdefault(mode, []).append((samples, context, mode, window.has_gyroscope))
+    return [_Signals(*(np.array(column) for column in zip(*found, strict=True))) for found in rows.values()]
 
 
 def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
@@ -268,17 +236,8 @@ def features_of(samples: FloatArray, rate_hz: float = 100.0) -> FloatArray:
 
 def _labelled(plan: CarryingPlan, signals: _Signals, person: str, source: str, name: str) -> LabelledWindows:
     with threadpool_limits(1):
-        features = features_of(signals.samples)
-    n = len(features)
-    return LabelledWindows(
-        features=features[:, [FEATURE_NAMES.index(name) for name in plan.plan.feature_names]],
-        context=signals.context,
-        carrying_mode=np.full(n, signals.mode),
-        person=np.full(n, person),
-        dataset=np.full(n, source),
-        recording=np.full(n, name),
-        has_gyroscope=signals.has_gyroscope,
-    )
+        features = features_of(signals.samples)[:, [FEATURE_NAMES.index(name) for name in plan.feature_names]]
+    return LabelledWindows.of_one(features, signals.context, signals.mode, person, source, name, signals.has_gyroscope)
 
 
 # Rows of `invariant.SIGNALS`: what is in the world's frame, and the vectors in the sensor's.
@@ -287,32 +246,27 @@ _WORLD, _RATE, _UP, _FORCE = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12)
 _TURNS = 4
 
 
-def _turned(signals: _Signals, rng: np.random.Generator) -> _Signals:
+def _turned(signals: _Signals, name: str) -> _Signals:
     """The phone of one recording turned from in front of the body to the ear: calling, with the same motion."""
     up = signals.samples[:, _UP].mean(axis=(0, 2))
-    level = Rotation.align_vectors([0.0, 0.0, 1.0], up / np.sqrt(up @ up))[0]
-    halves = [signals.part(slice(turn % 2, None, 2)) for turn in range(_TURNS)]
-    parts = [replace(half, samples=half.samples.copy()) for half in halves]
-    for part in parts:
-        side = rng.choice([-1.0, 1.0])
-        pitch_rad, roll_rad = rng.normal(EAR_PITCH_RAD, 0.2), -side * rng.normal(EAR_ROLL_RAD, 0.25)
-        matrix = (Rotation.from_euler("ZXY", [0.0, pitch_rad, roll_rad]).inv() * level).as_matrix()
+    parts: list[_Signals] = []
+    for turn, matrix in enumerate(grips([up] * _TURNS, name)):
+        half = signals.part(slice(turn % 2, None, 2))
+        samples = half.samples.copy()
         for rows in (_RATE, _UP, _FORCE):
-            part.samples[:, rows] = matrix @ part.samples[:, rows]
-    samples, context, has_gyroscope = (
-        np.concatenate([getattr(part, name) for part in parts]) for name in ("samples", "context", "has_gyroscope")
-    )
-    return _Signals(samples, context, "calling", has_gyroscope)
+            samples[:, rows] = matrix @ samples[:, rows]
+        parts.append(replace(half, samples=samples, mode=np.full(len(samples), "calling")))
+    return _Signals.joined(parts)
 
 
-def _weak(signals: _Signals, rng: np.random.Generator) -> _Signals:
+def _weak(signals: _Signals, name: str) -> _Signals:
     """Every second window, its angles and rates scaled by 0.25 to 0.85, its accelerations by that to the power of 1.5.
 
     A slower pace scales accelerations more than angles: with the square of the frequency as well as with the angle.
     """
     signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()
-    factor = rng.uniform(0.25, 0.85, len(samples))[:, None, None]
+    factor = np.random.default_rng(crc32(name.encode())).uniform(0.25, 0.85, len(samples))[:, None, None]
     mean_up, mean_force = (samples[:, rows].mean(axis=2, keepdims=True) for rows in (_UP, _FORCE))
     samples[:, _WORLD] *= factor**1.5
     samples[:, _RATE] *= factor
@@ -322,94 +276,7 @@ def _weak(signals: _Signals, rng: np.random.Generator) -> _Signals:
     return replace(signals, samples=samples)
 
 
-def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[str, float]) -> FloatArray:
-    """Weights (W,), mean one: every class the same sum, and inside a class every source its own, one if not given.
-
-    `source_weight` is by the source's name up to the first underscore, or by the whole name.
-    """
-    weight = np.zeros(len(label))
-    for name in np.unique(label):
-        own = label == name
-        for part in np.unique(source[own]):
-            rows = own & (source == part)
-            weight[rows] = source_weight.get(part, source_weight.get(part.split("_")[0], 1.0)) / rows.sum()
-        weight[own] /= weight[own].sum()
-    return weight / weight.mean()
-
-
-def fit(plan: CarryingPlan, windows: LabelledWindows) -> Fitted:
-    """A machine on features standardised with the windows' weights; its temperature is still one."""
-    X, y = windows.features, windows.carrying_mode
-    weight = balanced_weight(y, windows.dataset, plan.source_weight)
-    mean = np.average(X, axis=0, weights=weight)
-    std = np.sqrt(np.average((X - mean) ** 2, axis=0, weights=weight))
-    scale = np.where(std > 1e-6, std, 1.0)
-    machine, classes = plan.plan.machine_fit(np.clip((X - mean) / scale, -FEATURE_LIMIT, FEATURE_LIMIT), y, weight)
-    return Fitted(machine, classes, CARRYING_MODES, mean, scale)
-
-
-def train_one(plan: CarryingPlan, windows: LabelledWindows, progress: Progress) -> ContextModel:
-    """The model of one plan, fitted on everybody, its card scored on people left out."""
-    real = _taken(windows, _is_real(windows))
-    prob, distance = leave_people_out(plan, windows, progress)
-    label = np.array([CARRYING_MODES.index(mode) for mode in real.carrying_mode])
-    even = _even_rows(real)
-    temperature = fit_temperature(prob[even], label[even])
-    prob = tempered(prob, temperature)
-
-    with threadpool_limits(1):
-        fitted = fit(plan, windows)
-        limit = float(np.quantile(distance[even], 0.99))
-        familiarity = fit_familiarity((windows.features - fitted.mean) / fitted.scale, limit)
-    weight = balanced_weight(windows.carrying_mode, windows.dataset, plan.source_weight)
-    prior = np.array([weight[windows.carrying_mode == mode].sum() for mode in CARRYING_MODES])
-    progress(f"{plan.plan.name}: done", 1.0)
-    return ContextModel(
-        name=plan.plan.name,
-        feature_names=plan.plan.feature_names,
-        classes=fitted.classes,
-        training_prior=prior / prior.sum(),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card=_carrying_card(plan, windows, real, prob),
-        head=plan.plan.head,
-        temperature=temperature,
-        feature_limit=FEATURE_LIMIT,
-        familiarity=familiarity,
-    )
-
-
-def leave_people_out(plan: CarryingPlan, windows: LabelledWindows, progress: Progress) -> tuple[FloatArray, FloatArray]:
-    """Probabilities (W, L) and distances (W,) of the real windows, by machines that do not know the person.
-
-    The temperature is one.
-    """
-    real = _taken(windows, _is_real(windows))
-    prob, distance = np.zeros((len(real.person), len(CARRYING_MODES))), np.zeros(len(real.person))
-    people = np.unique(real.person)
-    left_out: Any = Parallel(n_jobs=-1, return_as="generator")(
-        delayed(_left_out)(plan, windows, person) for person in people
-    )
-    for i, (person, (of_prob, of_distance)) in enumerate(zip(people, left_out, strict=True)):
-        prob[real.person == person], distance[real.person == person] = of_prob, of_distance
-        progress(f"{plan.plan.name}: without {person}", (i + 1) / (len(people) + 1))
-    return prob, distance
-
-
-def _left_out(plan: CarryingPlan, windows: LabelledWindows, person: str) -> tuple[FloatArray, FloatArray]:
-    """Probabilities and distances of one person's real windows; what was made of them is left out as well."""
-    own = windows.person == person
-    test, rest = windows.features[own & _is_real(windows)], _taken(windows, ~own)
-    with threadpool_limits(1):
-        fitted = fit(plan, rest)
-        familiarity = fit_familiarity((rest.features - fitted.mean) / fitted.scale, 1.0)
-        distance = np.array([familiarity.distance(z) for z in (test - fitted.mean) / fitted.scale])
-        return fitted.prob(test), distance
-
-
-def _taken(windows: LabelledWindows, use: BoolArray) -> LabelledWindows:
-    return LabelledWindows(*(getattr(windows, f.name)[use] for f in fields(LabelledWindows)))
+# --- figures --------------------------------------------------------------------------------------------------------
 
 
 def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
@@ -422,37 +289,20 @@ def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:
     return use
 
 
-def _carrying_card(
-    plan: CarryingPlan, windows: LabelledWindows, real: LabelledWindows, prob: FloatArray
-) -> dict[str, Any]:
-    """The card of all models, and which windows were made."""
-    scores = {dataset: site_scores(real, prob, real.dataset == dataset) for dataset in np.unique(real.dataset)}
-    people = scores.pop(SCORED_DATASET, {})
-    made = windows.dataset[~_is_real(windows)]
-    return {
-        **card_of(plan.plan, real.carrying_mode, real.person, people, {str(k): v for k, v in scores.items()}),
-        "made_windows": {str(source): int((made == source).sum()) for source in np.unique(made)},
-        "source_weight": dict(plan.source_weight),
-        "scored": "People and sites that the scored machine has not seen, nor anything made of them. One number, the "
-        "temperature, is fitted on the same people left out. Other simulated people, drawn the same way, move the "
-        "recalls of calling, swinging and pocket on tyrex by up to 6 points: they are one or two recordings each.",
-    }
-
-
 def site_scores(windows: LabelledWindows, prob: FloatArray, use: BoolArray) -> dict[str, Any]:
-    """Scores of some windows: `train.score`, the number of windows of each mode, and the recall of the worst person.
+    """Scores of some windows: `score`, the number of windows of each mode, and the recall of the worst person.
 
     "followed" are the probabilities after each window, as `ContextModels` follows the mode through a recording.
     """
-    truth, person = windows.carrying_mode[use], windows.person[use]
-    right = np.array(CARRYING_MODES)[prob[use].argmax(axis=1)] == truth
-    followed = score(truth, _followed(windows.recording[use], prob[use]), CARRYING_MODES)
+    own, prob = windows.part(use), prob[use]
+    truth = own.carrying_mode
+    followed = score(truth, _followed(own.recording, prob), CARRYING_MODES)
     return {
-        **score(truth, prob[use], CARRYING_MODES),
+        **score(truth, prob, CARRYING_MODES),
         "followed_recall": followed["recall"],
         "followed_log_loss": followed["log_loss"],
         "n": {mode: int((truth == mode).sum()) for mode in MODES if (truth == mode).any()},
-        "worst_person_accuracy": round(float(min(right[person == p].mean() for p in np.unique(person))), 4),
+        "worst_person_accuracy": worst_person_accuracy(truth, prob, own.person, CARRYING_MODES),
     }
 
 

@@ -8,8 +8,6 @@ changes. What the data do not show stays the default, and the file says so and w
 
 from __future__ import annotations
 
-import datetime
-import platform
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,25 +16,26 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.classifiers.model import ContextModel, load_model
-from pdr_filter.classifiers.transitions import (
-    EXPONENTS,
-    PRIOR_STEPS,
-    UNKNOWN,
-    LabelledProbabilities,
-    Transitions,
-    count_transitions,
-    estimate_transitions,
-    fit_tempering,
-    log_loss_by_person,
-)
-from pdr_filter.filter.tracking import Tracker
+from pdr_filter.classifiers.transitions import Transitions
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing
-from pdr_filter.training.contexts import DEFAULT_MODEL, Progress, TextArray
+from pdr_filter.training.contexts import DEFAULT_MODEL
+from pdr_filter.training.protocol import Progress, TextArray, provenance, silent, source_of
+from pdr_filter.training.sequences import (
+    PRIOR_STEPS,
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    exponent_pairs,
+    fit_tempering,
+    log_loss_by_person,
+)
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.step import Step
@@ -47,7 +46,7 @@ MIN_CHANGES = 10
 MIN_PEOPLE = 4
 # Held-out figures are of at most so many parts of the people: the time grows with them.
 MAX_PARTS = 10
-# Models are trained anew without a third of the people each.
+# Models are trained again without a third of the people each.
 N_FOLDS = 3
 HALF_WINDOW_S = 1.0
 # A window a second, and 1.6 to 2 steps a second.
@@ -59,22 +58,12 @@ ModelWithout = Callable[[Sequence[str]], ContextModel]
 
 @dataclass(frozen=True, eq=False)
 class LabelledSequences:
-    """Steps and windows of recordings in which people change their context.
+    """Steps and windows of recordings in which people change their context."""
 
-    Parameters
-    ----------
-    step_label, step_person, step_sequence : (K,)
-        True context of each step (`UNKNOWN` outside every label), whose it is, and of which stretch without gaps.
-    windows : LabelledProbabilities
-        The label of a window is the true context at its middle.
-    n_recordings : int
-        How many they are.
-    """
-
-    step_label: IntArray
-    step_person: TextArray
-    step_sequence: TextArray
-    windows: LabelledProbabilities
+    step_label: IntArray  # (K,) true context of each step, `UNKNOWN` outside every label
+    step_person: TextArray  # (K,)
+    step_sequence: TextArray  # (K,) stretch without gaps
+    windows: LabelledProbabilities  # their label is the true context at their middle
     n_recordings: int
 
     def counts(self, without: Sequence[str] = ()) -> FloatArray:
@@ -84,22 +73,14 @@ class LabelledSequences:
 
 
 def train_evidence(
-    changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress | None = None
+    changing: Mapping[Path, str], out_dir: Path, model_without: ModelWithout, progress: Progress = silent
 ) -> dict[str, Any]:
     """Card of the transitions and exponents, which are written to `out_dir` as `transitions.json`.
 
-    Parameters
-    ----------
-    changing : mapping of Path to str
-        Recordings in which people change their context, and whose they are: `changing_recordings`.
-    out_dir : Path
-        Where the file goes.
-    model_without : callable
-        Takes people and gives the default's context model as it is without them in its training.
-    progress : callable, optional
-        Called with what is done and the fraction of the whole, 0 to 1.
+    `changing` are recordings in which people change their context, and whose they are (`changing_recordings`);
+    `model_without` takes people and gives the default's context model as it is without them in its training.
     """
-    found = estimate(labelled_sequences(changing, model_without, progress), default().tracker)
+    found = estimate(labelled_sequences(changing, model_without, progress), default().model)
     found.save(out_dir)
     return found.card
 
@@ -115,7 +96,7 @@ def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
         labels = recording.truth.labels
         known = set() if labels is None else {str(c) for c in labels["context"]} & set(CONTEXTS)
         if recording.gyroscope is not None and len(known) > 1:
-            found[path] = f"{recording.meta.get('dataset', '')}/{recording.subject.id}"
+            found[path] = source_of(recording)[1]
     return found
 
 
@@ -132,7 +113,7 @@ def shipped_model_without(people: Sequence[str]) -> ContextModel:
 
 
 def labelled_sequences(
-    changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress | None = None
+    changing: Mapping[Path, str], model_without: ModelWithout, progress: Progress = silent
 ) -> LabelledSequences | None:
     """Steps and windows of recordings, from models that have not seen the people; None if there are no windows."""
     steps: list[tuple[int, str, str]] = []
@@ -152,19 +133,16 @@ def labelled_sequences(
                 for window, label in zip(found_windows, contexts_at(recording, middle_s), strict=True):
                     windows.append((window.prob, window.training_prior, int(label), person, sequence))
             n_done += 1
-            if progress is not None:
-                progress(f"transitions: {path.stem}", n_done / len(changing))
+            progress(f"transitions: {path.stem}", n_done / len(changing))
     if not windows:
         return None
-    prob, prior, label, person, sequence = zip(*windows, strict=True)
+    step_label, step_person, step_sequence = (np.array([step[i] for step in steps]) for i in range(3))
     return LabelledSequences(
-        step_label=np.array([label for label, _, _ in steps], dtype=np.int64),
-        step_person=np.array([person for _, person, _ in steps], dtype=np.str_),
-        step_sequence=np.array([sequence for _, _, sequence in steps], dtype=np.str_),
-        windows=LabelledProbabilities(
-            np.array(prob), np.array(prior), np.array(label), np.array(person), np.array(sequence)
-        ),
-        n_recordings=len(changing),
+        step_label.astype(np.int64),
+        step_person.astype(np.str_),
+        step_sequence.astype(np.str_),
+        LabelledProbabilities(*(np.array(column) for column in zip(*windows, strict=True))),
+        len(changing),
     )
 
 
@@ -196,8 +174,8 @@ def contexts_at(recording: Recording, time_s: FloatArray) -> IntArray:
 # --- The estimate ----------------------------------------------------------------------------------------------------
 
 
-def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitions:
-    """Transitions and exponents that the sequences show; those of the default tracker where they show too little.
+def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
+    """Transitions and exponents that the sequences show; those of the default where they show too little.
 
     The matrix is estimated from `MIN_CHANGES` changes of context on: one person's sequences give that person's. The
     exponents are chosen if there are also `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who
@@ -213,9 +191,9 @@ def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitio
     )
     if sequences is not None and n_changes >= MIN_CHANGES:
         transition_prob, of_matrix = estimate_transitions(counts, default.transition_prob), "estimated"
-        people = np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN])
-        of_exponents = f"default: {len(people)} people (subject.id in meta.json), needed are {MIN_PEOPLE}"
-        if len(people) >= MIN_PEOPLE:
+        n_people = len(np.unique(sequences.windows.person[sequences.windows.label != UNKNOWN]))
+        of_exponents = f"default: {n_people} people (subject.id in meta.json), needed are {MIN_PEOPLE}"
+        if n_people >= MIN_PEOPLE:
             losses = held_out_log_loss(sequences, default)
             of_exponents = "default: exponents chosen on some people do not lower the log loss of others"
             if losses["held_out"] < losses["held_out_default_exponents"]:
@@ -223,11 +201,28 @@ def estimate(sequences: LabelledSequences | None, default: Tracker) -> Transitio
                 chosen = fit_tempering(sequences.windows, between, default.evidence_floor)
                 evidence_exponent, prior_exponent = chosen.evidence_exponent, chosen.prior_exponent
                 of_exponents = "estimated"
-    card = _card(sequences, counts, of_matrix, of_exponents, losses)
+    people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
+    card = {
+        "name": "transitions",
+        "file": "transitions.json",
+        "description": "How contexts follow each other from step to step, and how much a window counts.",
+        "transition_prob": of_matrix,
+        "exponents": of_exponents,
+        "model": DEFAULT_MODEL,
+        "data": sorted({person.split("/")[0] for person in people}),
+        "n_people": len(people),
+        "n_recordings": 0 if sequences is None else sequences.n_recordings,
+        "n_windows": 0 if sequences is None else int((sequences.windows.label != UNKNOWN).sum()),
+        "n_steps": int(counts.sum()),
+        "n_changes": n_changes,
+        "prior_steps": PRIOR_STEPS,
+        "log_loss": {name: round(value, 4) for name, value in losses.items()},
+        **provenance("pdr-filter train DATA_DIR --sequences FOLDER --out models"),
+    }
     return Transitions(transition_prob, evidence_exponent, prior_exponent, counts, card)
 
 
-def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[str, float]:
+def held_out_log_loss(sequences: LabelledSequences, default: PedestrianModel) -> dict[str, float]:
     """Log loss of filtered windows, mean over people: minus the log probability of the true context.
 
     `default`: the default matrix and exponents. `held_out_default_exponents`: the matrix from all other people's
@@ -235,7 +230,7 @@ def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[st
     parts where there are more people.
     """
     windows, floor = sequences.windows, default.evidence_floor
-    by_evidence, by_prior = (grid.ravel() for grid in np.meshgrid(EXPONENTS, EXPONENTS, indexing="ij"))
+    by_evidence, by_prior = exponent_pairs()
     exponents = np.append(by_evidence, default.evidence_exponent), np.append(by_prior, default.prior_exponent)
 
     def log_loss(transition_prob: FloatArray) -> tuple[tuple[str, ...], FloatArray]:
@@ -255,33 +250,4 @@ def held_out_log_loss(sequences: LabelledSequences, default: Tracker) -> dict[st
         "default": float(of_default[-1].mean()),
         "held_out_default_exponents": float(matrix_only.mean()),
         "held_out": float(both.mean()),
-    }
-
-
-def _card(
-    sequences: LabelledSequences | None,
-    counts: FloatArray,
-    of_matrix: str,
-    of_exponents: str,
-    losses: Mapping[str, float],
-) -> dict[str, Any]:
-    people = [] if sequences is None else [str(person) for person in np.unique(sequences.windows.person)]
-    return {
-        "name": "transitions",
-        "file": "transitions.json",
-        "description": "How contexts follow each other from step to step, and how much a window counts.",
-        "transition_prob": of_matrix,
-        "exponents": of_exponents,
-        "model": DEFAULT_MODEL,
-        "date": datetime.datetime.now(datetime.UTC).date().isoformat(),
-        "data": sorted({person.split("/")[0] for person in people}),
-        "n_people": len(people),
-        "n_recordings": 0 if sequences is None else sequences.n_recordings,
-        "n_windows": 0 if sequences is None else int((sequences.windows.label != UNKNOWN).sum()),
-        "n_steps": int(counts.sum()),
-        "n_changes": int(counts.sum() - np.trace(counts)),
-        "prior_steps": PRIOR_STEPS,
-        "log_loss": {name: round(value, 4) for name, value in losses.items()},
-        "versions": {"python": platform.python_version(), "numpy": np.__version__},
-        "command": "pdr-filter train DATA_DIR --sequences FOLDER --out models",
     }

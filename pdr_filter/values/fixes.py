@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
@@ -44,7 +44,7 @@ class PositionFix:
         _check_times(self.time_s, self.received_time_s)
 
 
-# A deviation beyond this says nothing, and its square must stay a number.
+# A standard deviation beyond this says nothing, and its square must stay a number.
 _MAX_STD = 1e100
 
 
@@ -115,7 +115,7 @@ class Standstill:
     time_s, end_s : float
         Begin and end, on the time base of the samples.
     received_time_s : float, optional
-        When it became known, not before `time_s`; steps that were told before are not taken back.
+        When it became known, not before `time_s`; steps that were reported before are not taken back.
     """
 
     time_s: float
@@ -145,6 +145,9 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
+FixOutcome = Literal["used", "rejected", "waiting", "nothing to compare"]
+
+
 @dataclass(frozen=True, slots=True)
 class FixResult:
     """What the filter made of a fix."""
@@ -152,12 +155,19 @@ class FixResult:
     kind: str  # "position", "heading", "speed", "standstill"
     time_s: float  # when it was true
     used_s: float  # when the filter took it
+    # "used"; "rejected": it does not fit, or is of another time; "waiting": for more fixes that show how the frame of
+    # the track lies in theirs, or for samples of its time; "nothing to compare": no step yet that it says something of.
+    outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
-    nis: float
-    accepted: bool
+    nis: float = np.nan
 
     @classmethod
-    def of(cls, fix: Fix, used_s: float, nis: float, accepted: bool) -> FixResult:
+    def of(cls, fix: Fix, used_s: float, outcome: FixOutcome, nis: float = np.nan) -> FixResult:
         """That of a fix."""
-        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, nis, accepted)
+        return cls(type(fix).__name__.removesuffix("Fix").lower(), fix.time_s, used_s, outcome, nis)
+
+    @property
+    def accepted(self) -> bool:
+        """Whether the filter used it."""
+        return self.outcome == "used"

@@ -22,7 +22,7 @@ class TrackRows:
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
     lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
-    from one context to another, the past is seen anew and a position may move by more or less than its step length.
+    from one context to another, earlier steps count differently and a position may move by more or less than its step.
     """
 
     name: str
@@ -35,10 +35,12 @@ class TrackRows:
     step_speed_std_mps: FloatArray  # (K,)
     smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
     smoothed_speed_std_mps: FloatArray  # (K,)
+    gap_before_s: FloatArray  # (K,) time without samples since the step before
     context_prob: FloatArray  # (K, C)
     contexts: tuple[str, ...]
     mode_prob: FloatArray  # (K, M)
     modes: tuple[str, ...]
+    mode_contexts: tuple[str, ...]  # M, of each mode
     steps: Table  # (K,) rows of Step
     windows: Windows
     start_time_s: float

@@ -16,7 +16,10 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.batch import run as batch
+from pdr_filter import batch
+from pdr_filter.batch import calibration, run, workers
+from pdr_filter.batch import table as rows_table
+from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.values.arrays import table
 from pdr_filter.values.contexts import CONTEXTS
@@ -112,7 +115,7 @@ def count_reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         asked.append(Path(path).name)
         return pdr.read(path, format)
 
-    monkeypatch.setattr(batch, "read", counting)
+    monkeypatch.setattr(run, "read", counting)
     return asked
 
 
@@ -208,16 +211,16 @@ def test_progress_counts_every_recording_and_the_time_left_ends_at_zero(walks: P
 
 def test_the_estimate_of_the_time_left_follows_the_bytes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     now = [100.0]
-    monkeypatch.setattr(batch.time, "monotonic", lambda: now[0])
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
     sizes = {"a": 99, "b": 299, "c": 599}
     for name, size in sizes.items():
         (tmp_path / name).write_bytes(b"x" * size)
 
     def ten_seconds_later(task: batch.Task) -> batch.Row:
         now[0] += 10.0
-        return batch._failed(task, "not tracked here")
+        return rows_table.failed_row(task, "not tracked here")
 
-    monkeypatch.setattr(batch, "track_one", ten_seconds_later)
+    monkeypatch.setattr(run, "track_one", ten_seconds_later)
     left: list[float | None] = []
     out = tmp_path / "tracks.csv"
     batch.track([tmp_path / name for name in sizes], out=out, progress=lambda p: left.append(p.left_s))
@@ -262,7 +265,7 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
 
 def test_what_is_sent_for_a_calibration_is_small(cohort: Path) -> None:
     path = cohort / f"walk_{N - 1}.zip"
-    sent = len(pickle.dumps(batch.reduced(str(path), None, None, "displacement")))
+    sent = len(pickle.dumps(calibration.reduced(str(path), None, None, "displacement")))
     assert sent < 0.05 * sum(samples.values.nbytes for samples in pdr.read(path).streams.values())
 
 
@@ -307,8 +310,8 @@ def test_options_that_cannot_be_used_are_refused_at_once(
 def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path, tmp_path: Path) -> None:
     recording = replace(pdr.read(walks / "walk_0.zip"), name='two\nlines, "quoted"', notes=("odd;\r\n\x1b[31m",))
     track = pdr.track(recording)
-    row = batch._row(batch.Task(str(tmp_path / "a, b.zip")), track)
-    text = batch._line(batch.COLUMNS) + batch._line(batch._cells(row))
+    row = rows_table.row_of(batch.Task(str(tmp_path / "a, b.zip")), track)
+    text = rows_table._line(rows_table.COLUMNS) + rows_table._line(rows_table._cells(row))
     (tmp_path / "tracks.csv").write_text(text)
     assert len(text.splitlines()) == 2
     assert batch.read_table(tmp_path / "tracks.csv") == [row]
@@ -332,7 +335,7 @@ def test_recordings_of_a_folder_are_found_in_it_and_below_and_broken_ones_too(tm
     (tmp_path / "README.txt").write_text("about these\n")
     (tmp_path / "table.csv").write_text("a,b,c,d\n1,2,3,4\n5,6,7,8\n")
     write_recording(pdr.read(walks / "walk_0.zip"), tmp_path / "folder")
-    found = batch.recordings_in(tmp_path)
+    found = recordings_in(tmp_path)
     assert found == [tmp_path / "broken.zip", tmp_path / "deep" / "er" / "walk_0.zip", tmp_path / "folder"]
 
 
@@ -368,7 +371,7 @@ def test_parquet_holds_the_same_rows(walks: Path, tmp_path: Path) -> None:
     pytest.importorskip("pyarrow")
     rows = batch.track(walks, out=tmp_path / "tracks.parquet")
     frame = pd.read_parquet(tmp_path / "tracks.parquet")
-    assert list(frame.columns) == list(batch.COLUMNS)
+    assert list(frame.columns) == list(rows_table.COLUMNS)
     assert list(frame.distance_m) == [row.distance_m for row in rows]
     assert batch.read_table(tmp_path / "tracks.csv") == rows
 
@@ -426,6 +429,6 @@ def test_what_kills_every_worker_is_a_failure_on_a_cluster() -> None:
 
 def test_a_scheduler_that_is_not_there_is_told(walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     pytest.importorskip("distributed")
-    monkeypatch.setattr(batch, "_CONNECT_S", 0.5)
+    monkeypatch.setattr(workers, "_CONNECT_S", 0.5)
     with pytest.raises(ValueError, match="no Dask scheduler"):
         batch.track(walks, out=tmp_path / "tracks.csv", scheduler="tcp://127.0.0.1:9")

@@ -1,7 +1,6 @@
 """What calibration is worth on real walks, whether its intervals hold, and what it costs: docs/methods/calibration.md.
 
-usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/calibration.py [halves] [measure] [coverage] [speed]
-           [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [halves] [measure] [coverage] [speed] [--data ../shared/data]
 
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
           everybody, and the population; and humolire by walks (legs and totals)
@@ -12,7 +11,6 @@ speed     15 people x 6 contexts x 33 segments; 10^3 to 10^6 segments, time and 
 
 from __future__ import annotations
 
-import argparse
 import resource
 import time
 from dataclasses import replace
@@ -31,6 +29,7 @@ from pdr_filter.offline.calibration.priors import StepLengthPrior, eq12_priors, 
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.tracks import Track
 from pdr_filter.values.contexts import CONTEXTS
+from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
 
 FloatArray = NDArray[np.float64]
 N_SPLITS = 20
@@ -41,8 +40,7 @@ N_SPLITS = 20
 
 def walks(data: Path, site: str) -> list[tuple[Recording, Track]]:
     """Recordings of a site with their tracks."""
-    recordings = [pdr.read(p) for p in sorted((data / site).glob("*.zip"))]
-    return [(r, pdr.track(r)) for r in recordings]
+    return [(r, pdr.track(r)) for r in recordings(data, site)]
 
 
 def cut(found: list[tuple[Recording, Track]], measure: str = "displacement") -> list[Segment]:
@@ -58,8 +56,7 @@ def lengths(sums: SegmentSums, theta: FloatArray) -> FloatArray:
 
 def percent(predicted: FloatArray, true: FloatArray) -> str:
     """Bias, spread, RMS of relative errors in %."""
-    error = 100 * (predicted / true - 1)
-    return f"{error.mean():+.1f}, {error.std():.1f}, {np.sqrt((error**2).mean()):.1f}"
+    return bias_spread_rms(100 * (predicted / true - 1))
 
 
 def fitted(sums: SegmentSums, priors: dict[str, StepLengthPrior]) -> ParameterEstimate:
@@ -79,13 +76,11 @@ MODELS = {
 }
 
 
-def halves(sites: dict[str, list[Segment]]) -> None:
+def halves(tables: Tables, sites: dict[str, list[Segment]]) -> None:
     """Half of each person's segments against the other half."""
     segments = [s for site in sites.values() for s in site]
     place = np.array([name for name, own in sites.items() for _ in own])
-    print(f"\n{N_SPLITS} random halves of the segments of each person; bias, spread, RMS % of the segments not used")
-    print("| model | site | people, segments | no calibration | one scale for all | population | own k |")
-    print("|---|---|---|---|---|---|---|")
+    rows = []
     for name, priors in MODELS.items():
         models = {n: p.model for n, p in priors.items()}
         sums = integrate(segments, models, {n: p.mean for n, p in priors.items()})
@@ -113,16 +108,17 @@ def halves(sites: dict[str, list[Segment]]) -> None:
             people = len({s.subject for s in sites[site]})
             for what, results in (("segments", kept[site]), ("totals of walks", totals[site])):
                 true, *predicted = (np.concatenate([r[k] for r in results]) for k in range(5))
-                cells = " | ".join(percent(p, true) for p in predicted)
-                print(f"| {name} | {site}, {what} | {people}, {len(sites[site])} | {cells} |", flush=True)
+                cells = [percent(p, true) for p in predicted]
+                rows.append([name, f"{site}, {what}", f"{people}, {len(sites[site])}", *cells])
+    columns = ["model", "site", "people, segments", "no calibration", "one scale for all", "population", "own k"]
+    about = f"{N_SPLITS} random halves of the segments of each person; bias, spread, RMS in % of those not used."
+    tables.write("calibration_halves", columns, rows, about)
 
 
-def half_of_the_walks(segments: list[Segment], others: list[Segment]) -> None:
+def half_of_the_walks(tables: Tables, segments: list[Segment], others: list[Segment]) -> None:
     """humolire: parameters from four of nine walks, legs and totals of the other five; all 126 choices."""
     both = [*segments, *others]
-    print("\nhumolire, k from 4 of the 9 walks, the other 5: RMS % of legs / of totals of walks (all 126 choices)")
-    print("| model | no calibration | one scale | own k | own k, with the 40 walks of ms_indoor |")
-    print("|---|---|---|---|---|")
+    rows = []
     here = np.arange(len(both)) < len(segments)
     picked: dict[tuple[int, ...], tuple[float, FloatArray]] = {}
     for name, priors in MODELS.items():
@@ -145,9 +141,15 @@ def half_of_the_walks(segments: list[Segment], others: list[Segment]) -> None:
             if chosen not in picked or left_out < picked[chosen][0]:
                 picked[chosen] = left_out, errors[2][-1]
         cells = [" / ".join(f"{100 * v:.2f}" for v in np.sqrt(np.mean(e, axis=0))) for e in errors]
-        print(f"| {name} | " + " | ".join(cells) + " |", flush=True)
+        rows.append([name, *cells])
     best = np.sqrt(np.mean([e for _, e in picked.values()], axis=0))
-    print(f"| the one that predicts left-out segments best | | | {100 * best[0]:.2f} / {100 * best[1]:.2f} | |")
+    cells = ["", "", f"{100 * best[0]:.2f} / {100 * best[1]:.2f}", ""]
+    rows.append(["what predicts left-out segments best", *cells])
+    columns = ["model", "no calibration", "one scale", "own k", "own k, with the walks of ms_indoor"]
+    about = (
+        "humolire, k from 4 of the 9 walks, all 126 choices: RMS % of the legs / of the totals of the other 5 walks."
+    )
+    tables.write("calibration_walks", columns, rows, about)
 
 
 def of_others(sums: SegmentSums, test: NDArray[np.bool_], predicted: FloatArray) -> FloatArray:
@@ -157,7 +159,7 @@ def of_others(sums: SegmentSums, test: NDArray[np.bool_], predicted: FloatArray)
     return np.array([np.square(legs).mean(), np.square(total[true > 0] / true[true > 0] - 1).mean()])
 
 
-def one_corridor(sites: dict[str, list[Segment]]) -> None:
+def one_corridor(tables: Tables, sites: dict[str, list[Segment]]) -> None:
     """A person with one segment: the rest of the person's segments, against the population."""
     segments = [s for site in sites.values() for s in site]
     priors = with_model()
@@ -178,19 +180,17 @@ def one_corridor(sites: dict[str, list[Segment]]) -> None:
                 errors, (uncalibrated, population, lengths(sums, found.people[person]), alone), strict=True
             ):
                 errors[name].append(100 * (predicted[test].sum() / total - 1))
-    print("\none segment of a person, total of the person's others: bias, spread, RMS %")
-    for name, values in errors.items():
-        e = np.array(values)
-        print(f"{name}: {e.mean():+.2f}, {e.std():.2f}, {np.sqrt((e**2).mean()):.2f} (n = {len(e)})")
+    rows = [[name, len(values), bias_spread_rms(values)] for name, values in errors.items()]
+    columns = ["k from", "cases", "total of the person's other segments: bias, spread, RMS %"]
+    tables.write("calibration_one_segment", columns, rows)
 
 
-def measures(found: dict[str, list[tuple[Recording, Track]]]) -> None:
+def measures(tables: Tables, found: dict[str, list[tuple[Recording, Track]]]) -> None:
     """Displacement against summed lengths, each segment left out; humolire also between all its waypoints."""
     corners = [
         (replace(r, truth=replace(r.truth, segments=None)), t) for r, t in found["humolire"]
     ]  # also legs that go round a corner
-    print("\n| segments | n | k: displacement | k: lengths | RMS %: displacement | RMS %: lengths |")
-    print("|---|---|---|---|---|---|")
+    lines = []
     rows = {"humolire, straight legs": found["humolire"], "humolire, all waypoints": corners}
     rows["ms_indoor, waypoints"] = found["ms_indoor"]
     for name, own in rows.items():
@@ -207,7 +207,9 @@ def measures(found: dict[str, list[tuple[Recording, Track]]]) -> None:
             error = e.left_out_m / sums.distance_m - 1
             cells.append((k, 100 * np.sqrt((error**2).mean())))
         (k1, r1), (k2, r2) = cells
-        print(f"| {name} | {len(segments)} | {k1:.4f} | {k2:.4f} | {r1:.1f} | {r2:.1f} |", flush=True)
+        lines.append([name, len(segments), f"{k1:.4f}", f"{k2:.4f}", f"{r1:.1f}", f"{r2:.1f}"])
+    columns = ["segments", "n", "k: displacement", "k: lengths", "RMS %: displacement", "RMS %: lengths"]
+    tables.write("calibration_measures", columns, lines, "Each segment left out.")
 
 
 # --- simulated ------------------------------------------------------------------------------------------------------
@@ -252,11 +254,9 @@ def simulated(
     return sums, prior, population, people
 
 
-def coverage(n_runs: int = 500) -> None:
+def coverage(tables: Tables, n_runs: int = 500) -> None:
     """How often 95 % intervals have the truth."""
-    print(f"\n{n_runs} simulated calibrations: share of 95 % intervals with the truth; RMS error of k0 in cm")
-    print("| people x segments | wrong segments | loss | k0 of people | k0 | k1 | k2 | people RMS | population RMS |")
-    print("|---|---|---|---|---|---|---|---|---|")
+    rows = []
     for n_people, per_person, outliers, loss in (
         (5, 12, 0.0, "gnc"),
         (5, 12, 0.0, "none"),
@@ -279,27 +279,19 @@ def coverage(n_runs: int = 500) -> None:
             square.append([np.square(x).mean() for x in errors])
         k = np.mean(shared, axis=0)
         rms = 100 * np.sqrt(np.mean(square, axis=0))
-        print(
-            f"| {n_people} x {per_person} | {100 * outliers:.0f} % | {loss} | {100 * np.mean(own):.1f} % | "
-            + " | ".join(f"{100 * v:.1f} %" for v in k)
-            + f" | {rms[0]:.2f} | {rms[1]:.2f} |",
-            flush=True,
-        )
+        shares = [f"{100 * share:.1f} %" for share in (np.mean(own), *k)]
+        figures = [f"{100 * outliers:.0f} %", loss, *shares, *(f"{v:.2f}" for v in rms)]
+        rows.append([f"{n_people} x {per_person}", *figures])
+    columns = ["people x segments", "wrong", "loss", "k0 of people", "k0", "k1", "k2", "a person's step, cm"]
+    about = f"{n_runs} simulated calibrations: share of 95 % intervals with the truth; RMS error of a typical step."
+    tables.write("calibration_coverage", [*columns, "the population's step, cm"], rows, about)
 
 
-def speed() -> None:
+def speed(tables: Tables) -> None:
     """Time and memory."""
     rng = np.random.default_rng(3)
-    sums, prior, _, _ = simulated(rng, 15, 33, contexts=6)
-    estimate_parameters(sums, prior)
-    taken = []
-    for loss in ("none", "gnc"):
-        began = time.process_time()
-        e = estimate_parameters(sums, prior, loss)
-        taken.append(f"{loss} {time.process_time() - began:.3f} s ({e.n_iterations} iterations)")
-    print(f"\n15 people x 6 contexts x 33 segments, all variances estimated: {', '.join(taken)}")
-    print("| segments | people | s of processor | iterations | us a segment | peak memory GiB |")
-    print("|---|---|---|---|---|---|")
+    estimate_parameters(*simulated(rng, 15, 33, contexts=6)[:2])  # loads what is loaded once
+    rows = []
     for n in (1000, 10_000, 100_000, 1_000_000):
         people = min(max(n // 200, 5), 5000)
         sums, prior, _, _ = simulated(rng, people, n // people // 6, contexts=6)
@@ -307,31 +299,28 @@ def speed() -> None:
         e = estimate_parameters(sums, prior)
         seconds = time.process_time() - began
         memory = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 2**20
-        print(
-            f"| {len(sums)} | {people} | {seconds:.2f} | {e.n_iterations} | {1e6 * seconds / len(sums):.1f} | "
-            f"{memory:.2f} |",
-            flush=True,
-        )
+        figures = [f"{seconds:.2f}", e.n_iterations, f"{1e6 * seconds / len(sums):.1f}", f"{memory:.2f}"]
+        rows.append([len(sums), people, *figures])
+    columns = ["segments", "people", "s of processor", "iterations", "µs a segment", "peak memory GiB"]
+    tables.write("calibration_speed", columns, rows, "6 contexts, 18 parameters, all variances estimated.")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", default=["halves", "measure", "coverage", "speed"])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    arguments = parser.parse_args()
+    arguments = options(__doc__, "halves", "measure", "coverage", "speed").parse_args()
+    tables = Tables.of(__spec__.name, arguments)
     if {"halves", "measure"} & set(arguments.parts):
         found = {site: walks(arguments.data, site) for site in ("humolire", "ms_indoor")}
         sites = {site: cut(own) for site, own in found.items()}
         if "halves" in arguments.parts:
-            halves(sites)
-            half_of_the_walks(sites["humolire"], sites["ms_indoor"])
-            one_corridor(sites)
+            halves(tables, sites)
+            half_of_the_walks(tables, sites["humolire"], sites["ms_indoor"])
+            one_corridor(tables, sites)
         if "measure" in arguments.parts:
-            measures(found)
+            measures(tables, found)
     if "coverage" in arguments.parts:
-        coverage()
+        coverage(tables)
     if "speed" in arguments.parts:
-        speed()
+        speed(tables)
 
 
 if __name__ == "__main__":

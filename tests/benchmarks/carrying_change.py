@@ -1,6 +1,6 @@
 """A walk in which the phone goes from the hand into the pocket, back, and into the swinging hand: docs/images.
 
-usage: .venv/bin/python tests/benchmarks/carrying_change.py [--out docs/images/carrying_change.svg] [--walks 10]
+usage: python -m tests.benchmarks.carrying_change [--out docs/images/carrying_change.svg] [--walks 10]
 
 Simulated, because no public recording has such a change on a walk of known path. The figure has one walk with the
 default recipe and with the direction of the device taken for that of the person; the table has errors of ten walks. The
@@ -9,7 +9,6 @@ pocket is tighter than the simulator's usual one, which the classifier takes for
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from matplotlib.figure import Figure
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
+from tests.benchmarks.common import ROOT, Tables, median_and, options
 
 RIGHT = np.pi / 2
 LEGS = [
@@ -37,7 +37,7 @@ LEGS = [
     Leg("walking", distance_m=30.0, turn_rad=-RIGHT),
 ]
 PLACES = {**CARRYING, "pocket": replace(CARRYING["pocket"], wobble_roll_rad=0.1, wobble_twist_rad=0.05)}
-# One for each carrying mode: told apart by the dashes, too.
+# One for each carrying mode, with dashes of its own.
 MODE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072b2", "linestyle": "-"},
     {"color": "#777777", "linestyle": ":"},
@@ -92,8 +92,8 @@ def draw(walk: pdr.Recording, tracks: dict[str, pdr.Track]) -> Figure:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--out", type=Path, default=Path("docs/images/carrying_change.svg"))
+    parser = options(__doc__)
+    parser.add_argument("--out", type=Path, default=ROOT / "docs" / "images" / "carrying_change.svg")
     parser.add_argument("--walks", type=int, default=10)
     args = parser.parse_args()
     ends: dict[str, list[float]] = {}
@@ -101,8 +101,13 @@ def main() -> None:
         walk = simulate(LEGS, seed=seed, carrying=PLACES)
         for name, track in both(walk).items():
             ends.setdefault(name, []).append(float(errors_m(walk, track)[-1]))
-    for name, found in ends.items():
-        print(f"{name}: end error m median {np.median(found):.1f}, largest {np.max(found):.1f} (n = {len(found)})")
+    rows = [[name, len(found), median_and(found, 100, 1)] for name, found in ends.items()]
+    Tables.of(__spec__.name, args).write(
+        "carrying_change",
+        ["heading", "walks", "error of the end m: median, largest"],
+        rows,
+        "Simulated walks of 160 m.",
+    )
 
     walk = simulate(LEGS, seed=1, carrying=PLACES)
     mpl.rcParams["svg.hashsalt"] = "pdr_filter"

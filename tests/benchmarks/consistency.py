@@ -1,7 +1,7 @@
 # ruff: noqa: N806 - the letters of the equations
 """Is the filter's covariance the size of its errors: on walks drawn from its own model, on real walks, over a day.
 
-usage: .venv/bin/python tests/benchmarks/consistency.py [simulated] [real] [day] [--data ../shared/data] [--walks 200]
+usage: python -m tests.benchmarks.consistency [simulated] [real] [day] [--data ../shared/data]
 
 simulated: walks of mixed contexts, as `Step`s, `WindowContext`s and `PositionFix`es, drawn from what the default
 recipe's tracker assumes: contexts by its transitions, lengths by each mode's fit, the person's scale and the heading's
@@ -13,7 +13,7 @@ fixes. Rows below "the filter's own model" leave it, by what their names say.
 real: the share of waypoints of humolire and ms_indoor in the 50 % and 95 % ellipses of the default recipe. The truth is
 turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count; what
 waypoints are uncertain by, 0.7 m (humolire) and 1 m (ms_indoor) along each axis, is added to the ellipses. That turning
-tells the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
+gives the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
 as fixes.
 
 day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
@@ -21,58 +21,55 @@ day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what th
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
 
 import numpy as np
-from accuracy import aligned
 from scipy.stats import chi2
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.filter import imm
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE
+from pdr_filter.filter.pedestrian import PedestrianState, present_position
 from pdr_filter.filter.step_length import length_and_jacobian
-from pdr_filter.filter.tracking import Tracker, TrackerState, present_position
+from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.fixes import PositionFix
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, options, recordings
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
-# tells 87 % of the windows right; the shipped model gets 86 to 97 % of people left out.
+# classifies 87 % of the windows correctly; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
 # Along each axis: humolire's are ticks on a floor passed within a step, ms_indoor's are "good to a metre or so".
 WAYPOINT_STD_M = {"humolire": 0.7, "ms_indoor": 1.0}
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
 
-def own_model(context: str | None = None) -> Tracker:
-    """The default recipe's tracker with evidence that means what it says; of one known context if one is named.
+def own_model(context: str | None = None) -> PedestrianModel:
+    """The default recipe's model with evidence that means what it says; of one known context if one is named.
 
     Evidence is not tempered, the prior divided out whole, and a detected step says nothing: windows of the simulated
     classifier do not overlap, and steps are drawn in every context alike.
     """
-    tracker = replace(
-        pdr.recipes.default().tracker,
+    model = replace(
+        pdr.recipes.default().model,
         evidence_exponent=1.0,
         prior_exponent=1.0,
         evidence_floor=1e-12,
         step_log_odds_stationary=0.0,
     )
     if context is None:
-        return tracker
-    return replace(
-        tracker, modes=tuple(m for m in tracker.modes if m.context == context), transition_prob=np.ones((1, 1))
-    )
+        return model
+    return replace(model, modes=tuple(m for m in model.modes if m.context == context), transition_prob=np.ones((1, 1)))
 
 
 @dataclass(frozen=True)
@@ -116,26 +113,26 @@ def root(cov: FloatArray) -> FloatArray:
 
 
 def simulated_walk(
-    tracker: Tracker, n_steps: int, rng: np.random.Generator, *, anew: bool = False, overlapping: bool = False
+    model: PedestrianModel, n_steps: int, rng: np.random.Generator, *, redrawn: bool = False, overlapping: bool = False
 ) -> Walk:
-    """A walk of the tracker's own model.
+    """A walk of the model.
 
     Parameters
     ----------
-    anew
-        The parameters of each length model are off at every step anew, not once a person, as the filter has it.
+    redrawn
+        The parameters of each length model are drawn at every step, not once a person, as the filter has it.
     overlapping
         Windows of 2 s end every second, so that neighbours share half of their noise; else every second step has one
         of its own.
     """
-    noise, modes = tracker.noise, tracker.modes
+    noise, modes = model.noise, model.modes
     offset = noise.initial_heading_offset_std_rad * rng.normal()
     scale = noise.log_scale_std * rng.normal()
     fits = [m.step_length for m in modes]
     roots = [root(f.theta_cov) for f in fits]
     off = [r @ rng.normal(size=len(r)) for r in roots]
-    into = np.cumsum(tracker.transition_prob, axis=1)
-    mode = int(np.searchsorted(np.cumsum(tracker.init().mode_prob), rng.random()))
+    into = np.cumsum(model.transition_prob, axis=1)
+    mode = int(np.searchsorted(np.cumsum(model.long_run_mode_prob), rng.random()))
     cadence_hz, heading_rad, time_s = rng.uniform(1.7, 2.1), 0.0, 0.0
     position_m = np.zeros(2)
     steps, states, chosen = [], [], []
@@ -148,7 +145,7 @@ def simulated_walk(
         steps.append(step)
         chosen.append(mode)
         fit = fits[mode]
-        if anew:
+        if redrawn:
             off[mode] = roots[mode] @ rng.normal(size=len(fit.theta))
         length_m, jacobian = length_and_jacobian(fit.model, step, fit.theta)
         length_m = max(float(length_m), 0.0) + float(jacobian @ off[mode]) + fit.residual_std_m * rng.normal()
@@ -195,7 +192,7 @@ def normalised(error: FloatArray, cov: FloatArray) -> float:
 
 
 def filtered_errors(
-    tracker: Tracker,
+    model: PedestrianModel,
     walk: Walk,
     rng: np.random.Generator,
     check_every: int,
@@ -207,19 +204,21 @@ def filtered_errors(
 
     A check comes before the fix of its step. A late fix is of a time before, and its NIS is left out.
     """
-    state, found, nis, right = tracker.init(), [], [], 0
+    tracker = ImmTracker(model)
+    state, found, nis, right, rejected = tracker.init(), [], [], 0, 0
     windows = list(walk.windows)
     times = np.array([s.time_s for s in walk.steps])
     for k, step in enumerate(walk.steps):
         while windows and windows[0].time_s <= step.detected_time_s:
             state, _ = tracker.on_window(state, windows.pop(0))
-        state, updates = tracker.on_step(state, step)
-        right += int(updates[-1].mode_prob.argmax() == walk.modes[k])
+        state, output = tracker.on_step(state, step)
+        known = state.pedestrian
+        right += int(output.updates[-1].mode_prob.argmax() == walk.modes[k])
         if (k + 1) % check_every == 0:
-            x, P = imm.combine(state.mean, state.cov, state.mode_prob)
+            x, P = imm.combine(known.mean, known.cov, known.prob)
             error = walk.state[k] - x
             seen = P.copy()
-            seen[:2, :2] = present_position(state)[1]
+            seen[:2, :2] = present_position(known)[1]
             found.append(
                 (normalised(error[:2], seen[:2, :2]), normalised(error[:2], P[:2, :2]), normalised(error, seen))
             )
@@ -227,16 +226,17 @@ def filtered_errors(
             of_s = step.time_s - late_s
             truth_m = np.array([np.interp(of_s, times, walk.state[:, i]) for i in (0, 1)])
             fix = PositionFix(of_s, truth_m + fix_std_m * rng.normal(size=2), fix_std_m**2 * np.eye(2), step.time_s)
-            position_m, cov_m2 = present_position(state)
+            position_m, cov_m2 = present_position(known)
             if late_s == 0:
                 nis.append(normalised(fix.position_m - position_m, cov_m2 + fix.cov_m2))
-            state, _ = tracker.on_fix(state, fix)
-    return found, nis, right / len(walk.steps), state.rejected_fixes
+            state, outcome, _ = tracker.on_fix(state, fix)
+            rejected += outcome == "rejected"
+    return found, nis, right / len(walk.steps), rejected
 
 
 def errors_of_walks(
-    drawn_from: Tracker,
-    tracker: Tracker,
+    drawn_from: PedestrianModel,
+    model: PedestrianModel,
     n_walks: int,
     n_steps: int,
     *,
@@ -245,15 +245,15 @@ def errors_of_walks(
     fix_every: int = 60,
     fix_std_m: float = 3.0,
     late_s: float = 0.0,
-    anew: bool = False,
+    redrawn: bool = False,
     overlapping: bool = False,
 ) -> Errors:
-    """Errors of the tracker on walks drawn from another (or the same) one."""
+    """Errors of the IMM of a model on walks drawn from another (or the same) one."""
     nees, nis, right, rejected = [], [], [], 0
     for n in range(n_walks):
         rng = np.random.default_rng([seed, n])
-        walk = simulated_walk(drawn_from, n_steps, rng, anew=anew, overlapping=overlapping)
-        found, of_fixes, share, lost = filtered_errors(tracker, walk, rng, check_every, fix_every, fix_std_m, late_s)
+        walk = simulated_walk(drawn_from, n_steps, rng, redrawn=redrawn, overlapping=overlapping)
+        found, of_fixes, share, lost = filtered_errors(model, walk, rng, check_every, fix_every, fix_std_m, late_s)
         nees.append(found)
         nis.append(of_fixes)
         right.append(share)
@@ -268,26 +268,26 @@ def bounds(dof: int, n: int, prob: float = 0.95) -> tuple[float, float]:
     return float(low), float(high)
 
 
-def line(name: str, errors: Errors) -> str:
+def line(name: str, errors: Errors) -> list[str]:
     """One row of the table: mean, checks inside the bounds, for each of the errors."""
     n, cells = len(errors.position), []
     for values, dof in ((errors.position, 2), (errors.position_linear, 2), (errors.state, 4)):
         low, high = bounds(dof, n)
         mean = values.mean(axis=0)
         inside = int(((mean >= low) & (mean <= high)).sum())
-        cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}/{len(mean)}")
+        cells.append(f"{mean.mean():.2f} ({mean.min():.2f} to {mean.max():.2f}), {inside}")
     nis = "-"
     if errors.fixes.size:
         # of a mixture the NIS has the mean of the chi-square, and longer tails
         low, high = bounds(2, errors.fixes.size)
         sampled = 1.96 * errors.fixes.mean(axis=1).std(ddof=1) / np.sqrt(n)
-        nis = f"{errors.fixes.mean():.2f} +- {sampled:.2f} ({low:.2f} to {high:.2f})"
-    return f"| {name} | {' | '.join(cells)} | {nis} | {errors.rejected} | {errors.right.mean():.2f} |"
+        nis = f"{errors.fixes.mean():.2f} ± {sampled:.2f} ({low:.2f} to {high:.2f})"
+    return [name, *cells, nis, str(errors.rejected), f"{errors.right.mean():.2f}"]
 
 
-def simulated(n_walks: int) -> None:
+def simulated(tables: Tables, n_walks: int = 200) -> None:
     """Row by row further from the model."""
-    exact, shipped = own_model(), pdr.recipes.default().tracker
+    exact, shipped = own_model(), pdr.recipes.default().model
     tempered = replace(exact, evidence_exponent=0.5, evidence_floor=shipped.evidence_floor)
     walking = own_model("walking")
     detected = np.where([m.context == "stationary" for m in exact.modes], np.exp(shipped.step_log_odds_stationary), 1.0)
@@ -296,11 +296,9 @@ def simulated(n_walks: int) -> None:
     alike = replace(exact, noise=replace(exact.noise, log_scale_std=0.01))
     low2, high2 = bounds(2, n_walks)
     low4, high4 = bounds(4, n_walks)
-    print(
-        f"{n_walks} walks of 300 steps. Bounds of a check: position {low2:.2f} to {high2:.2f}, "
-        f"state {low4:.2f} to {high4:.2f}.\n\n"
-        "| | NEES position: mean (of checks), inside | without shared errors | NEES state | NIS +- sampled (bounds) | "
-        "rejected | modes right |\n|---|---|---|---|---|---|---|"
+    about = (
+        f"{n_walks} walks of 300 steps, ten checks each: mean (lowest to highest check), checks inside their 95 % "
+        f"bounds, which are {low2:.2f} to {high2:.2f} (position) and {low4:.2f} to {high4:.2f} (state)."
     )
     rows = (
         ("walking alone, known", walking, walking, {}),
@@ -309,14 +307,18 @@ def simulated(n_walks: int) -> None:
         ("no fixes", exact, exact, {"fix_every": 0}),
         ("no fixes, and all people of one scale", alike, alike, {"fix_every": 0}),
         ("fixes 3 s late", exact, exact, {"late_s": 3.0}),
-        ("parameters off anew with every step", exact, exact, {"anew": True}),
+        ("parameters drawn with every step", exact, exact, {"redrawn": True}),
         ("overlapping windows, not tempered", exact, exact, {"overlapping": True}),
         ("overlapping windows, tempered", exact, tempered, {"overlapping": True}),
         ("all shipped settings", exact, shipped, {"overlapping": True}),
         ("all shipped settings, false steps as rare as it takes them", rare, shipped, {"overlapping": True}),
     )
-    for name, drawn_from, used, options in rows:
-        print(line(name, errors_of_walks(drawn_from, used, n_walks, 300, **options)), flush=True)
+    columns = ["", "NEES position", "without shared errors", "NEES state", "NIS (bounds)", "fixes rejected"]
+    found = [
+        line(name, errors_of_walks(drawn_from, used, n_walks, 300, **changed))
+        for name, drawn_from, used, changed in rows
+    ]
+    tables.write("consistency_simulated", [*columns, "right modes"], found, about)
 
 
 # --- real walks -----------------------------------------------------------------------------------------------------
@@ -335,10 +337,9 @@ def in_frame_of(track: pdr.Track, recording: pdr.Recording) -> Waypoints:
     """The waypoints, turned and moved so that those of the first 20 % of the path fit the track best."""
     points = recording.truth.waypoints
     reference = np.column_stack([points.east_m, points.north_m])
-    along_m = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(reference, axis=0), axis=1))])
-    first = along_m <= max(0.2 * along_m[-1], along_m[min(2, len(along_m) - 1)])
+    first = evaluate.first_of_path(reference)
     estimate, _ = at(track, np.asarray(points.time_s))
-    return Waypoints(np.asarray(points.time_s), aligned(estimate, reference, first), first)
+    return Waypoints(np.asarray(points.time_s), evaluate.fitted(reference, estimate, first), first)
 
 
 def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -358,18 +359,12 @@ def waypoint_errors(track: pdr.Track, truth: Waypoints, std_m: float) -> FloatAr
     return nees[~truth.first]
 
 
-def real(data: Path) -> None:
+def real(tables: Tables, data: Path) -> None:
     """Coverage by site: of the track alone, and of one that got the first waypoints, as turned, as fixes."""
-    print(
-        "| site | first 20 % as fixes | walks | waypoints | in 50 % ellipse | in 95 % ellipse, mean of walks | "
-        "squared error over predicted: mean, median |"
-    )
-    print("|---|---|---|---|---|---|---|")
-    levels = chi2.ppf([0.5, 0.95], 2)
+    levels, rows = chi2.ppf([0.5, 0.95], 2), []
     for site, std_m in WAYPOINT_STD_M.items():
-        alone, told = [], []
-        for path in sorted((data / site).glob("*.zip")):
-            recording = pdr.read(path)
+        alone, with_fixes = [], []
+        for recording in recordings(data, site):
             config = pdr.recipes.for_recording("default", recording)
             track = pdr.track(recording, config)
             if track.n_steps == 0:
@@ -380,16 +375,15 @@ def real(data: Path) -> None:
                 PositionFix(float(t), p, std_m**2 * np.eye(2))
                 for t, p in zip(truth.time_s[truth.first], truth.position_m[truth.first], strict=True)
             ]
-            told.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
-        for name, found in (("no", alone), ("yes", told)):
+            with_fixes.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
+        for name, found in (("no", alone), ("yes", with_fixes)):
             nees = np.concatenate(found)
             half, most = (100 * np.mean(nees <= level) for level in levels)
             per_walk = [100 * np.mean(e <= levels[1]) for e in found if len(e)]
-            print(
-                f"| {site} | {name} | {len(per_walk)} | {nees.size} | {half:.0f} % | {most:.0f} %, "
-                f"{np.mean(per_walk):.0f} % | {nees.mean():.2f}, {np.median(nees):.2f} |",
-                flush=True,
-            )
+            shares = [f"{half:.0f} %", f"{most:.0f} %"]
+            rows.append([site, name, len(per_walk), nees.size, *shares, f"{nees.mean():.2f}, {np.median(nees):.2f}"])
+    columns = ["site", "first 20 % as fixes", "walks", "waypoints", "in 50 %", "in 95 %"]
+    tables.write("consistency_real", [*columns, "squared error over predicted: mean, median"], rows)
 
 
 # --- a day ----------------------------------------------------------------------------------------------------------
@@ -429,59 +423,62 @@ def day(
         yield from until(clock_s, "stationary")
 
 
-def sizes(state: TrackerState) -> tuple[int, int, int, int]:
+Tracker = ImmTracker | WeightedTracker
+State = ImmState | WeightedState
+
+
+def sizes(state: State) -> tuple[int, int, int, int]:
     """Numbers in all arrays of the state, windows, rows of the trail, waiting steps."""
-    own = sum(v.size for f in fields(TrackerState) if isinstance(v := getattr(state, f.name), np.ndarray))
+    known = state.pedestrian
+    own = sum(v.size for f in fields(PedestrianState) if isinstance(v := getattr(known, f.name), np.ndarray))
     of_windows = sum(w.prob.size + w.training_prior.size + w.carrying_prob.size for w in state.windows)
-    return own + of_windows, len(state.windows), len(state.trail), len(state.pending)
+    waiting = state.pending if isinstance(state, WeightedState) else ()
+    return own + of_windows, len(state.windows), len(known.trail), len(waiting)
 
 
-def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[TrackerState, list[tuple[int, int, int, int]]]:
-    """The state at the end, and the sizes at every twentieth step."""
-    state, found = tracker.init(), []
+def run_day(tracker: Tracker, n_steps: int, day_s: float) -> tuple[State, list[tuple[int, int, int, int]], int]:
+    """The state at the end, the sizes at every twentieth step, and the number of rejected fixes."""
+    state, found, rejected = tracker.init(), [], 0
     for event in day(n_steps, day_s):
         if isinstance(event, PositionFix):
-            state, _ = tracker.on_fix(state, event)
+            state, outcome, _ = tracker.on_fix(state, event)
+            rejected += outcome == "rejected"
         elif isinstance(event, WindowContext):
             state, _ = tracker.on_window(state, event)
         else:
             state, _ = tracker.on_step(state, event)
-            if state.n_final % 20 == 0:
+            if state.pedestrian.n_final % 20 == 0:
                 found.append(sizes(state))
-    return state, found
+    return state, found, rejected
 
 
-def whole_day() -> None:
+def whole_day(tables: Tables) -> None:
     """Sizes of the first and last tenth, and the end."""
+    rows = []
     for weighting in ("imm", "wc"):
-        tracker = replace(pdr.recipes.default().tracker, weighting=weighting)
+        tracker = pdr.recipes.default().with_weighting(weighting).tracker
         begin = time.perf_counter()
-        state, found = run_day(tracker, 60_000, 86_400.0)
+        state, found, _ = run_day(tracker, 60_000, 86_400.0)
         took = time.perf_counter() - begin
+        known = state.pedestrian
         tenth = len(found) // 10
         first, last = (np.array(part).max(axis=0) for part in (found[:tenth], found[-tenth:]))
-        asymmetry = np.abs(state.cov - state.cov.swapaxes(-1, -2)).max() / np.abs(state.cov).max()
-        std = np.sqrt(np.diagonal(state.cov, axis1=1, axis2=2).max(axis=0))
-        print(
-            f"{weighting}: {state.n_final} steps in {took:.0f} s with the measuring; largest state (numbers, windows, "
-            f"trail, waiting) {first.tolist()} in the first tenth, {last.tolist()} in the last; at the end smallest "
-            f"eigenvalue {np.linalg.eigvalsh(state.cov).min():.1e}, asymmetry {asymmetry:.0e}, probabilities sum to "
-            f"1 {state.mode_prob.sum() - 1:+.0e}, heading std {std[HEADING_OFFSET]:.2f} rad, scale std "
-            f"{std[LOG_SCALE]:.3f}, "
-            f"{state.rejected_fixes} fixes rejected",
-            flush=True,
-        )
+        asymmetry = np.abs(known.cov - known.cov.swapaxes(-1, -2)).max() / np.abs(known.cov).max()
+        std = np.sqrt(np.diagonal(known.cov, axis1=1, axis2=2).max(axis=0))
+        of_state = [", ".join(map(str, sizes_of)) for sizes_of in (first, last)]
+        at_end = [f"{np.linalg.eigvalsh(known.cov).min():.1e}", f"{asymmetry:.0e}", f"{std[HEADING_OFFSET]:.2f}"]
+        rows.append([weighting, known.n_final, f"{took:.0f}", *of_state, *at_end, f"{std[LOG_SCALE]:.3f}"])
+    columns = ["weighting", "steps", "s", "largest state, first tenth: numbers, windows, trail, waiting", "last tenth"]
+    columns += ["smallest eigenvalue", "asymmetry", "std of the heading rad", "std of the log scale"]
+    tables.write("consistency_day", columns, rows, "24 hours.")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", default=["simulated", "real", "day"])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    parser.add_argument("--walks", type=int, default=200)
-    args = parser.parse_args()
+    args = options(__doc__, "simulated", "real", "day").parse_args()
+    tables = Tables.of(__spec__.name, args)
+    run = {"simulated": simulated, "real": lambda to: real(to, args.data), "day": whole_day}
     for part in args.parts:
-        print(f"\n## {part}\n", flush=True)
-        {"simulated": lambda: simulated(args.walks), "real": lambda: real(args.data), "day": whole_day}[part]()
+        run[part](tables)
 
 
 if __name__ == "__main__":

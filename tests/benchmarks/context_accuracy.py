@@ -1,6 +1,6 @@
 """Context probabilities of people left out: classifiers side by side, and a reliability diagram.
 
-usage: .venv/bin/python tests/benchmarks/context_accuracy.py [--data ../shared/data] [--figure FILE.svg]
+usage: python -m tests.benchmarks.context_accuracy [--data ../shared/data] [--figure FILE.png]
 
 One of the 12 MotionSense people is left out at a time; every classifier is calibrated on people left out among the
 other eleven. Windows of 2 s, 1 s apart, each judged alone. The rows learn from MotionSense alone, the last one from all
@@ -10,7 +10,6 @@ people with other phones, fitted on everybody in training; ubicomp13 is never tr
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -20,48 +19,31 @@ import matplotlib as mpl
 import numpy as np
 from joblib import Parallel, delayed
 from matplotlib.figure import Figure
-from rich.console import Console
-from rich.table import Table
-from sklearn.ensemble import RandomForestClassifier
 
-from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.probability_calibration import reliability
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.features.windows import FEATURE_SETS
-from pdr_filter.training.contexts import (
-    PLANS,
-    Fitted,
-    LabelledWindows,
-    Plan,
-    fit,
-    fit_blend,
-    fit_relevance_vectors,
-    fit_softmax,
-    labelled_windows,
-    score,
-)
+from pdr_filter.training.contexts import PLANS, ContextPlan, labelled_windows
+from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
+from pdr_filter.training.protocol import LabelledWindows, recordings_of, score
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
+from tests.benchmarks.common import Tables, options
 
 WALKING = CONTEXTS.index("walking")
 SHIPPED = {plan.name: plan for plan in PLANS}
 ALONE = replace(SHIPPED["context"], datasets=("motionsense",))
 
 
-def fit_large_forest(Z: FloatArray, y: Any, weight: FloatArray) -> tuple[Forest, tuple[str, ...]]:  # noqa: N803
-    """100 trees with leaves of 20 windows."""
-    forest = RandomForestClassifier(100, min_samples_leaf=20, random_state=0, n_jobs=1).fit(Z, y, sample_weight=weight)
-    return Forest.from_sklearn(forest), tuple(str(c) for c in forest.classes_)
-
-
 PAPER = replace(
     SHIPPED["context_martinelli_rvm"], datasets=("motionsense",), feature_names=martinelli.WITHOUT_MAGNETOMETER
 )
-ROWS: dict[str, Plan] = {
+ROWS: dict[str, ContextPlan] = {
     "logistic regression": replace(ALONE, machine_fit=fit_softmax),
     "RVM, RBF kernel": replace(ALONE, machine_fit=fit_relevance_vectors),
     "RVM, linear": replace(ALONE, machine_fit=partial(fit_relevance_vectors, kernel="linear", window_weight=0.03)),
-    "random forest, 100 trees": replace(ALONE, machine_fit=fit_large_forest),
+    "random forest, 100 trees": replace(ALONE, machine_fit=partial(fit_forest, n_trees=100)),
     "logistic regression + boosting": replace(ALONE, machine_fit=fit_blend),
     "the paper's features, RVM": PAPER,
     "all sites: LR + boosting": SHIPPED["context"],
@@ -73,34 +55,23 @@ IN_FIGURE = ("logistic regression", "RVM, RBF kernel", "all sites: LR + boosting
 class Problem:
     """What a plan learns from and is scored on."""
 
-    plan: Plan
-    features: FloatArray
-    windows: LabelledWindows
-    use: BoolArray
+    plan: ContextPlan
+    windows: LabelledWindows  # all, with the plan's features
+    use: BoolArray  # (W,) those that the plan learns from
 
-    def fitted(self, rows: BoolArray) -> Fitted:
-        rows = rows & self.use
-        y, person = self.windows.context[rows], self.windows.person[rows]
-        return fit(self.plan.machine_fit, CONTEXTS, self.features[rows], y, person, np.ones(len(y)))
+    def fitted(self, rows: BoolArray) -> ContextModel:
+        return self.plan.fit(self.windows.part(rows & self.use))
 
 
 def of_person(problem: Problem, test: BoolArray) -> FloatArray:
     """Probabilities (W, 6) of the windows to test by a model that has not seen their person."""
-    return problem.fitted(~test).prob(problem.features[test])
+    return problem.fitted(~test).probabilities(problem.windows.features[test])
 
 
 def in_pockets(data: Path, windows: LabelledWindows) -> BoolArray:
     """Windows of ubicomp13 inside the walk and in a trouser pocket."""
     pocket = {path.stem for path in data.glob("ubicomp13/*pocket*.zip") if "shirt" not in path.stem}
     return np.isin(windows.recording, sorted(pocket))
-
-
-def table_of(rows: dict[str, dict[str, Any]]) -> Table:
-    columns = ("accuracy", "worst person", "macro recall", "log loss", "Brier", "ECE", "ubicomp13 recall", "log loss ")
-    table = Table("people left out", *columns, box=None)
-    for name, row in rows.items():
-        table.add_row(name, *(f"{row[c]:.3f}" for c in columns))
-    return table
 
 
 def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
@@ -123,14 +94,13 @@ def draw(probs: dict[str, tuple[FloatArray, BoolArray]], path: Path) -> None:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--figure", type=Path)
     parser.add_argument("--only", nargs="*", help="rows of these names")
     args = parser.parse_args()
     datasets = sorted({d for plan in PLANS for d in plan.datasets} | {"ubicomp13"})
-    paths = [p for d in datasets for p in sorted((args.data / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
-    windows = {name: labelled_windows(paths, None, name) for name in sorted(FEATURE_SETS)}
+    files = recordings_of(args.data, datasets)
+    windows = {name: labelled_windows(files, feature_set=name) for name in sorted(FEATURE_SETS)}
 
     rows: dict[str, dict[str, Any]] = {}
     probs: dict[str, tuple[FloatArray, BoolArray]] = {}
@@ -138,9 +108,8 @@ def main() -> None:
         if args.only and name not in args.only:
             continue
         w = windows[plan.feature_set]
-        names = FEATURE_SETS[plan.feature_set]
-        features = w.features[:, [names.index(n) for n in plan.feature_names]]
-        problem = Problem(plan, features, w, plan.rows(w))
+        features = plan.features(w)
+        problem = Problem(plan, replace(w, features=features), plan.rows(w))
         scored = w.dataset == "motionsense"
         people = [w.person == p for p in np.unique(w.person[scored])]
         found = Parallel(n_jobs=-1)(delayed(of_person)(problem, test) for test in people)
@@ -150,7 +119,7 @@ def main() -> None:
         result = score(w.context[scored], prob[scored])
         correct = np.array(CONTEXTS)[prob.argmax(axis=1)] == w.context
         pocket = in_pockets(args.data, w)
-        elsewhere = problem.fitted(np.ones(len(w.context), bool)).prob(features[pocket])
+        elsewhere = problem.fitted(np.ones(len(w.context), bool)).probabilities(features[pocket])
         rows[name] = {
             "accuracy": result["accuracy"],
             "worst person": min(correct[test].mean() for test in people),
@@ -158,12 +127,16 @@ def main() -> None:
             "log loss": result["log_loss"],
             "Brier": result["brier"],
             "ECE": result["expected_calibration_error"],
-            "ubicomp13 recall": np.mean(elsewhere.argmax(axis=1) == WALKING),
-            "log loss ": -np.log(np.maximum(elsewhere[:, WALKING], 1e-15)).mean(),
+            "ubicomp13: recall": np.mean(elsewhere.argmax(axis=1) == WALKING),
+            "log loss there": -np.log(np.maximum(elsewhere[:, WALKING], 1e-15)).mean(),
         }
         probs[name] = prob[scored], correct[scored]
-        print(name, rows[name], {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
-    Console(width=150).print(table_of(rows))
+        print(name, {c: round(r, 3) for c, r in result["recall"].items()}, flush=True)
+    columns = list(next(iter(rows.values())))
+    tables = Tables.of(__spec__.name, args)
+    table = [[name, *(f"{row[c]:.3f}" for c in columns)] for name, row in rows.items()]
+    about = "12 people of MotionSense, each left out; walking of ubicomp13 in trouser pockets."
+    replace(tables, folder=None if args.only else tables.folder).write("contexts", ["", *columns], table, about)
     if args.figure:
         draw({name: probs[name] for name in IN_FIGURE if name in probs}, args.figure)
 

@@ -1,10 +1,10 @@
 """How far to divide the training prior out of the context probabilities, and how much to temper them.
 
-usage: .venv/bin/python tests/benchmarks/context_evidence.py [--data ../shared/data] [--cache FOLDER] [--every 3]
+usage: python -m tests.benchmarks.context_evidence [--data ../shared/data] [--cache FOLDER] [--every 3]
 
 The filter's own steps, windows and transitions, once for each choice of the two exponents, on people and sites that
 the classifier has not seen: the walks through several contexts of `mixed_contexts.py` (MotionSense, people left out in
-three folds), tyrex left out as a whole, and every third walk of ubicomp13, of which no model has seen any. Prints the
+three folds), tyrex left out as a whole, and every third walk of ubicomp13, of which no model has seen any. The
 accuracy over the windows of the mixed walks (inside one context, with a step) beside that of the classifier's arg-max,
 the log loss at their steps, the recall of each context; and for the others, who walk and run only, the mean
 probability of walking at its steps, and how many of them it is the most probable.
@@ -12,16 +12,9 @@ probability of walking at its steps, and how many of them it is the most probabl
 
 from __future__ import annotations
 
-import argparse
-import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
-from mixed_contexts import N_FOLDS, N_WALKS, cached, context_at, mixed_walk, model_without, tracked, windows_of
 
 import pdr_filter as pdr
 from pdr_filter.config import Config
@@ -30,9 +23,20 @@ from pdr_filter.recipes import default, for_recording, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event
-from pdr_filter.training.contexts import label_of
+from pdr_filter.training.protocol import label_of
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
+from tests.benchmarks.common import Tables, options, paths, recordings
+from tests.benchmarks.mixed_contexts import (
+    N_FOLDS,
+    N_WALKS,
+    cached,
+    context_at,
+    mixed_walk,
+    model_without,
+    tracked,
+    windows_of,
+)
 
 CHOICES = tuple((e, p) for e in (0.5, 0.7, 1.0) for p in (0.0, 0.2, 0.5, 1.0))
 STATIONARY, WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
@@ -58,10 +62,9 @@ def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sense
                 found["mixed"].append(sensed(walk, with_context_model(default(walk.subject), model)))
     of_tyrex = tuple(np.unique(windows.person[windows.dataset == "tyrex"]))
     model = cached(cache, "model_tyrex", lambda: model_without(windows, of_tyrex))
-    for path in sorted((data / "tyrex").glob("*.zip")):
-        walk = pdr.read(path)
+    for walk in recordings(data, "tyrex"):
         found["tyrex"].append(sensed(walk, with_context_model(for_recording("default", walk), model)))
-    for path in sorted((data / "ubicomp13").glob("*.zip"))[::every]:
+    for path in paths(data, "ubicomp13")[::every]:
         walk = pdr.read(path)
         name = "ubicomp13 pocket" if "pocket" in path.stem else "ubicomp13 hand, bag"
         found[name].append(sensed(walk, for_recording("default", walk)))
@@ -71,8 +74,8 @@ def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sense
 def at_steps(walk: Sensed, evidence_exponent: float, prior_exponent: float) -> tuple[FloatArray, FloatArray]:
     """Times (K,) and mode probabilities (K, C) of the steps."""
     _, config, events = walk
-    tracker = replace(config.tracker, evidence_exponent=evidence_exponent, prior_exponent=prior_exponent)
-    updates = tracked(events, replace(config, tracker=tracker), "imm")
+    config = config.with_model(evidence_exponent=evidence_exponent, prior_exponent=prior_exponent)
+    updates = tracked(events, config, "imm")
     return np.array([u.step.time_s for u in updates]), np.array([u.mode_prob for u in updates]).reshape(
         -1, len(CONTEXTS)
     )
@@ -93,13 +96,12 @@ def window_answers(walk: Sensed, time_s: FloatArray, prob: FloatArray) -> tuple[
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
     parser.add_argument("--every", type=int, default=3, help="so many walks of ubicomp13 are one")
     args = parser.parse_args()
     walks = walks_of(args.data, args.cache, args.every)
-    print({name: len(found) for name, found in walks.items()}, flush=True)
+    rows, others = [], []
     for evidence_exponent, prior_exponent in CHOICES:
         truth, highest, answer, losses = [], [], [], []
         for walk in walks["mixed"]:
@@ -109,9 +111,7 @@ def main() -> None:
             y = np.array([context_at(walk[0], t) for t in time_s])
             losses.append(-np.log(np.maximum(prob[y >= 0, y[y >= 0]], 1e-6)).mean())
         y, first, filtered = (np.concatenate(column) for column in (truth, highest, answer))
-        recall = ", ".join(
-            f"{CONTEXTS[c]} {(filtered[y == c] == c).mean():.2f}" for c in np.unique(y) if c != STATIONARY
-        )
+        recall = ", ".join(f"{(filtered[y == c] == c).mean():.2f}" for c in np.unique(y) if c != STATIONARY)
         others = []
         for name, found in walks.items():
             if name == "mixed":
@@ -121,13 +121,14 @@ def main() -> None:
                 time_s, prob = at_steps(walk, evidence_exponent, prior_exponent)
                 of_walking.append(prob[[context_at(walk[0], t) == WALKING for t in time_s]])
             prob = np.concatenate(of_walking)
-            others.append(f"{name} {prob[:, WALKING].mean():.3f}, {(prob.argmax(axis=1) == WALKING).mean():.3f}")
-        print(
-            f"evidence {evidence_exponent}, prior {prior_exponent}: accuracy {(filtered == y).mean():.4f} (arg-max "
-            f"{(first == y).mean():.4f}), log loss {np.mean(losses):.3f}, recall {recall}; "
-            f"walking: {'; '.join(others)}",
-            flush=True,
-        )
+            others.append(f"{prob[:, WALKING].mean():.2f}, {(prob.argmax(axis=1) == WALKING).mean():.2f}")
+        figures = [f"{(first == y).mean():.3f}", f"{(filtered == y).mean():.3f}", f"{np.mean(losses):.3f}", recall]
+        rows.append([evidence_exponent, prior_exponent, *figures, *others])
+        print(rows[-1], flush=True)
+    columns = ["evidence", "prior", "accuracy of the arg-max", "accuracy", "log loss"]
+    columns += ["recall walking, upstairs, downstairs, running", *(f"{n} walking" for n in walks if n != "mixed")]
+    about = "Walking: mean probability at its steps, share of its steps of which it is the most probable."
+    Tables.of(__spec__.name, args).write("context_evidence", columns, rows, about)
 
 
 if __name__ == "__main__":

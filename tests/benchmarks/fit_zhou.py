@@ -1,6 +1,6 @@
 """Parameters of Zhou's two-segment model M7 for the `zhou2019` recipe; the paper prints none.
 
-usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/fit_zhou.py [--data ../shared/data]
+usage: python -m tests.benchmarks.fit_zhou [--data ../shared/data]
 
 Carried phone: by displacement on the legs of humolire and ms_indoor, as in step_length_models.py, with the steps of the
 recipe's own detector. Foot: on pyshoe, the sum of the step lengths of each trial against the way of the foot between
@@ -9,12 +9,10 @@ its stances (motion capture); every other trial is left out and scored.
 
 from __future__ import annotations
 
-import argparse
 from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from step_length_models import MODELS, Leg, displacement, fit, legs_between_landmarks, summed
 
 import pdr_filter as pdr
 from pdr_filter.papers.zhou2019 import contexts as behaviours
@@ -22,12 +20,14 @@ from pdr_filter.papers.zhou2019 import steps as steps
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import options, paths
+from tests.benchmarks.step_length_models import MODELS, Leg, displacement, fit, legs_between_landmarks, summed
 
 
 def detected(recording: pdr.Recording, on_foot: bool) -> list[Step]:
     """Steps of the recipe's detector."""
     thresholds, detector = (behaviours.FOOT, steps.FOOT) if on_foot else (behaviours.CARRIED, steps.CARRIED)
-    sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds), steps=detector)
+    sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds=thresholds), steps=detector)
     return [event for event in sensed_events(sensing, recording) if isinstance(event, Step)]
 
 
@@ -54,12 +54,10 @@ def trial(path: Path) -> Leg:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
+    data = options(__doc__).parse_args().data
     m7, kim = MODELS["M7 k0 + k1/f + k2/sqrt f + k3 max"], MODELS["M6, Kim k cbrt(mean abs)"]
 
-    trials = [trial(p) for p in sorted((data / "pyshoe").glob("*.zip"))]
+    trials = [trial(p) for p in paths(data, "pyshoe")]
     trials = [t for t in trials if len(t.steps) > 4]
     for name, model in (("M7", m7), ("M1", MODELS["M1 k0 + k1 f"]), ("Kim", kim)):
         theta = fit(model, trials[::2], summed)
@@ -72,7 +70,7 @@ def main() -> None:
     legs = [
         leg
         for site in ("humolire", "ms_indoor")
-        for path in sorted((data / site).glob("*.zip"))
+        for path in paths(data, site)
         for leg in legs_between_landmarks(path, lambda recording: detected(recording, on_foot=False))
     ]
     for name, model in (("M7", m7), ("Kim", kim)):

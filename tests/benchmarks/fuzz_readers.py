@@ -1,17 +1,17 @@
 """Mutated files of every format: each must give a recording or a RecordingError, soon, and write nothing.
 
-usage: .venv/bin/python tests/benchmarks/fuzz_readers.py [--inputs 10000] [--forms own,phyphox:zip,...] [--seed 0]
+usage: python -m tests.benchmarks.fuzz_readers [--inputs 10000] [--forms own,phyphox:zip,...] [--seed 0]
 
 Each form is read in a process of its own, so that a crash of a C library would be seen, and which ends with a traceback
-where it hangs. Prints, for each form, how many were read with a report that fits, refused by the name of the file,
-slower than a second, and failed in any other way; the first failures are kept in a folder.
+where it hangs. The table has, for each form, how many were read with a report that fits, refused by the name of the
+file, failed in any other way, and slower than a second; the first failures are kept in a folder.
 """
 
 from __future__ import annotations
 
 import argparse
 import faulthandler
-import os
+import json
 import random
 import subprocess
 import sys
@@ -21,7 +21,8 @@ import warnings
 from collections import Counter
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
+from tests.benchmarks.common import Tables, options
+
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
@@ -76,22 +77,30 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
 
 
 def main() -> None:
-    """Print one line for each form."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """One row for each form."""
+    parser = options(__doc__)
     parser.add_argument("--inputs", type=int, default=10_000)
     parser.add_argument("--forms", default=",".join(FORMS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    for form in options.forms.split(","):
-        if options.here:
-            counts = fuzz(form, options.inputs, options.seed)
-            print(f"{form:24s} " + ", ".join(f"{what} {n}" for what, n in sorted(counts.items())), flush=True)
-            continue
-        command = [sys.executable, __file__, "--here", "--forms", form, "--inputs", str(options.inputs)]
-        ended = subprocess.run([*command, "--seed", str(options.seed)], check=False)
+    args, rows = parser.parse_args(), []
+    for form in args.forms.split(","):
+        if args.here:
+            print(json.dumps(fuzz(form, args.inputs, args.seed)))
+            return
+        command = [sys.executable, "-m", __spec__.name, "--here", "--forms", form, "--inputs", str(args.inputs)]
+        ended = subprocess.run([*command, "--seed", str(args.seed)], check=False, stdout=subprocess.PIPE, text=True)
         if ended.returncode:
-            print(f"{form:24s} ended with code {ended.returncode}", flush=True)
+            rows.append([f"`{form}`", args.inputs, "", "", f"ended with code {ended.returncode}", ""])
+            continue
+        counts = Counter(json.loads(ended.stdout))
+        read, refused, slow = (counts.pop(what, 0) for what in ("read", "refused", "slower than 1 s"))
+        print(form, dict(counts) or "", flush=True)
+        rows.append([f"`{form}`", args.inputs, read, refused, sum(counts.values()), slow])
+    tables = Tables.of(__spec__.name, args)
+    if args.forms != ",".join(FORMS):
+        tables = Tables(tables.command, None)
+    tables.write("fuzz_readers", ["form", "inputs", "read", "refused", "failed", "slower than 1 s"], rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Heading alone: how far the direction of walking drifts, whatever the step lengths are.
 
-usage: .venv/bin/python tests/benchmarks/heading_drift.py [--data ../shared/data] [--each] [--sources]
+usage: python -m tests.benchmarks.heading_drift [--data ../shared/data] [--sources]
 
 The error of a leg is its dead-reckoned direction (unit steps along the device's heading) less the direction between its
 ends; on tyrex a leg is a second of motion capture with more than 0.5 m, and the device's heading in it. One constant
@@ -9,12 +9,12 @@ recording, weighted with their lengths; the slope is the median of pairs (Theil 
 good to a metre or so: a leg of 10 m is uncertain by 6 degrees, a slope of a minute by 0.002 rad/s or more.
 
 before   integral of the angular rate about the vertical, less the bias of vqf's rest detector (2 deg/s, 0.5 m/s2)
-turn     the turn of the attitude, without bias: the other half of what `AttitudeEstimator` does
+twist    the twist of the attitude about the vertical, without bias
 now      `AttitudeEstimator()`
 
 Artificial biases are added to the angular rate about the mean vertical of the recording, with both signs. The
 error of the estimate is against the slope of the recording without (turn) plus the added one, so it has the slope's own
-error in it; normalised means divided by `yaw_bias_std_radps`.
+error in it; normalised means divided by `yaw_bias_std_radps`. With `--sources` each source of the bias alone too.
 
 What was chosen where: the scatter of still windows on motionsense (people who stand) and ubicomp13, the settings of
 straight walking and of the field on every second recording of ms_indoor (sorted by name), the probabilities of the
@@ -25,8 +25,6 @@ looked at for the twist and the weight of the field.
 
 from __future__ import annotations
 
-import argparse
-import time
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -38,6 +36,7 @@ import pdr_filter as pdr
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.bias import GyroBias
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
+from tests.benchmarks.common import Tables, options, paths
 
 FloatArray = NDArray[np.float64]
 ADDED_RADPS = (0.005, 0.02, 0.1)
@@ -111,7 +110,7 @@ def leg(start_s: float, end_s: float, east_m: FloatArray, north_m: FloatArray) -
 
 def walks(data: Path) -> list[Walk]:
     result: list[Walk] = []
-    for path in sorted(p for name in ("humolire", "ms_indoor", "tyrex") for p in (data / name).glob("*.zip")):
+    for path in (p for name in ("humolire", "ms_indoor", "tyrex") for p in paths(data, name)):
         recording = pdr.read(path)
         legs = legs_of(recording)
         if recording.gyroscope is None or len(legs) < 3:
@@ -200,79 +199,70 @@ def three(values: list[float]) -> str:
     return f"{np.median(values):.1f}, {np.mean(values):.1f}, {np.quantile(values, 0.9):.1f}"
 
 
-def print_drift(all_walks: list[Walk], each: bool) -> dict[str, Score]:
-    """Print errors without added bias; returns the scores of the turn alone by recording."""
-    turns: dict[str, Score] = {}
-    table: dict[str, list[tuple[str, Score, Score, Score]]] = {}
+def drift(tables: Tables, all_walks: list[Walk]) -> dict[str, Score]:
+    """Errors without added bias; the scores of the twist alone by recording."""
+    found: dict[str, list[tuple[str, Score, Score, Score]]] = {}
     for walk in all_walks:
-        turns[walk.name] = scored(walk, estimated(walk, SOURCES["nothing"][0], False, 0.0)[0])
+        twist = scored(walk, estimated(walk, SOURCES["nothing"][0], False, 0.0)[0])
         before = scored(walk, integrated(walk, 0.0))
         now = scored(walk, estimated(walk, GyroBias(), True, 0.0)[0])
-        table.setdefault(walk.group, []).append((walk.name, before, turns[walk.name], now))
-    print("| RMS error of direction, deg: median, mean, 90 % | n | before | turn | now | largest loss to turn |")
-    print("|---|---|---|---|---|---|")
-    for group, rows in table.items():
-        columns = [three([row[k].rms_deg for row in rows]) for k in (1, 2, 3)]
-        worse = max(now.rms_deg - turn.rms_deg for _, _, turn, now in rows)
-        print(f"| {group} | {len(rows)} | {' | '.join(columns)} | {worse:.1f} |")
-    print("\n| slope, deg/min: median, mean, 90 % of the magnitude | n | before | turn | now |\n|---|---|---|---|---|")
-    for group, rows in table.items():
-        columns = [three([60 * np.rad2deg(abs(row[k].slope_radps)) for row in rows]) for k in (1, 2, 3)]
-        print(f"| {group} | {len(rows)} | {' | '.join(columns)} |")
-    if each:
-        print("\n| recording | RMS before, turn, now, deg | slope before, turn, now, deg/min |\n|---|---|---|")
-        for name, *scores in (row for rows in table.values() for row in rows):
-            rms = ", ".join(f"{s.rms_deg:.1f}" for s in scores)
-            slopes = ", ".join(f"{60 * np.rad2deg(s.slope_radps):+.0f}" for s in scores)
-            print(f"| {name} | {rms} | {slopes} |")
-    print()
-    return turns
+        found.setdefault(walk.group, []).append((walk.name, before, twist, now))
+    rows = []
+    for group, scores in found.items():
+        columns = [three([s[k].rms_deg for s in scores]) for k in (1, 2, 3)]
+        worse = max(now.rms_deg - twist.rms_deg for _, _, twist, now in scores)
+        rows.append([group, len(scores), *columns, f"{worse:.1f}"])
+    columns = ["", "n", "before", "twist", "now", "largest loss, now against twist"]
+    about = "RMS error of the direction of legs in degrees: median, mean, 90th percentile over recordings."
+    tables.write("heading_drift", columns, rows, about)
+    rows = [
+        [name.rsplit("_", 1)[1], *(f"{60 * np.rad2deg(s.slope_radps):+.0f}" for s in scores)]
+        for name, *scores in found.get("tyrex", [])
+    ]
+    about = "Drift in degrees a minute, tyrex without magnets."
+    tables.write("heading_drift_room", ["scenario", "integral, rest bias", "twist", "twist less bias"], rows, about)
+    return {name: twist for scores in found.values() for name, _, twist, _ in scores}
 
 
-def print_added(all_walks: list[Walk], turns: dict[str, Score], sources: tuple[str, ...]) -> None:
-    for source in sources:
-        bias, with_field = SOURCES[source]
-        print(f"bias learnt from: {source}\n")
-        print("| added, rad/s | | n | RMS before, deg | now | error of the bias, rad/s | normalised: median, RMS |")
-        print("|---|---|---|---|---|---|---|")
-        for size in ADDED_RADPS:
-            groups: dict[str, list[tuple[float, float, float, float]]] = {}
-            for walk in all_walks:
-                for added in (-size, size):
-                    heading, drift, std = estimated(walk, bias, with_field, added)
-                    error = abs(drift - turns[walk.name].slope_radps - added)
-                    row = (scored(walk, integrated(walk, added)).rms_deg, scored(walk, heading).rms_deg, error, std)
-                    groups.setdefault(walk.group, []).append(row)
-            for group, rows in groups.items():
-                before, now, error, std = np.array(rows).T
-                normalised = f"{np.median(error / std):.1f}, {np.sqrt(np.mean((error / std) ** 2)):.1f}"
-                print(
-                    f"| {size} | {group} | {len(rows)} | {np.median(before):.0f} | {np.median(now):.1f} | "
-                    f"{np.median(error):.4f} | {normalised} |"
-                )
-        print()
+def added_bias(tables: Tables, all_walks: list[Walk], twists: dict[str, Score], source: str) -> None:
+    bias, with_field = SOURCES[source]
+    rows = []
+    for size in ADDED_RADPS:
+        groups: dict[str, list[tuple[float, float, float, float]]] = {}
+        for walk in all_walks:
+            for added in (-size, size):
+                heading, drift_radps, std = estimated(walk, bias, with_field, added)
+                error = abs(drift_radps - twists[walk.name].slope_radps - added)
+                row = (scored(walk, integrated(walk, added)).rms_deg, scored(walk, heading).rms_deg, error, std)
+                groups.setdefault(walk.group, []).append(row)
+        for group, found in groups.items():
+            before, now, error, std = np.array(found).T
+            normalised = f"{np.median(error / std):.1f}, {np.sqrt(np.mean((error / std) ** 2)):.1f}"
+            figures = [f"{np.median(before):.0f}", f"{np.median(now):.1f}", f"{np.median(error):.4f}", normalised]
+            rows.append([size, group, len(found), *figures])
+    columns = [
+        "added rad/s",
+        "",
+        "n",
+        "RMS before, degrees",
+        "now",
+        "error of the bias rad/s",
+        "error / std: median, RMS",
+    ]
+    name = "heading_drift_added" + (f"_{source.replace(' ', '_')}" if source != "all" else "")
+    tables.write(name, columns, rows, f"Medians; bias learnt from: {source}.")
 
 
-def print_cost(all_walks: list[Walk]) -> None:
-    hours = sum(len(w.time_s) for w in all_walks) / 360000
-    print("| | processor time for an hour of data, s |\n|---|---|")
-    start = time.process_time()
-    for walk in all_walks:
-        integrated(walk, 0.0)
-    print(f"| before | {(time.process_time() - start) / hours:.2f} |")
-    start = time.process_time()
-    for walk in all_walks:
-        estimated(walk, GyroBias(), True, 0.0)
-    print(f"| now | {(time.process_time() - start) / hours:.2f} |")
+def main() -> None:
+    parser = options(__doc__)
+    parser.add_argument("--sources", action="store_true", help="print each source of the bias alone")
+    args = parser.parse_args()
+    tables, found = Tables.of(__spec__.name, args), walks(args.data)
+    twists = drift(tables, found)
+    added_bias(tables, found, twists, "all")
+    for source in tuple(SOURCES)[1:-1] if args.sources else ():
+        added_bias(replace(tables, folder=None), found, twists, source)
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    parser.add_argument("--each", action="store_true", help="one line for each recording")
-    parser.add_argument("--sources", action="store_true", help="each source of the bias alone")
-    args = parser.parse_args()
-    found = walks(args.data)
-    turn_scores = print_drift(found, args.each)
-    print_added(found, turn_scores, tuple(SOURCES)[1:] if args.sources else ("all",))
-    print_cost(found)
+    main()

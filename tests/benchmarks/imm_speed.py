@@ -1,7 +1,7 @@
 # ruff: noqa: N803 - the letters of the equations
 """Speed of the IMM against filterpy's IMMEstimator in the same run: 6 modes, 4 states, a fix of the position each step.
 
-usage: .venv/bin/python tests/benchmarks/imm_speed.py [--pedestrians 10000]
+usage: python -m tests.benchmarks.imm_speed [--pedestrians 10000]
 
 One cycle is mix, predict, update, mode probabilities, combine. Both filter the same numbers; the largest difference of
 the estimates is printed, so that nobody compares a fast wrong answer with a slow right one.
@@ -9,19 +9,14 @@ the estimates is printed, so that nobody compares a fast wrong answer with a slo
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
-import tracemalloc
 from collections.abc import Callable
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter import imm_compiled
 from pdr_filter.filter import imm
+from tests.benchmarks.common import Tables, options
 
 N_MODES, N_STATES = 6, 4
 GROUP = 500
@@ -92,25 +87,11 @@ class Numpy:
         return np.atleast_2d(x)[-1]
 
 
-class Compiled:
-    """The same by `imm_compiled.cycle`; every pedestrian has a fix and a covariance of its own."""
-
-    def __init__(self, n: int | None, n_threads: int = 1) -> None:
-        self.state, self.n_threads = start(n), n_threads
-        self.R = R if n is None else np.tile(R, (n, 1, 1))
-
-    def step(self, z: np.ndarray) -> np.ndarray:
-        """Combined mean of the last pedestrian."""
-        z_ = z if self.R is R else np.tile(z, (len(self.R), 1))
-        found = imm_compiled.cycle(*self.state, M, F, Q, z_, H, self.R, n_threads=self.n_threads)
-        self.state = found[:3]
-        return np.atleast_2d(found.combined_mean)[-1]
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--pedestrians", type=int, default=10_000)
-    n = parser.parse_args().pedestrians
+    args = parser.parse_args()
+    n = args.pedestrians
     fixes = np.cumsum(np.random.default_rng(0).normal(size=(300, 2)), axis=0)
 
     oracle, mean_of_oracle = of_filterpy(), []
@@ -121,35 +102,18 @@ def main() -> None:
         mean_of_oracle.append(oracle.x.copy())
 
     filterpy_s = fastest_s(filterpy_step, fixes)
-    begin = time.perf_counter()
-    Compiled(None).step(fixes[0])
-    first_call_s = time.perf_counter() - begin
-
-    print(f"fastest step of each; one pedestrian: {len(fixes)} steps, {n} at once: {MANY_STEPS} steps")
-    print(f"{'':44s}{'a pedestrian':>14s}{'faster':>10s}{'apart':>9s}{'memory each':>13s}")
-    print(f"{'filterpy IMMEstimator':44s}{1e6 * filterpy_s:11.2f} us{1:9d}x")
+    rows = [["filterpy, IMMEstimator", f"{1e6 * filterpy_s:.1f}", 1, "-"]]
     for name, filters, size in (
-        ("imm, one pedestrian", Numpy(None), 1),
-        ("imm_compiled.cycle, one pedestrian", Compiled(None), 1),
-        (f"imm, {n} in groups of {GROUP}", Numpy(n), n),
-        (f"imm_compiled.cycle, {n}, 1 thread", Compiled(n), n),
-        (f"imm_compiled.cycle, {n}, 2 threads", Compiled(n, 2), n),
+        ("`pdr_filter.filter.imm`, one pedestrian", Numpy(None), 1),
+        (f"`pdr_filter.filter.imm`, {n} in groups of {GROUP}", Numpy(n), n),
     ):
         found: list[np.ndarray] = []
         steps = fixes if size == 1 else fixes[:MANY_STEPS]
         each_s = fastest_s(lambda z, f=filters, into=found: into.append(f.step(z)), steps) / size
         apart = np.abs(np.array(found) - np.array(mean_of_oracle[: len(steps)])).max()
-        tracemalloc.start()
-        filters.step(fixes[0])
-        together = min(size, GROUP) if isinstance(filters, Numpy) else size
-        used = tracemalloc.get_traced_memory()[1] / together
-        tracemalloc.stop()
-        print(f"{name:44s}{1e6 * each_s:11.2f} us{filterpy_s / each_s:9.0f}x{apart:9.0e}{used:11.0f} B")
-    state = sum(array.nbytes for array in start())
-    print(
-        f"state between two steps: {state} bytes a pedestrian; memory: the most that a step takes besides, its results"
-    )
-    print(f"and arguments included. First call of imm_compiled.cycle in this process: {first_call_s:.1f} s")
+        rows.append([name, f"{1e6 * each_s:.1f}", f"{filterpy_s / each_s:.0f}", f"{apart:.0e}"])
+    columns = ["filter", "µs a step and pedestrian", "times as fast", "largest difference"]
+    Tables.of(__spec__.name, args).write("imm_speed", columns, rows, "6 modes, 4 states, a position fix each step.")
 
 
 if __name__ == "__main__":

@@ -1,7 +1,7 @@
 """The gate for irregular motion (`pdr_filter.sensing.contexts.irregular`) on people and sites, with and without
 gyroscope.
 
-usage: .venv/bin/python tests/benchmarks/irregular_motion.py [--data ../shared/data]
+usage: python -m tests.benchmarks.irregular_motion [--data ../shared/data]
 
 Without gyroscope means that it is taken out of the recordings, so that the attitude is found without it too.
 
@@ -11,12 +11,11 @@ is at the threshold that so many per cent of these people's gait windows exceed.
 
 Other sets: share of windows with p above 0.5 by context and carrying mode, which is of false alarms. They were in the
 fit as examples of gait, except for standing and sitting, and for the windows slower than 0.5 m/s, which motion capture
-(tyrex) tells.
+(tyrex) gives.
 """
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -28,6 +27,7 @@ import pdr_filter as pdr
 from pdr_filter.sensing.contexts.irregular import irregular_prob
 from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
+from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]
 
@@ -61,11 +61,10 @@ def gated(recording: pdr.Recording, with_gyroscope: bool) -> list[tuple[float, f
 def walks_and_handling(data: Path, with_gyroscope: bool) -> list[Window]:
     """Windows of ubicomp13; kind is how the phone is carried."""
     result: list[Window] = []
-    for path in sorted((data / "ubicomp13").glob("*.zip")):
-        recording = pdr.read(path)
+    for recording in recordings(data, "ubicomp13"):
         segment = recording.truth.segments[0]
         start_s, end_s = float(segment["start_s"]), float(segment["end_s"])
-        _, person, _, kind = path.stem.split("_", 3)
+        _, person, _, kind = recording.name.split("_", 3)
         for time_s, prob in gated(recording, with_gyroscope):
             first_s = time_s - WINDOWS.window_s
             if first_s >= start_s and time_s <= end_s:
@@ -79,14 +78,13 @@ def of_other_sets(data: Path, with_gyroscope: bool) -> list[Window]:
     """Windows wholly inside a label; kind is data set, context, carrying mode, and whether it is slow."""
     result: list[Window] = []
     for name in OTHER_SETS:
-        for path in sorted((data / name).glob("*.zip")):
-            recording = pdr.read(path)
+        for recording in recordings(data, name):
             for time_s, prob in gated(recording, with_gyroscope):
                 first_s = time_s - WINDOWS.window_s
                 label = label_of(recording, first_s, time_s)
                 if label:
                     slow = speed_mps(recording, first_s, time_s) < SLOW_MPS
-                    kind = f"{name} | {label} | below {SLOW_MPS} m/s" if slow else f"{name} | {label} |"
+                    kind = f"{name}, {label}" + (f", below {SLOW_MPS} m/s" if slow else "")
                     result.append(Window(0, kind, False, prob))
     return result
 
@@ -100,7 +98,7 @@ def label_of(recording: pdr.Recording, start_s: float, end_s: float) -> str:
 
 
 def speed_mps(recording: pdr.Recording, start_s: float, end_s: float) -> float:
-    """Mean of the speeds over eighths of the window, infinite where no motion capture tells it."""
+    """Mean of the speeds over eighths of the window, infinite where no motion capture gives it."""
     position = recording.truth.position
     if position is None:
         return np.inf
@@ -112,53 +110,44 @@ def speed_mps(recording: pdr.Recording, start_s: float, end_s: float) -> float:
     return float(np.hypot(*np.diff(at, axis=0).T).mean() / np.diff(edges_s)[0])
 
 
-def print_people(windows: list[Window]) -> None:
-    print("| people | irregular | gait | AUC | log loss | recall at 1, 2, 5 % | recall, false alarms % at p > 0.5 |")
-    print("|---|---|---|---|---|---|---|")
-    moving = [w for w in windows if w.prob > 0]
-    unseen = [w for w in moving if w.person >= 7]
-    groups = {
+def of_people(windows: list[Window], sensors: str) -> list[list[str]]:
+    """Rows of the people whom the gate was fitted on, and of those it was not."""
+    moving, rows = [w for w in windows if w.prob > 0], []
+    for name, group in {
         "1 to 6 (fitted on)": [w for w in moving if w.person <= 6],
-        "7 to 13": unseen,
-        **{str(k): [w for w in unseen if w.person == k] for k in range(7, 14)},
-    }
-    for name, group in groups.items():
+        "7 to 13": [w for w in moving if w.person >= 7],
+    }.items():
         truth, prob = np.array([w.is_irregular for w in group]), np.array([w.prob for w in group])
         thresholds = np.quantile(prob[~truth], [0.99, 0.98, 0.95])
-        recall = ", ".join(f"{(prob[truth] > t).mean():.3f}" for t in thresholds)
-        print(
-            f"| {name} | {truth.sum()} | {(~truth).sum()} | {roc_auc_score(truth, prob):.4f} | "
-            f"{log_loss(truth, prob):.3f} | {recall} | {(prob[truth] > 0.5).mean():.3f}, "
-            f"{100 * (prob[~truth] > 0.5).mean():.1f} |"
-        )
-    print("\n| people 7 to 13, carried | gait | false alarms % | irregular | recall |\n|---|---|---|---|---|")
-    for kind in sorted({w.kind for w in unseen}):
-        gait = np.array([w.prob for w in unseen if w.kind == kind and not w.is_irregular])
-        irregular = np.array([w.prob for w in unseen if w.kind == kind and w.is_irregular])
-        print(
-            f"| {kind} | {len(gait)} | {100 * (gait > 0.5).mean():.1f} | {len(irregular)} | "
-            f"{(irregular > 0.5).mean():.2f} |"
-        )
-    still = [w for w in windows if w.prob == 0]
-    n_of_walks = sum(not w.is_irregular for w in still)
-    print(f"\nstill, of people 1 to 13: {n_of_walks} windows of walks, {len(still) - n_of_walks} outside\n")
+        cells = [f"{truth.sum()}", f"{(~truth).sum()}", f"{roc_auc_score(truth, prob):.3f}"]
+        cells += [f"{log_loss(truth, prob):.3f}", ", ".join(f"{(prob[truth] > t).mean():.2f}" for t in thresholds)]
+        at_half = f"{(prob[truth] > 0.5).mean():.2f}, {100 * (prob[~truth] > 0.5).mean():.1f}"
+        rows.append([sensors, name, *cells, at_half])
+    return rows
 
 
-def print_other_sets(windows: list[Window]) -> None:
-    print("| set | context, carrying mode | | windows | p > 0.5 % | still % |\n|---|---|---|---|---|---|")
+def of_kinds(windows: list[Window], sensors: str) -> list[list[str]]:
+    """Rows of the other sets, by set, context and carrying mode."""
+    rows = []
     for kind in sorted({w.kind for w in windows}):
         prob = np.array([w.prob for w in windows if w.kind == kind])
-        print(f"| {kind} | {len(prob)} | {100 * (prob > 0.5).mean():.1f} | {100 * (prob == 0).mean():.1f} |")
+        rows.append(
+            [sensors, kind, str(len(prob)), f"{100 * (prob > 0.5).mean():.1f}", f"{100 * (prob == 0).mean():.1f}"]
+        )
+    return rows
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
-    for with_gyroscope in (True, False):
-        print(f"\n## {'with gyroscope' if with_gyroscope else 'accelerometer alone'}\n")
-        print_people(walks_and_handling(data, with_gyroscope))
-        print_other_sets(of_other_sets(data, with_gyroscope))
+    args = options(__doc__).parse_args()
+    tables, people, kinds = Tables.of(__spec__.name, args), [], []
+    for sensors, with_gyroscope in (("with gyroscope", True), ("accelerometer alone", False)):
+        people += of_people(walks_and_handling(args.data, with_gyroscope), sensors)
+        kinds += of_kinds(of_other_sets(args.data, with_gyroscope), sensors)
+    columns = ["", "people", "handling", "gait", "area under the curve", "log loss"]
+    columns += ["recall at 1, 2, 5 % false alarms", "at p > 0.5: recall, false alarms %"]
+    tables.write("irregular_motion", columns, people, "Windows of ubicomp13.")
+    columns = ["", "set, context, carrying mode", "windows", "p > 0.5 %", "still %"]
+    Tables(tables.command, None).write("irregular_motion_other_sets", columns, kinds)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
 """Walks through several contexts: the classifier's arg-max, the IMM's mode probabilities, and distances side by side.
 
-usage: .venv/bin/python tests/benchmarks/mixed_contexts.py [--data ../shared/data] [--cache FOLDER] [--walks 24]
+usage: python -m tests.benchmarks.mixed_contexts [--data ../shared/data] [--cache FOLDER]
 
 Real: no public recording here has a labelled change of context, so recordings of one person of MotionSense (trouser
 pocket) are put one after the other: sitting, walking, upstairs, walking, downstairs, walking, running, standing. Each
@@ -16,7 +16,6 @@ stretch of a context, what the model that had not seen them said of theirs, in o
 
 from __future__ import annotations
 
-import argparse
 import pickle
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
@@ -24,13 +23,26 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.model import ContextModel
-from pdr_filter.classifiers.transitions import (
+from pdr_filter.config import Config
+from pdr_filter.filter.imm import smoothed_mode_prob
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filtering import finish, init, step
+from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.recipes import context_transitions, default, with_context_model
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.training.contexts import PLANS, labelled_windows
+from pdr_filter.training.protocol import LabelledWindows, label_of, recordings_of, with_familiarity
+from pdr_filter.training.sequences import (
     UNKNOWN,
     LabelledProbabilities,
     count_transitions,
@@ -38,30 +50,10 @@ from pdr_filter.classifiers.transitions import (
     filter_windows,
     fit_tempering,
 )
-from pdr_filter.config import Config
-from pdr_filter.filter.imm import lagged_mode_prob
-from pdr_filter.filter.tracking import StepUpdate
-from pdr_filter.filtering import finish, init, step
-from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
-from pdr_filter.recipes import context_transitions, default, with_context_model
-from pdr_filter.recording_run import sensed_events
-from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.sensing.features.windows import FEATURE_SETS
-from pdr_filter.sensing.front_end import Event, Gap
-from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.training.contexts import (
-    FEATURE_LIMIT,
-    PLANS,
-    Fitted,
-    LabelledWindows,
-    fit,
-    label_of,
-    labelled_windows,
-)
 from pdr_filter.values.arrays import FloatArray, IntArray, table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import ImuBlock, Samples
+from tests.benchmarks.common import Tables, options
 
 PLAN = PLANS[0]
 N_FOLDS = 3
@@ -70,7 +62,7 @@ BLOCK_S = 0.1
 # Two seconds of walking: what a final step of HC and WC waits too.
 LAG_STEPS = 4
 STATIONARY = CONTEXTS.index("stationary")
-TRACKER = default().tracker
+MODEL = default().model
 # Trial of each part in the two walks of a person, and how much of it, s; walking is cut at another place each time.
 N_WALKS = 2
 PARTS: tuple[tuple[tuple[str, str], float], ...] = (
@@ -101,41 +93,20 @@ def cached(folder: Path | None, name: str, make: Callable[[], Any]) -> Any:
 
 def windows_of(data: Path) -> LabelledWindows:
     """All windows that the default's model is made of."""
-    paths = [p for d in PLAN.datasets for p in sorted((data / d).glob("*.zip")) if p.stem != "motionsense_s01_sit_13"]
-    return labelled_windows(paths, feature_set=PLAN.feature_set)
+    paths = recordings_of(data, PLAN.datasets)
+    return PLAN.of(labelled_windows(paths, feature_set=PLAN.feature_set))
 
 
 def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
     """The default's model as `pdr-filter train` makes it, of all people but these."""
-    names = FEATURE_SETS[PLAN.feature_set]
-    use = PLAN.rows(windows) & ~np.isin(windows.person, people)
-    features = windows.features[use][:, [names.index(n) for n in PLAN.feature_names]]
-    y, person = windows.context[use], windows.person[use]
+    rest = windows.part(~np.isin(windows.person, people))
     with threadpool_limits(1):
-        fitted = fit(PLAN.machine_fit, CONTEXTS, features, y, person, np.ones(len(y)))
+        model = replace(PLAN.fit(rest), name="left_out")
     # The limit of what is familiar: from four of the people in training, left out for it.
-    four = np.isin(person, [p for p in np.unique(person) if p.startswith("motionsense")][:4])
-    part = fit_familiarity(standardised(features[~four], fitted), 1.0)
-    limit = float(np.quantile([part.distance(z) for z in standardised(features[four], fitted)], 0.99))
-    return ContextModel(
-        name="left_out",
-        feature_names=PLAN.feature_names,
-        classes=fitted.classes,
-        training_prior=np.array([np.mean(y == c) for c in CONTEXTS]),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card={},
-        temperature=fitted.temperature,
-        slip=fitted.slip,
-        feature_limit=FEATURE_LIMIT,
-        familiarity=fit_familiarity(standardised(features, fitted), limit),
-    )
-
-
-def standardised(features: FloatArray, fitted: Fitted) -> FloatArray:
-    """Features as the machine sees them, uncut."""
-    return (features - fitted.mean) / fitted.scale
+    four = np.isin(rest.person, [p for p in np.unique(rest.person) if p.startswith("motionsense")][:4])
+    part = fit_familiarity(model.standardised(rest.features[~four]), 1.0)
+    limit = float(np.quantile([part.distance(z) for z in model.standardised(rest.features[four])], 0.99))
+    return with_familiarity(model, rest, limit)
 
 
 # --- Mixed walks of real recordings ----------------------------------------------------------------------------------
@@ -219,7 +190,7 @@ class Said:
     @property
     def lagged(self) -> FloatArray:
         """Of each step with the evidence of some more, (K, C)."""
-        return lagged_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
+        return smoothed_mode_prob(self.filtered, context_transitions(), LAG_STEPS)
 
     @property
     def lagged_known_s(self) -> FloatArray:
@@ -295,8 +266,9 @@ def last_steps(said: Said) -> IntArray:
     return np.where(found, last, -1)
 
 
-def window_scores(all_said: list[Said]) -> None:
+def window_scores(tables: Tables, all_said: list[Said]) -> None:
     """Accuracy over windows, clean or not, with and without those that have no step."""
+    rows = []
     truth, clean, stepped, answers = (
         [],
         [],
@@ -325,24 +297,25 @@ def window_scores(all_said: list[Said]) -> None:
         ("inside one context, all", is_clean & (y >= 0)),
         ("also across a change, all", y >= 0),
     ):
-        print(f"windows {name} (n = {use.sum()}):")
         right = {answer: np.array(of) == y for answer, of in answers.items()}
         for answer, ok in right.items():
-            recall = [f"{CONTEXTS[c]} {ok[use & (y == c)].mean():.3f}" for c in np.unique(y[use])]
+            recall = ", ".join(f"{ok[use & (y == c)].mean():.2f}" for c in np.unique(y[use]))
             by_person = np.array([ok[use & (who == p)].mean() for p in np.unique(who)])
             gain = by_person - np.array([right["arg-max"][use & (who == p)].mean() for p in np.unique(who)])
-            print(
-                f"  {answer:9} {ok[use].mean():.4f}, recall {', '.join(recall)}; worst person {by_person.min():.3f}; "
-                f"gain on people mean {gain.mean():+.4f}, s.e. {gain.std(ddof=1) / np.sqrt(len(gain)):.4f}, "
-                f"better {np.sum(gain > 1e-9)}, worse {np.sum(gain < -1e-9)} of {len(gain)}"
-            )
+            points = f"{100 * gain.mean():+.1f} ± {100 * gain.std(ddof=1) / np.sqrt(len(gain)):.1f}"
+            people = f"{np.sum(gain > 1e-9)}, {np.sum(gain < -1e-9)}"
+            rows.append([f"{name} (n = {use.sum()})", answer, f"{ok[use].mean():.3f}", recall, points, people])
+    columns = ["windows", "answer", "accuracy", "recall by context", "gain, points", "people better, worse"]
+    order = ", ".join(CONTEXTS[c] for c in np.unique(y[y >= 0]))
+    about = f"Recall in the order {order}; gain over the arg-max, mean of people."
+    tables.write("mixed_contexts_windows", columns, rows, about)
 
 
-def step_scores(all_said: list[Said]) -> None:
+def step_scores(tables: Tables, all_said: list[Said]) -> None:
     """Accuracy over steps: what the window of a step says, and what the filter and the smoother say of it."""
+    rows = []
     y = np.concatenate([[context_at(s.walk, t) for t in s.step_s] for s in all_said])
     use = y >= 0
-    print(f"steps (n = {use.sum()}, of which {np.sum(y == STATIONARY)} while standing or sitting):")
     for name, prob in (
         ("arg-max", np.concatenate([s.of_window for s in all_said])),
         ("filtered", np.concatenate([s.filtered for s in all_said])),
@@ -351,7 +324,9 @@ def step_scores(all_said: list[Said]) -> None:
         ("smoothed", np.concatenate([s.smoothed for s in all_said])),
     ):
         loss = -np.log(np.maximum(prob[use, y[use]], 1e-6)).mean()
-        print(f"  {name:9} {np.mean(prob[use].argmax(axis=1) == y[use]):.4f}, log loss {loss:.3f}")
+        rows.append([name, f"{np.mean(prob[use].argmax(axis=1) == y[use]):.3f}", f"{loss:.2f}"])
+    about = f"{use.sum()} steps, of which {np.sum(y == STATIONARY)} while standing or sitting."
+    tables.write("mixed_contexts_steps", ["answer", "accuracy", "log loss"], rows, about)
 
 
 def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, list[float]]:
@@ -371,8 +346,9 @@ def delays_s(said: Said, known_s: FloatArray, prob: FloatArray) -> dict[int, lis
     return result
 
 
-def print_delays(all_said: list[Said]) -> None:
+def delays(tables: Tables, all_said: list[Said]) -> None:
     """Median and ninth decile of the delays, by context."""
+    rows = []
     for name, known, prob in (
         ("arg-max", "window_known_s", "window_prob"),
         ("filtered", "step_known_s", "filtered"),
@@ -385,16 +361,17 @@ def print_delays(all_said: list[Said]) -> None:
     ):
         found: dict[int, list[float]] = {}
         for said in all_said:
-            for context, delays in delays_s(said, getattr(said, known), getattr(said, prob)).items():
-                found.setdefault(context, []).extend(delays)
-        every = [d for delays in found.values() for d in delays]
-        rows = {"all": every, **{CONTEXTS[c]: d for c, d in sorted(found.items())}}
-        text = "; ".join(
-            f"{what} {np.quantile(d, 0.5, method='higher'):.1f}, {np.quantile(d, 0.9, method='higher'):.1f}, "
-            f"never {np.isinf(d).sum()} of {len(d)}"
-            for what, d in rows.items()
-        )
-        print(f"delay s (median, 90 %) {name}: {text}")
+            for context, of_walk in delays_s(said, getattr(said, known), getattr(said, prob)).items():
+                found.setdefault(context, []).extend(of_walk)
+        every = [d for of_context in found.values() for d in of_context]
+        by_context = {"all": every, **{CONTEXTS[c]: d for c, d in sorted(found.items())}}
+        cells = [
+            f"{np.quantile(d, 0.5, method='higher'):.1f}, {np.quantile(d, 0.9, method='higher'):.1f}"
+            for d in by_context.values()
+        ]
+        rows.append([name, *cells, f"{np.isinf(every).sum()} of {len(every)}"])
+    columns = ["answer", *by_context, "never"]
+    tables.write("mixed_contexts_delays", columns, rows, "Seconds: median, 90 %; never found counts as infinite.")
 
 
 def labelled(all_said: list[Said]) -> LabelledProbabilities:
@@ -427,19 +404,18 @@ def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
     )
     result: list[Said] = []
     for said in (s for s in all_said if s.person in fold):
-        tracker = replace(
-            said.config.tracker,
+        config = said.config.with_model(
             transition_prob=transition_prob,
             evidence_exponent=exponents.evidence_exponent,
             prior_exponent=exponents.prior_exponent,
         )
-        updates = tracked(said.events, replace(said.config, tracker=tracker), "imm")
+        updates = tracked(said.events, config, "imm")
         result.append(replace(said, learnt=np.array([u.mode_prob for u in updates])))
     return result
 
 
-def real(data: Path, cache: Path | None) -> list[Said]:
-    """Walks of real recordings: figures printed, and what was said of them."""
+def real(tables: Tables, data: Path, cache: Path | None) -> list[Said]:
+    """Walks of real recordings: figures written, and what was said of them."""
     windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
     people = sorted(set(windows.person[windows.dataset == "motionsense"]))
     folds = [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
@@ -457,30 +433,27 @@ def real(data: Path, cache: Path | None) -> list[Said]:
         print(f"fold {k}: {', '.join(fold)} left out", flush=True)
     all_said = [said for fold in folds for said in with_learnt(all_said, fold)]
     minutes = sum(s.walk.duration_s for s in all_said) / 60
-    print(f"real recordings put together: {len(all_said)} walks of {len(people)} people, {minutes:.0f} min")
-    window_scores(all_said)
-    step_scores(all_said)
-    print_delays(all_said)
-    print("distance against that of the same steps in the true contexts:")
+    window_scores(tables, all_said)
+    step_scores(tables, all_said)
+    delays(tables, all_said)
     known = np.array(distance_m.pop(KNOWN))
-    print_errors(distance_m, known)
+    about = f"{len(all_said)} walks, {minutes:.0f} min: against the same steps in the true contexts."
+    tables.write("mixed_contexts_distance", ERRORS, error_rows(distance_m, known), about)
 
     sequences = labelled(all_said)
     between = np.linalg.matrix_power(context_transitions(), 2)
     chosen = fit_tempering(sequences, between)
-    plain = filter_windows(sequences, between, TRACKER.evidence_exponent, TRACKER.prior_exponent, 0.01)
+    plain = filter_windows(sequences, between, MODEL.evidence_exponent, MODEL.prior_exponent, 0.01)
     use = sequences.label != UNKNOWN
     loss = -np.log(plain[use, sequences.label[use]]).mean()
-    right = {
-        "arg-max": np.mean(sequences.prob[use].argmax(axis=1) == sequences.label[use]),
-        "filtered": np.mean(plain[use].argmax(axis=1) == sequences.label[use]),
-    }
-    print(
-        f"tempering on these windows: evidence {chosen.evidence_exponent:.1f}, prior {chosen.prior_exponent:.1f}, log "
-        f"loss {chosen.log_loss:.3f}, on people left out of the choice {chosen.held_out_log_loss:.3f}; with the "
-        f"default {TRACKER.evidence_exponent} and {TRACKER.prior_exponent} {loss:.3f}; without steps, accuracy of "
-        "windows " + ", ".join(f"{name} {value:.4f}" for name, value in right.items())
-    )
+    exponents = f"{chosen.evidence_exponent:.1f}, {chosen.prior_exponent:.1f}"
+    rows = [
+        ["chosen on these people", exponents, f"{chosen.log_loss:.3f}"],
+        ["chosen on the other people", "", f"{chosen.held_out_log_loss:.3f}"],
+        ["default", f"{MODEL.evidence_exponent:.1f}, {MODEL.prior_exponent:.1f}", f"{loss:.3f}"],
+    ]
+    columns = ["exponents", "evidence, prior", "log loss of the filtered windows"]
+    tables.write("mixed_contexts_tempering", columns, rows)
     return all_said
 
 
@@ -536,8 +509,8 @@ def tracked(events: list[Event], config: Config, weighting: str, change: Change 
             state, new = tracker.on_gap(state, event.duration_s)
         else:
             state, new = tracker.on_step(state, event)
-        updates += [u for u in new if u.is_final]
-    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
+        updates += [u for u in new.updates if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1].updates if u.is_final]
 
 
 def distances_m(events: list[Event], config: Config, walk: Recording, change: Change | None = None) -> dict[str, float]:
@@ -546,14 +519,17 @@ def distances_m(events: list[Event], config: Config, walk: Recording, change: Ch
     return {name: sum(u.step_length_m for u in tracked(events, config, w, c)) for name, (w, c) in runs.items()}
 
 
-def print_errors(found_m: dict[str, list[float]], true_m: FloatArray) -> None:
+ERRORS = ["weighting", "bias %", "spread %", "RMS %", "largest %"]
+
+
+def error_rows(found_m: dict[str, list[float]], true_m: FloatArray) -> list[list[str]]:
     """Bias and spread of relative distance errors."""
+    rows = []
     for name, found in found_m.items():
         e = 100 * (np.array(found) / true_m - 1)
-        print(
-            f"  {name:14} bias {e.mean():+.1f} %, spread {e.std(ddof=1):.1f} %, rms {np.sqrt(np.mean(e**2)):.1f} %, "
-            f"median |e| {np.median(np.abs(e)):.1f} %, largest {np.abs(e).max():.1f} % (n = {len(e)})"
-        )
+        figures = (e.std(ddof=1), np.sqrt(np.mean(e**2)), np.abs(e).max())
+        rows.append([name, f"{e.mean():+.1f}", *(f"{v:.1f}" for v in figures)])
+    return rows
 
 
 def simulated_walk(seed: int) -> Recording:
@@ -571,11 +547,10 @@ def simulated_walk(seed: int) -> Recording:
     return simulate(legs, Gait.random(seed), seed=seed, name=f"simulated_{seed}")
 
 
-def simulated(n_walks: int, all_said: list[Said]) -> None:
+def simulated(tables: Tables, n_walks: int, all_said: list[Said]) -> None:
     """Distances of simulated walks, by the shipped model and with the windows of real people."""
     by_model: dict[str, list[float]] = {}
     by_people: dict[str, list[float]] = {}
-    right: dict[str, list[bool]] = {"arg-max": [], "filtered": []}
     true_m: list[float] = []
     for seed in range(n_walks):
         walk = simulated_walk(seed)
@@ -587,29 +562,25 @@ def simulated(n_walks: int, all_said: list[Said]) -> None:
         for c, found in ((None, by_model), (change, by_people)):
             for name, distance_m in distances_m(events, config, walk, c).items():
                 found.setdefault(name, []).append(distance_m)
-        updates = tracked(events, config, "imm", change)
-        y = np.array([context_at(walk, u.step.time_s) for u in updates])
-        right["arg-max"] += list((np.array([u.context_prob.argmax() for u in updates]) == y)[y >= 0])
-        right["filtered"] += list((np.array([u.mode_prob.argmax() for u in updates]) == y)[y >= 0])
     truth = np.array(true_m)
     known = np.array(by_people[KNOWN])
-    print(f"simulated: {n_walks} walks of {truth.min():.0f} to {truth.max():.0f} m, phone in the hand")
-    print("with windows of real people, distance error:")
-    print_errors(by_people, truth)
-    print("against that of the same steps in the true contexts:")
-    print_errors({name: m for name, m in by_people.items() if name != KNOWN}, known)
-    print("  steps named right: " + ", ".join(f"{k} {np.mean(v):.3f}" for k, v in right.items()))
-    print("by the shipped model, distance error:")
-    print_errors(by_model, truth)
+    against_known = error_rows({name: m for name, m in by_people.items() if name != KNOWN}, known)
+    parts = {
+        "windows of real people": error_rows(by_people, truth),
+        "the same, against the true contexts": against_known,
+        "windows of the shipped model": error_rows(by_model, truth),
+    }
+    rows = [[name, *row] for name, part in parts.items() for row in part]
+    about = f"{n_walks} simulated walks of {truth.min():.0f} to {truth.max():.0f} m."
+    tables.write("mixed_contexts_simulated", ["contexts from", *ERRORS], rows, about)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
-    parser.add_argument("--walks", type=int, default=24, help="simulated walks")
     args = parser.parse_args()
-    simulated(args.walks, real(args.data, args.cache))
+    tables = Tables.of(__spec__.name, args)
+    simulated(tables, 24, real(tables, args.data, args.cache))
 
 
 if __name__ == "__main__":

@@ -1,15 +1,14 @@
 """How long a four-hour recording at 200 Hz takes to read, and how much memory, for each format.
 
-usage: .venv/bin/python tests/benchmarks/readers.py [--hours 4] [--rate 200] [--formats own,sensor_logger,...]
+usage: python -m tests.benchmarks.readers [--hours 4] [--rate 200] [--formats own,sensor_logger,...]
 
 Accelerometer and gyroscope, 2.88 million rows each; the files are written to a temporary folder first. Each format is
-read in a process of its own, whose processor time and largest resident memory are printed beside the time on the wall.
+read in a process of its own, whose processor time and largest resident memory stand beside the time on the wall.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import resource
 import subprocess
 import sys
@@ -18,10 +17,9 @@ import time
 from collections.abc import Iterator
 from pathlib import Path
 
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import numpy as np
+
+from tests.benchmarks.common import Tables, options
 
 T0_NS = 1_787_923_304_123_456_789
 METADATA = "version,device name,platform,appVersion,sensors,sampleRateMs,standardisation\n3,P,android,1.64,,,false"
@@ -136,35 +134,43 @@ FORMATS = (
 
 
 def main() -> None:
-    """Print one line for each format."""
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    """One row for each format."""
+    parser = options(__doc__)
     parser.add_argument("--hours", type=float, default=4.0)
     parser.add_argument("--rate", type=float, default=200.0)
     parser.add_argument("--formats", default=",".join(FORMATS))
     parser.add_argument("--read", type=Path, help=argparse.SUPPRESS)
-    options = parser.parse_args()
-    if options.read:
+    args = parser.parse_args()
+    if args.read:
         from pdr_filter.io.formats import read
 
         begin, cpu = time.perf_counter(), time.process_time()
-        recording = read(options.read)
+        recording = read(args.read)
         wall_s, cpu_s = time.perf_counter() - begin, time.process_time() - cpu
         peak_gib = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024**2
         rows = sum(len(samples) for samples in recording.streams.values())
-        print(f"{rows:10d} rows  {wall_s:6.1f} s on the wall  {cpu_s:6.1f} s of processor  {peak_gib:5.2f} GiB")
+        print(f"{rows / 1e6:.2f} million|{wall_s:.1f} s|{cpu_s:.1f} s|{peak_gib:.2f} GiB")
         return
-    n = round(options.hours * 3600 * options.rate)
-    for name in options.formats.split(","):
+    n, found = round(args.hours * 3600 * args.rate), []
+    for name in args.formats.split(","):
         with tempfile.TemporaryDirectory() as folder:
             try:
-                path = write(name, Path(folder), n, options.rate)
+                path = write(name, Path(folder), n, args.rate)
             except ImportError as error:
                 print(f"{name:20s} not measured: {error}")
                 continue
             files = [path] if path.is_file() else list(path.iterdir())
             size = sum(file.stat().st_size for file in files) / 1024**2
-            print(f"{name:20s} {size:6.0f} MiB ", end="", flush=True)
-            subprocess.run([sys.executable, __file__, "--read", str(path)], check=True)
+            command = [sys.executable, "-m", __spec__.name, "--read", str(path)]
+            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            rows, *cost = done.stdout.strip().split("|")
+            found.append([f"`{name}`", rows, f"{size:.0f} MiB", *cost])
+            print(found[-1], flush=True)
+    tables = Tables.of(__spec__.name, args)
+    if args.formats != ",".join(FORMATS):
+        tables = Tables(tables.command, None)
+    about = f"{args.hours:g} hours at {args.rate:g} Hz, accelerometer and gyroscope."
+    tables.write("readers", ["format", "rows", "text", "wall", "processor", "largest memory"], found, about)
 
 
 if __name__ == "__main__":

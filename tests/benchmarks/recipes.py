@@ -1,6 +1,6 @@
-"""All recipes with HC, WC and IMM on the same recordings: the tables of docs/methods/recipes.md and docs/benchmarks.md.
+"""All recipes with HC, WC and IMM on the same recordings.
 
-usage: python tests/benchmarks/recipes.py [--data ../shared/data] [--recipes default ...] [--every N] [--jobs 2]
+usage: python -m tests.benchmarks.recipes [--data ../shared/data] [--recipes default ...] [--every N] [--jobs 2]
 
 Steps do not depend on the weighting: every recipe senses a recording once, and the weightings share what was sensed.
 Every score is of one recording. A cell has the mean over the recordings, or the root of their mean square (%RMSE), and
@@ -22,31 +22,26 @@ The same command prints the same figures, but for the speed.
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 
-# Sums of several threads may differ in the last bit from run to run.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import numpy as np
-from fit_zhou import way_of_the_foot_m
 from joblib import Parallel, delayed
-from mixed_contexts import tracked
 from numpy.typing import NDArray
-from peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
-from peers.walks import GRID_S, Walk
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, options, paths
+from tests.benchmarks.fit_zhou import way_of_the_foot_m
+from tests.benchmarks.mixed_contexts import tracked
+from tests.benchmarks.peers.tables import EDGE_S, OUTSIDE_S, SWITCH_EDGE_S, WALKING, true_speed, walk_of
+from tests.benchmarks.peers.walks import GRID_S, Walk
 
 FloatArray = NDArray[np.float64]
 Values = dict[str, float]
@@ -149,7 +144,7 @@ def context_scores(walk: Walk, found: Found) -> Values:
     label = str(walk.recording.truth.labels.context[0])
     if label == "stationary":
         return {"still_m_per_min": 60 * float(found.step_length_m.sum()) / walk.recording.duration_s}
-    modes = np.array([m.context for m in found.config.tracker.modes])
+    modes = np.array([m.context for m in found.config.model.modes])
     right = modes[found.mode_prob.argmax(axis=1)] == label
     return {"right_percent": 100 * float(right.mean()) if len(right) else 0.0}
 
@@ -175,7 +170,7 @@ def found_by(config: pdr.Config, weighting: str, events: list[object]) -> Found:
         np.array([u.step.time_s for u in updates]),
         np.array([u.position_m for u in updates]).reshape(-1, 2),
         np.array([u.step_length_m for u in updates]),
-        np.array([u.mode_prob for u in updates]).reshape(-1, len(config.tracker.modes)),
+        np.array([u.mode_prob for u in updates]).reshape(-1, len(config.model.modes)),
     )
 
 
@@ -267,7 +262,7 @@ def groups_of(records: Sequence[Scored]) -> list[str]:
 
 
 def cells(column: Column, of_row: Sequence[Sequence[Scored]]) -> list[str]:
-    """The column of a table: mean or root mean square, standard error, bold if not told from the best."""
+    """The column of a table: mean or root mean square, standard error, bold if not distinguishable from the best."""
     records = [[r for r in row if r.site == column.site and column.value in r.values] for row in of_row]
     scores = [np.array([r.values[column.value] for r in row]) for row in records]
     loss = [s**2 if column.root else np.abs(column.ideal - s) for s in scores]
@@ -301,33 +296,32 @@ def over(numerator: float, denominator: float, digits: int) -> str:
     return f"{numerator / denominator:.{digits}f}" if denominator else "-"
 
 
-def weighting_tables(records: Sequence[Scored], recipes: Sequence[str]) -> None:
-    """Recipe x weighting: the wide table, and what has no place in it."""
+def weighting_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
+    """Recipe x weighting: the wide table, what has no place in it, and the README's extract."""
     rows = [(recipe, weighting) for recipe in recipes for weighting in WEIGHTINGS]
     of_row = [[r for r in records if (r.recipe, r.weighting) == row] for row in rows]
     names = [f"`{recipe}` {weighting.upper()}" for recipe, weighting in rows]
     speed = [over(total(r, "recorded_s"), total(r, "spent_s"), 0) for r in of_row]
     false = [over(60 * total(r, "n_false"), total(r, "outside_s"), 1) for r in of_row]
-    for columns, title, last in ((MAIN, "x real time", speed), (REST, "false steps a minute", false)):
-        table = [names, *(cells(c, of_row) for c in columns), last]
-        print_table(["recipe", *(c.title for c in columns), title], list(zip(*table, strict=True)))
+    about = "± standard error; bold: not distinguishable from the best."
+    main, rest = ([cells(c, of_row) for c in columns] for columns in (MAIN, REST))
+    for name, columns, found, title, last in (
+        ("recipes_main", MAIN, main, "x real time", speed),
+        ("recipes_rest", REST, rest, "false steps a minute", false),
+    ):
+        titles = ["recipe", *(c.title for c in columns), title]
+        tables.write(name, titles, list(zip(names, *found, last, strict=True)), about)
+    steps, *others = [[cell.split(" ±")[0] for cell in column] for column in main]
+    titles = ["recipe", "steps %", "false steps a minute", "corridors: distance %", "position m", "end %"]
+    titles += ["mall: distance %", "position m", "end %", "x real time"]
+    short = list(zip(names, steps, false, *others, speed, strict=True))
+    kept = [
+        row for row, (recipe, weighting) in zip(short, rows, strict=True) if "default" in recipe or weighting == "imm"
+    ]
+    tables.write("recipes_readme", titles, kept, "Bold: not distinguishable from the best of all.")
 
 
 # --- Tables of the recipes, each with its own weighting --------------------------------------------------------------
-
-
-def cell(errors: Sequence[float] | FloatArray) -> str:
-    """Mean absolute error, bias, spread."""
-    e = np.asarray(errors, dtype=float)
-    return f"{np.abs(e).mean():.2f} ({e.mean():+.2f}, {e.std():.2f})"
-
-
-def print_table(header: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table in Markdown."""
-    print("| " + " | ".join(header) + " |\n|" + "---|" * len(header))
-    for row in rows:
-        print("| " + " | ".join(row) + " |")
-    print(flush=True)
 
 
 def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> FloatArray:
@@ -335,7 +329,7 @@ def values_of(records: Sequence[Scored], recipe: str, site: str, value: str) -> 
     return np.array([r.values[value] for r in records if (r.recipe, r.weighting, r.site) == (recipe, OWN, site)])
 
 
-def step_tables(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+def step_tables(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
     """Counts over all walks, then by the placement of the phone, which the names of the recordings end with."""
     names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "ubicomp13")]
     place = np.array([name.split("_", 3)[3] for name in names])
@@ -347,35 +341,32 @@ def step_tables(records: Sequence[Scored], recipes: Sequence[str]) -> None:
         )
         f1 = ", ".join(f"{values_of(records, recipe, 'oxford', v).mean():.3f}" for v in ("f1", "f1_close"))
         false = f"{60 * n_false.sum() / outside_s.sum():.1f}"
-        rows.append([recipe, cell(error), f"{np.abs(error).max():.1f}", false, f1])
-        by_place.append([recipe, *(cell(error[place == p]) for p in places)])
-    print("Steps: mean absolute count error in per cent (bias, spread)\n")
-    columns = [f"ubicomp13 (n={len(place)})", "largest", "false steps a minute", "oxford F1 0.25 s, 0.1 s"]
-    print_table(["recipe", *columns], rows)
-    print_table(["recipe", *(f"{p} (n={(place == p).sum()})" for p in places)], by_place)
+        rows.append([recipe, absolute_bias_spread(error), f"{np.abs(error).max():.1f}", false, f1])
+        by_place.append([recipe, *(absolute_bias_spread(error[place == p]) for p in places)])
+    about = "Count error in %: mean absolute (bias, spread)."
+    columns = ["recipe", f"ubicomp13 (n={len(place)})", "largest", "false steps a minute", "oxford F1 0.25 s, 0.1 s"]
+    tables.write("recipes_steps", columns, rows, about)
+    columns = ["recipe", *(f"{p} (n={(place == p).sum()})" for p in places)]
+    tables.write("recipes_placements", columns, by_place, about)
 
 
-def track_table(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+def track_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
     """Medians over the walks."""
 
-    def row(recipe: str) -> Iterator[str]:
-        yield recipe
-        for site in ("humolire", "ms_indoor"):
-            rmse, first, end, distance = (
-                values_of(records, recipe, site, v)
-                for v in ("rmse_m", "first_rmse_m", "end_percent", "distance_percent")
-            )
-            yield f"{np.median(rmse):.2f}, {np.percentile(rmse, 90):.2f}"
-            yield f"{np.median(first):.2f}"
-            yield f"{np.median(end):.1f}"
-            yield f"{distance.mean():+.1f}, {distance.std():.1f}"
+    def row(recipe: str, site: str) -> Iterator[str]:
+        rmse, first, end, distance = (
+            values_of(records, recipe, site, v) for v in ("rmse_m", "first_rmse_m", "end_percent", "distance_percent")
+        )
+        yield from (f"{site} (n={len(rmse)})", recipe, median_and(rmse, 90), f"{np.median(first):.2f}")
+        yield f"{np.median(end):.1f}"
+        yield f"{distance.mean():+.1f}, {distance.std():.1f}"
 
-    print("Tracks: humolire, then ms_indoor\n")
-    each = ["RMSE m: median, 90 %", "first 20 %: median", "end % median", "distance %: bias, spread"]
-    print_table(["recipe", *each, *each], [list(row(recipe)) for recipe in recipes])
+    columns = ["site", "recipe", "RMSE m: median, 90 %", "first 20 %: RMSE m, median", "end %, median"]
+    rows = [list(row(recipe, site)) for site in ("humolire", "ms_indoor") for recipe in recipes]
+    tables.write("recipes_tracks", [*columns, "distance %: bias, spread"], rows)
 
 
-def room_table(records: Sequence[Scored], recipes: Sequence[str]) -> None:
+def room_table(tables: Tables, records: Sequence[Scored], recipes: Sequence[str]) -> None:
     """Errors of the distances of tyrex by scenario, those with magnets near the phone first."""
     names = [r.name for r in records if (r.recipe, r.weighting, r.site) == (recipes[0], OWN, "tyrex")]
     scenario = np.array([name.rsplit("_", 1)[1] for name in names])
@@ -384,25 +375,23 @@ def room_table(records: Sequence[Scored], recipes: Sequence[str]) -> None:
     for recipe in recipes:
         error = values_of(records, recipe, "tyrex", "room_percent")
         rows.append([recipe, *(" ".join(f"{e:+.0f}" for e in error[scenario == s]) for s in scenarios)])
-    print("Distance error in per cent in a room of 5 m (tyrex, one person), each recording\n")
-    print_table(["recipe", *scenarios], rows)
+    tables.write("recipes_room", ["recipe", *scenarios], rows, "Distance error in % of each recording.")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--recipes", nargs="+", default=RECIPES, choices=RECIPES)
     parser.add_argument("--every", type=int, default=1, help="take only every n-th recording of each site")
     parser.add_argument("--jobs", type=int, default=2)
     args = parser.parse_args()
-    paths = [p for site in SITES for p in sorted((args.data / site).glob("*.zip"))[:: args.every]]
-    jobs = (delayed(scored)(path, args.recipes) for path in paths)
+    files = [p for site in SITES for p in paths(args.data, site)[:: args.every]]
+    jobs = (delayed(scored)(path, args.recipes) for path in files)
     records = [r for found in Parallel(args.jobs)(jobs) for r in found]
-    print("Recipes and weightings, with standard errors; in bold what cannot be told from the best\n")
-    weighting_tables(records, args.recipes)
-    step_tables(records, args.recipes)
-    track_table(records, args.recipes)
-    room_table(records, args.recipes)
+    tables = Tables.of(__spec__.name, args)
+    if args.every > 1 or args.recipes != RECIPES:
+        tables = Tables(tables.command, None)
+    for write in (weighting_tables, step_tables, track_table, room_table):
+        write(tables, records, args.recipes)
 
 
 if __name__ == "__main__":

@@ -1,22 +1,16 @@
 # ruff: noqa: N806  (X as in scikit-learn)
-"""How fast the relevance vector machine trains and predicts, and how good its probabilities are. Prints Markdown.
+"""How fast the relevance vector machine trains and predicts, and how good its probabilities are.
 
-usage: .venv/bin/python tests/benchmarks/rvm_speed.py [--quick] [--widths]
+usage: python -m tests.benchmarks.rvm_speed [training] [scaling] [fastrvm] [widths]
 
 One core: BLAS threads are set to one. Problems are `sklearn.datasets.make_classification`; rows not trained on are
-scored. If the package fastrvm can be imported, it is timed on the first problem.
+scored. fastrvm, if it can be imported, is timed on the first problem.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
 import warnings
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 from typing import Any
 
 import numpy as np
@@ -28,6 +22,7 @@ from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.rvm import median_distance
+from tests.benchmarks.common import Tables, options
 
 Problem = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
@@ -57,42 +52,56 @@ def measure(classifier: Any, problem: Problem, repeats: int = 1) -> tuple[float,
     return best, float(np.mean(classifier.classes_[p.argmax(axis=1)] == y_test)), float(log_loss(y_test, p))
 
 
-def print_row(*cells: object) -> None:
-    print("| " + " | ".join(str(cell) for cell in cells) + " |", flush=True)
-
-
-def training() -> None:
+def training(tables: Tables) -> None:
     problems = {
-        "800 x 20, one cluster a class": (six_classes(800, 1200, 20, 1), "1 s, 0.88, 0.40"),
-        "800 x 20, two clusters a class": (six_classes(800, 1200, 20, 2), "3 s, 0.66, 1.00"),
-        "3600 x 18, 15 informative, one cluster": (six_classes(3600, 1200, 18, 1, 15), "8 s, 0.94"),
+        "800 x 20, 10 informative, one cluster a class": six_classes(800, 1200, 20, 1),
+        "800 x 20, 10 informative, two clusters a class": six_classes(800, 1200, 20, 2),
+        "3600 x 18, 15 informative, one cluster a class": six_classes(3600, 1200, 18, 1, 15),
     }
-    print_row("problem, 6 classes", "form", "training", "accuracy", "log loss", "passes", "vectors a class", "target")
-    print_row(*["---"] * 8)
-    for name, (problem, target) in problems.items():
+    rows = []
+    for name, problem in problems.items():
         for form in ("one_against_all", "multinomial"):
             classifier = pdr.RelevanceVectorClassifier(multi_class=form)
             seconds, accuracy, loss = measure(classifier, problem, 2)
-            size = (classifier.machine_.weights != 0).sum(axis=1)
-            cells = f"{seconds:.2f} s", f"{accuracy:.3f}", f"{loss:.3f}", classifier.n_iter_, f"{size.mean():.0f}"
-            print_row(name, form, *cells, target)
+            machine = classifier.machine_
+            size = (machine.weights != 0).sum(axis=1)
+            cells = [f"{seconds:.2f} s", f"{accuracy:.3f}", f"{loss:.3f}", classifier.n_iter_, f"{size.mean():.0f}"]
+            rows.append([name, form, *cells, f"{1e6 * one_row_s(machine, problem[2]):.0f}"])
+    columns = [
+        "problem, 6 classes",
+        "form",
+        "training",
+        "accuracy",
+        "log loss",
+        "passes",
+        "vectors a class",
+        "one row µs",
+    ]
+    tables.write("rvm_training", columns, rows, "One core.")
 
 
-def scaling(largest: int) -> None:
-    print()
-    print_row("rows", "candidates", "training", "accuracy", "log loss", "passes")
-    print_row(*["---"] * 6)
+def one_row_s(machine: Any, rows: np.ndarray) -> float:
+    """Least mean time of one row."""
+    cost: list[float] = []
+    for _ in range(20):
+        start = time.perf_counter()
+        for row in rows[:200]:
+            machine.predict_proba(row[None])
+        cost.append((time.perf_counter() - start) / 200)
+    return min(cost)
+
+
+def scaling(tables: Tables) -> None:
+    rows = []
     for n in (1000, 2000, 5000, 10_000, 20_000, 50_000):
         for candidates in (300, 1000):
-            if n <= largest:
-                classifier = pdr.RelevanceVectorClassifier(max_samples=candidates)
-                seconds, accuracy, loss = measure(classifier, six_classes(n, 1200, 20, 1))
-                cells = f"{seconds:.1f} s", f"{accuracy:.3f}", f"{loss:.3f}", classifier.n_iter_
-                print_row(n, candidates, *cells)
+            classifier = pdr.RelevanceVectorClassifier(max_samples=candidates)
+            seconds, accuracy, loss = measure(classifier, six_classes(n, 1200, 20, 1))
+            rows.append([n, candidates, f"{seconds:.1f} s", f"{accuracy:.3f}", f"{loss:.3f}", classifier.n_iter_])
+    tables.write("rvm_scaling", ["rows", "candidates", "training", "accuracy", "log loss", "passes"], rows, "One core.")
 
 
-def against_fastrvm() -> None:
-    print()
+def against_fastrvm(tables: Tables) -> None:
     try:
         from fastrvm import RVC  # type: ignore[import-not-found]
     except ImportError:
@@ -100,37 +109,18 @@ def against_fastrvm() -> None:
         return
     problem = six_classes(800, 1200, 20, 1)
     width = median_distance(np.unique(problem[0], axis=0))
-    print_row("800 x 20, one cluster a class, same kernel", "training", "accuracy", "log loss")
-    print_row(*["---"] * 4)
-    ours = measure(pdr.RelevanceVectorClassifier(kernel_width=width), problem, 2)
-    print_row("pdr_filter", f"{ours[0]:.2f} s", f"{ours[1]:.3f}", f"{ours[2]:.3f}")
-    theirs = measure(RVC(kernel="rbf", gamma=0.5 / width**2, fit_intercept=True), problem)
-    print_row("fastrvm", f"{theirs[0]:.2f} s", f"{theirs[1]:.3f}", f"{theirs[2]:.3f}")
-    default = measure(RVC(), problem)
-    print_row('fastrvm, its defaults (gamma="scale")', f"{default[0]:.2f} s", f"{default[1]:.3f}", f"{default[2]:.3f}")
-    print(f"\n{theirs[0] / ours[0]:.0f} times faster than fastrvm with the same kernel.")
+    found = {
+        "pdr_filter": measure(pdr.RelevanceVectorClassifier(kernel_width=width), problem, 2),
+        "fastrvm": measure(RVC(kernel="rbf", gamma=0.5 / width**2, fit_intercept=True), problem),
+        'fastrvm, its defaults (gamma="scale")': measure(RVC(), problem),
+    }
+    rows = [[name, f"{s:.2f} s", f"{right:.3f}", f"{loss:.3f}"] for name, (s, right, loss) in found.items()]
+    columns = ["800 x 20, one cluster a class, same kernel", "training", "accuracy", "log loss"]
+    tables.write("rvm_fastrvm", columns, rows, "One core, wall-clock time.")
 
 
-def one_row() -> None:
-    print()
-    print_row("machine", "relevance vectors", "largest machine", "one row")
-    print_row(*["---"] * 4)
-    for n_clusters in (1, 2):
-        for form in ("one_against_all", "multinomial"):
-            X, y, X_test, _ = six_classes(800, 1200, 20, n_clusters)
-            machine = pdr.RelevanceVectorClassifier(multi_class=form).fit(X, y).machine_
-            cost: list[float] = []
-            for _ in range(20):
-                start = time.perf_counter()
-                for row in X_test[:200]:
-                    machine.predict_proba(row[None])
-                cost.append((time.perf_counter() - start) / 200)
-            cells = len(machine.vectors), machine.weights.shape[1], f"{1e6 * min(cost):.0f} us"
-            print_row(f"6 classes x {n_clusters} clusters, {form}", *cells)
-
-
-def widths() -> None:
-    """Print the mean log loss over 22 problems as a function of kernel width over median distance."""
+def widths(tables: Tables) -> None:
+    """Mean log loss over 22 problems as a function of kernel width over median distance."""
     shares = (0.35, 0.5, 0.7, 0.85, 1.0, 1.4, 2.0, 4.0)
     losses: list[list[float]] = []
     for seed in (0, 1):
@@ -144,13 +134,13 @@ def widths() -> None:
                 classifier = pdr.RelevanceVectorClassifier(kernel_width=share * median).fit(X_train, y[:n])
                 prob = classifier.predict_proba(X_test)
                 losses[-1].append(float(log_loss(y_test, prob, labels=classifier.classes_)))
-    table = np.array(losses)
-    regret = table - table.min(axis=1, keepdims=True)
-    print()
-    print_row("width / median distance", *shares)
-    print_row(*["---"] * (len(shares) + 1))
-    print_row("mean log loss", *(f"{v:.3f}" for v in table.mean(axis=0)))
-    print_row("worst loss against the best width", *(f"{v:.3f}" for v in regret.max(axis=0)))
+    found = np.array(losses)
+    regret = found - found.min(axis=1, keepdims=True)
+    rows = [
+        ["mean log loss", *(f"{v:.3f}" for v in found.mean(axis=0))],
+        ["worst loss against the best width", *(f"{v:.3f}" for v in regret.max(axis=0))],
+    ]
+    tables.write("rvm_widths", ["width / median distance", *shares], rows, "22 problems.")
 
 
 def _problems(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
@@ -183,19 +173,13 @@ def _problems(seed: int) -> list[tuple[np.ndarray, np.ndarray]]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--quick", action="store_true", help="up to 5000 rows, without fastrvm")
-    parser.add_argument("--widths", action="store_true", help="also the comparison of kernel widths")
-    arguments = parser.parse_args()
+    args = options(__doc__, "training", "scaling", "fastrvm", "widths").parse_args()
+    tables = Tables.of(__spec__.name, args)
     warnings.simplefilter("ignore", ConvergenceWarning)
+    run = {"training": training, "scaling": scaling, "fastrvm": against_fastrvm, "widths": widths}
     with threadpool_limits(limits=1):
-        training()
-        one_row()
-        if arguments.widths:
-            widths()
-        if not arguments.quick:
-            against_fastrvm()
-        scaling(5000 if arguments.quick else 50_000)
+        for part in args.parts:
+            run[part](tables)
 
 
 if __name__ == "__main__":

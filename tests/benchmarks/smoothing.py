@@ -1,6 +1,6 @@
 """Smoothing of whole recordings: speed against a Python factor for each step, honesty, wild fixes, real walks.
 
-usage: .venv/bin/python tests/benchmarks/smoothing.py [speed] [coverage] [lag] [real] [--data ../shared/data]
+usage: python -m tests.benchmarks.smoothing [speed] [coverage] [lag] [real] [--data ../shared/data]
 
 speed, coverage and lag are on simulated steps, drawn from the model itself: they show that the arithmetic is right and
 fast, not how well real walks follow the model. real: humolire (9 walks of one person, 215 to 239 m), every third
@@ -10,8 +10,6 @@ best rotation and shift of the fixes onto the track without fixes); this smoothe
 
 from __future__ import annotations
 
-import argparse
-import sys
 import time
 from collections.abc import Callable
 from dataclasses import replace
@@ -19,20 +17,19 @@ from pathlib import Path
 
 import gtsam
 import numpy as np
-from accuracy import aligned
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother
+from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.offline.smoothing.observations import Observations, waypoint_fixes
 from pdr_filter.offline.smoothing.preintegration import bridge, frame
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
-from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from pdr_filter.offline.smoothing.solve import solve
-
-sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
-from simulated_steps import Walk, simulated_walk
+from tests.benchmarks.common import Tables, bias_spread_rms, median_and, options, recordings
+from tests.simulated_steps import Walk, simulated_walk
 
 WIDE_RAD = float(np.pi / np.sqrt(3))
 
@@ -97,10 +94,8 @@ def by_custom_factors(walk: Walk, fixes: list[pdr.PositionFix], begin: np.ndarra
     return np.array([found.atVector(k) for k in range(len(begin))]), optimizer.iterations()
 
 
-def speed() -> None:
-    rng = np.random.default_rng(1)
-    print("| steps | fix every | smoother s | Python factor for each step s (iterations) | times faster | apart m |")
-    print("|---|---|---|---|---|---|")
+def speed(tables: Tables) -> None:
+    rng, rows = np.random.default_rng(1), []
     for n_steps, every in ((1000, 20), (3000, 20), (10_000, 20), (10_000, 2)):
         walk = simulated_walk(n_steps, rng, any_rotation=True)
         fixes = walk.fixes(every, 2.0, rng)
@@ -110,7 +105,7 @@ def speed() -> None:
             mean, _, _ = smoothed(walk, fixes)
             took.append(time.perf_counter() - start)
         if every == 2:
-            print(f"| {n_steps} | {every / 2:.0f} s | {min(took):.2f} | - | - | - |", flush=True)
+            rows.append([n_steps, f"{every / 2:.0f} s", f"{min(took):.2f}", "-", "-", "-"])
             continue
         problem = problem_of(walk, fixes)
         begin = np.vstack([solve(problem).mean[:1], mean])
@@ -118,16 +113,21 @@ def speed() -> None:
         single, iterations = by_custom_factors(walk, fixes, begin)
         custom = time.perf_counter() - start
         apart = np.linalg.norm(single[1:, :2] - mean[:, :2], axis=1).max()
-        print(
-            f"| {n_steps} | {every / 2:.0f} s | {min(took):.2f} | {custom:.1f} ({iterations}) | "
-            f"{custom / min(took):.0f} | {apart:.2f} |",
-            flush=True,
-        )
+        times = [f"{min(took):.2f}", f"{custom:.1f} ({iterations})", f"{custom / min(took):.0f}"]
+        rows.append([n_steps, f"{every / 2:.0f} s", *times, f"{apart:.2f}"])
+    columns = [
+        "steps",
+        "fix every",
+        "smoother s",
+        "Python factor for each step s (iterations)",
+        "times faster",
+        "apart m",
+    ]
+    tables.write("smoothing_speed", columns, rows)
 
 
-def coverage() -> None:
-    print("| wild fixes | changes | walks | in 95 % ellipse | RMSE m: median, largest | wild kept | good lost |")
-    print("|---|---|---|---|---|---|---|")
+def coverage(tables: Tables) -> None:
+    rows = []
     for wild_share, jumps in ((0.0, 0), (0.1, 0), (0.2, 0), (0.0, 2), (0.1, 2)):
         rng = np.random.default_rng(11)
         inside, rmse, kept, lost, n_wild, n_good = [], [], 0, 0, 0, 0
@@ -142,16 +142,16 @@ def coverage() -> None:
             rmse.append(np.sqrt(np.square(error).sum(axis=1).mean()))
             kept, lost = kept + (wild & (weight > 0)).sum(), lost + (~wild & (weight == 0)).sum()
             n_wild, n_good = n_wild + wild.sum(), n_good + (~wild).sum()
-        print(
-            f"| {wild_share:.0%} | {jumps} | 300 | {100 * np.mean(inside):.1f} % | "
-            f"{np.median(rmse):.2f}, {max(rmse):.2f} | "
-            f"{kept} of {n_wild} | {lost} of {n_good} |",
-            flush=True,
+        share = f"{100 * np.mean(inside):.1f} %"
+        rows.append(
+            [f"{wild_share:.0%}", jumps, share, median_and(rmse, 100), f"{kept} of {n_wild}", f"{lost} of {n_good}"]
         )
+    columns = ["wild fixes", "changes of the offset", "in 95 % ellipse", "RMSE m: median, largest", "wild fixes kept"]
+    tables.write("smoothing_coverage", [*columns, "good fixes lost"], rows, "300 simulated walks a row.")
 
 
-def lag() -> None:
-    print("| lag s | in 95 % ellipse | RMSE m | ms per step |\n|---|---|---|---|")
+def lag(tables: Tables) -> None:
+    rows = []
     for lag_s in (0.0, 5.0, 10.0, 20.0, 40.0):
         rng = np.random.default_rng(21)
         inside, square, took, n = [], [], 0.0, 0
@@ -172,10 +172,9 @@ def lag() -> None:
             error = (mean[:, :2] - walk.position_m[1:])[100:]  # the rotation of the map is known by then
             inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov[100:, :2, :2]), error) < 5.991)
             square.append(np.square(error).sum(axis=1))
-        print(
-            f"| {lag_s:.0f} | {100 * np.mean(inside):.1f} % | {np.sqrt(np.mean(square)):.2f} | {1e3 * took / n:.1f} |",
-            flush=True,
-        )
+        cells = [f"{100 * np.mean(inside):.1f} %", f"{np.sqrt(np.mean(square)):.2f}", f"{1e3 * took / n:.1f}"]
+        rows.append([f"{lag_s:.0f}", *cells])
+    tables.write("smoothing_lag", ["lag s", "in 95 % ellipse", "RMSE m", "ms per step"], rows, "Ten simulated walks.")
 
 
 def at_times(track: pdr.Track, start_m: np.ndarray, times: np.ndarray) -> np.ndarray:
@@ -184,20 +183,21 @@ def at_times(track: pdr.Track, start_m: np.ndarray, times: np.ndarray) -> np.nda
     return np.column_stack([np.interp(times, time_s, position[:, k]) for k in (0, 1)])
 
 
-def real(data: Path) -> None:
-    recordings = [pdr.read(p) for p in sorted((data / "humolire").glob("*.zip"))]
+def real(tables: Tables, data: Path) -> None:
+    walks = list(recordings(data, "humolire"))
+    columns: dict[str, dict[str, str]] = {}
     for wild in (False, True):
         rows: dict[str, list[float]] = {}
         walked: dict[str, list[float]] = {}
         covered, scales = [], []
         rng = np.random.default_rng(5)
-        for recording in recordings:
+        for recording in walks:
             points = waypoint_fixes(recording)
             times, places = np.array([p.time_s for p in points]), np.array([p.position_m for p in points])
             other = np.arange(len(points)) % 3 > 0
             alone = pdr.track(recording)
             estimate_m = at_times(alone, np.zeros(2), times)
-            turned = aligned(estimate_m, places, ~other)
+            turned = evaluate.fitted(places, estimate_m, ~other)
             bad = rng.choice(np.flatnonzero(~other)) if wild else -1
             angle = rng.uniform(0, 2 * np.pi)
             shift = 40.0 * np.array([np.sin(angle), np.cos(angle)])
@@ -211,7 +211,7 @@ def real(data: Path) -> None:
             tracks = {
                 "dead reckoning, aligned": (alone, np.zeros(2), turned),
                 "filter with fixes": (pdr.track(recording, fixes=given_turned), np.zeros(2), turned),
-                "IMM smoother": (smoothed_track(recording, fixes=given_turned), np.zeros(2), turned),
+                "IMM smoother": (in_hindsight(recording, fixes=given_turned).track, np.zeros(2), turned),
                 "this smoother": (result.track, result.start_position_m, places),
             }
             for name, (track, start_m, reference) in tracks.items():
@@ -226,32 +226,26 @@ def real(data: Path) -> None:
             cov = result.track.position_cov_m2[nearest] + 0.3**2 * np.eye(2)  # clicks are good to a third of a metre
             covered.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error)[other] < 5.991)
             scales.append(result.scale)
-        print(f"\n{'one fix of each walk 40 m away' if wild else 'fixes as surveyed, 1 m'}\n")
-        print("| | RMSE at the other waypoints m: median, largest | straight legs %: bias, spread |\n|---|---|---|")
-        for name, row in rows.items():
-            print(
-                f"| {name} | {np.median(row):.2f}, {max(row):.2f} | "
-                f"{np.mean(walked[name]):+.1f}, {np.std(walked[name]):.1f} |"
-            )
-        held = np.concatenate(covered)
-        print(
-            f"\n95 % ellipses hold {100 * held.mean():.0f} % of {held.size} waypoints; "
-            f"scales {np.mean(scales):.3f}, spread {np.std(scales):.3f}",
-            flush=True,
-        )
+        what = "with one fix 40 m away" if wild else "RMSE m: median, largest"
+        columns[what] = {name: median_and(row, 100) for name, row in rows.items()}
+        if not wild:
+            columns["straight legs %: bias, spread, RMS"] = {n: bias_spread_rms(row) for n, row in walked.items()}
+            held, scale = 100 * np.concatenate(covered).mean(), f"{np.mean(scales):.3f} ± {np.std(scales):.3f}"
+            columns["waypoints in 95 % ellipse"] = {"this smoother": f"{held:.0f} %"}
+            columns["scale"] = {"this smoother": scale}
+    names = columns["RMSE m: median, largest"]
+    rows_of = [[name, *(column.get(name, "") for column in columns.values())] for name in names]
+    tables.write("smoothing_real", ["", *columns], rows_of, "humolire: 9 walks, every third waypoint a fix of 1 m.")
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("parts", nargs="*", default=["speed", "coverage", "lag", "real"])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    args = parser.parse_args()
+    args = options(__doc__, "speed", "coverage", "lag", "real").parse_args()
+    tables = Tables.of(__spec__.name, args)
     for part in args.parts:
-        print(f"\n## {part}\n", flush=True)
         if part == "real":
-            real(args.data)
+            real(tables, args.data)
         else:
-            {"speed": speed, "coverage": coverage, "lag": lag}[part]()
+            {"speed": speed, "coverage": coverage, "lag": lag}[part](tables)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""The gate against false steps: its weights fitted anew, and what it does to people left out of the fit.
+"""The gate against false steps: its weights fitted again, and what it does to people left out of the fit.
 
-    python tests/benchmarks/step_gate.py [--data ../shared/data]
+    python -m tests.benchmarks.step_gate [--data ../shared/data]
 
 Every step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s outside,
 where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of the other sets. The
@@ -12,23 +12,23 @@ both fits. Then the same with the weights that the package has, which have seen 
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from sklearn.linear_model import LogisticRegression
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.detector import unknown_modes
 from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]
 
@@ -178,87 +178,74 @@ class Score:
         self.first_s += [s.detected_time_s - s.time_s for s in walk[:4]]
         self.inside_s += [s.detected_time_s - s.time_s for s in walk[4:]]
 
-    def row(self, name: str) -> str:
+    def cells(self) -> list[str]:
+        """Count error, false steps, latencies."""
         error = np.array(self.error_percent)
-        cells = [name, str(len(error)), f"{np.abs(error).mean():.2f}", f"{error.mean():+.2f}"]
-        cells += [f"{np.abs(error).max():.1f}", f"{60 * self.n_false / max(self.handled_s, 1e-9):.2f}"]
-        for latency_s in (self.inside_s, self.first_s):
-            cells.append(", ".join(f"{q:.1f}" for q in np.quantile(latency_s, [0.5, 0.95])))
-        return "| " + " | ".join(cells) + " |"
+        cells = [f"{np.abs(error).mean():.2f}, {error.mean():+.2f}, {np.abs(error).max():.1f}"]
+        cells.append(f"{60 * self.n_false / max(self.handled_s, 1e-9):.2f}")
+        return cells + [
+            ", ".join(f"{q:.1f}" for q in np.quantile(latency_s, [0.5, 0.95]))
+            for latency_s in (self.inside_s, self.first_s)
+        ]
 
 
-def f1(truth_s: FloatArray, found_s: FloatArray, tolerance_s: float) -> float:
-    """F1 of one-to-one matches in time order."""
-    i = j = hits = 0
-    while i < len(truth_s) and j < len(found_s):
-        if abs(found_s[j] - truth_s[i]) <= tolerance_s:
-            hits, i, j = hits + 1, i + 1, j + 1
-        elif found_s[j] < truth_s[i]:
-            j += 1
-        else:
-            i += 1
-    return 2 * hits / (len(truth_s) + len(found_s))
+# What a column of the table says, by the set and the place that it is of.
+COUNTS = (
+    "count error %: mean absolute, bias, largest",
+    "false steps a minute",
+    "latency s in a bout: median, 95 %",
+    "latency s of the first four steps",
+)
 
 
-def report(all_found: Sequence[Found], gates: Sequence[StepGate | None]) -> None:
-    """Figures of each recording behind its gate; None is no gate."""
-    scores: dict[str, Score] = defaultdict(Score)
+def figures(all_found: Sequence[Found], gates: Sequence[StepGate | None]) -> dict[str, str]:
+    """Figures of each recording behind its gate, by name; None is no gate."""
+    every, in_hand = Score(), Score()
     kept: dict[str, list[int]] = defaultdict(lambda: [0, 0])
     f1s: list[tuple[float, float]] = []
     for found, gate in zip(all_found, gates, strict=True):
         steps = through_gate(found, gate) if gate else [s for _, parts in found.segments for p in parts for _, s in p]
         time_s = np.array([s.time_s for s in steps])
         if found.data_set == "ubicomp13":
-            for name in (
-                "all",
-                f"people {'odd' if found.person % 2 else 'even'}",
-                found.recording.name.split("_", 3)[3],
-            ):
-                scores[name].add(found, steps)
+            every.add(found, steps)
+            if found.recording.name.endswith("handheld_using"):
+                in_hand.add(found, steps)
         elif found.data_set == "oxford":
-            truth_s = np.asarray(found.recording.truth.steps.time_s)
-            near = time_s[(time_s > truth_s[0] - 0.6) & (time_s < truth_s[-1] + 0.6)]
-            offsets = np.arange(-0.4, 0.41, 0.02)
+            true_s = np.asarray(found.recording.truth.steps.time_s)
+            near = time_s[(time_s > true_s[0] - 0.6) & (time_s < true_s[-1] + 0.6)]
+            best = [evaluate.best_offset_s(true_s, near, tolerance_s) for tolerance_s in (0.25, 0.1)]
             f1s.append(
-                (max(f1(truth_s, near + o, 0.25) for o in offsets), max(f1(truth_s, near + o, 0.1) for o in offsets))
+                tuple(evaluate.f1_score(true_s, near + o, tol) for o, tol in zip(best, (0.25, 0.1), strict=True))
             )
         for t in found.time_s:
             walking = truth(found, t)
             if walking is not None and found.data_set != "ubicomp13":
-                count = kept[f"{found.data_set}, {'walking' if walking else 'not walking'}"]
+                count = kept[f"{found.data_set}: {'walking' if walking else 'sitting, standing'}"]
                 count[0] += 1
                 count[1] += bool(len(time_s)) and bool(np.abs(time_s - t).min() < 1e-9)
-    print(
-        "| ubicomp13 | walks | mean absolute % | bias % | largest % | false steps a minute | "
-        "latency s: median, 95 % | of the first four |\n" + "|---" * 8 + "|"
-    )
-    for name, score in sorted(scores.items(), key=lambda item: (item[0] != "all", "people" not in item[0], item[0])):
-        print(score.row(name))
-    print("\n| other sets | steps of the detector | out |\n|---|---|---|")
-    for name, (n, n_out) in sorted(kept.items()):
-        print(f"| {name} | {n} | {n_out} |")
-    close = np.mean(f1s, axis=0)
-    print(f"\nOxford: F1 within 0.25 s {close[0]:.4f}, within 0.1 s {close[1]:.4f}")
+    result = dict(zip(COUNTS, every.cells(), strict=True))
+    result["false steps a minute, phone in use in the hand"] = in_hand.cells()[1]
+    wide, narrow = np.mean(f1s, axis=0)
+    result |= {"oxford: F1 within 0.25 s": f"{wide:.4f}", "oxford: F1 within 0.1 s": f"{narrow:.4f}"}
+    return result | {f"{name}, steps kept": f"{n_out} of {n}" for name, (n, n_out) in sorted(kept.items())}
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
+    args = options(__doc__).parse_args()
     names = sorted({name for name, _ in MASS})
-    all_found = [find(pdr.read(p)) for name in names for p in sorted((data / name).glob("*.zip"))]
+    all_found = [find(recording) for name in names for recording in recordings(args.data, name)]
     left_out = [fit([f for f in all_found if f.person == 0 or f.person % 2 != fold]) for fold in (0, 1)]
     for fold, evidence in enumerate(left_out):
         print(f"without {'odd' if fold else 'even'} people: {evidence}")
     print(f"all people: {fit(all_found)}\nthe package: {EVIDENCE}")
-    print("\n## Without gate\n")
-    report(all_found, [None] * len(all_found))
-    print("\n## People left out\n")
-    report(all_found, [StepGate(evidence=left_out[f.person % 2]) for f in all_found])
-    print("\n## The package's weights\n")
-    report(all_found, [StepGate()] * len(all_found))
-    print("\n## The package's weights, five steps a bout\n")
-    report(all_found, [replace(StepGate(), min_steps=5)] * len(all_found))
+    columns = {
+        "without gate": figures(all_found, [None] * len(all_found)),
+        "gate, people left out": figures(all_found, [StepGate(evidence=left_out[f.person % 2]) for f in all_found]),
+        "gate as shipped": figures(all_found, [StepGate()] * len(all_found)),
+        "as shipped, five steps a bout": figures(all_found, [replace(StepGate(), min_steps=5)] * len(all_found)),
+    }
+    rows = [[name, *(column[name] for column in columns.values())] for name in columns["without gate"]]
+    Tables.of(__spec__.name, args).write("step_gate", ["", *columns], rows)
 
 
 if __name__ == "__main__":

@@ -1,6 +1,6 @@
-"""Every step-length model on walks it has not seen: the tables of docs/methods/step_length.md.
+"""Every step-length model on walks it has not seen.
 
-usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/step_length_models.py [--data ../shared/data]
+usage: python -m tests.benchmarks.step_length_models [--data ../shared/data]
 
 1. humolire, one walk left out of 9: parameters from the straight legs of the others, error of the legs' sum and of
    each leg. Fitted and scored by displacement (length of the sum of the step vectors of a leg), and, for comparison, by
@@ -9,6 +9,7 @@ usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/step_length_models.py
    capture, a room of 5 m) by carrying mode.
 3. Another person, another place of the phone: with the parameters of both sites, how much the length of the one route
    of ubicomp13 (steps counted on video, length not published) differs between 66 walks of 13 people. Nothing is fitted.
+4. How much a place of the phone changes the inputs of the models, the same people on the same route (ubicomp13).
 
 A leg is a stretch between two landmarks: straight legs (humolire), waypoints more than 4 m apart (ms_indoor), two steps
 on a straight stretch (tyrex: the sway of body and phone is the same at both ends).
@@ -16,7 +17,6 @@ on a straight stretch (tyrex: the sway of body and phone is the same at both end
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Callable
 from dataclasses import dataclass, fields
@@ -31,14 +31,16 @@ from scipy.signal import butter, sosfiltfilt
 import pdr_filter as pdr
 from pdr_filter.filter import step_length as models
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, options, paths
 
 FloatArray = NDArray[np.float64]
 UNKNOWN_HEIGHT_M = 1.70
 # A click is early by up to 0.8 s, or late by 0.1 s: about 0.25 m at each end of a leg.
 LEG_STD_M = 0.35
 # Prior of every linear model: each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m. With a hundred
-# legs it only decides between regressors that tell the same (1, 1 / f and 1 / sqrt(f) over one person's cadences).
+# legs it only decides between regressors that say the same (1, 1 / f and 1 / sqrt(f) over one person's cadences).
 TERM_STD_M = 0.7
 TYPICAL = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 CHEN_PRIOR = np.array([0.371, 0.227, 1.0]), np.array([0.3, 0.3, 0.3])
@@ -49,7 +51,6 @@ MODELS: dict[str, Callable[[float], StepLengthModel]] = {
     "M2, Martinelli k0 + k1 f + k2 var": lambda h: models.FrequencyVarianceStepLength(),
     "M3 k0 + k1/f + k2 max": lambda h: models.PeriodPeakStepLength(),
     "Weinberg k range^1/4": lambda h: models.WeinbergStepLength(),
-    "Weinberg with offset": lambda h: models.WeinbergOffsetStepLength(),
     "M4 k range(magnitude)^1/4": lambda h: models.MagnitudeRangeStepLength(),
     "M5, Tian k h sqrt f": models.TianStepLength,
     "M6, Kim k cbrt(mean abs)": lambda h: models.KimStepLength(),
@@ -229,10 +230,9 @@ def route_of(path: Path) -> Route:
 # --- tables ---------------------------------------------------------------------------------------------------------
 
 
-def leave_one_walk_out(legs: list[Leg]) -> None:
+def leave_one_walk_out(tables: Tables, legs: list[Leg]) -> None:
     """Table 1."""
-    print("\n| model | p | total %RMSE | bias % | spread % | leg %RMSE | summed: total %RMSE | summed: leg %RMSE |")
-    print("|---|---|---|---|---|---|---|---|")
+    rows = []
     walks = walks_of(legs)
     for name, make in MODELS.items():
         row = [name, str(make(UNKNOWN_HEIGHT_M).n_params)]
@@ -248,7 +248,11 @@ def leave_one_walk_out(legs: list[Leg]) -> None:
             row.append(f"{np.sqrt((t**2).mean()):.2f}")
             row += [f"{t.mean():+.2f}", f"{t.std():.2f}"] if measure is displacement else []
             row.append(f"{np.sqrt((o**2).mean()):.2f}")
-        print("| " + " | ".join(row) + " |", flush=True)
+        rows.append(row)
+    columns = ["model", "p", "total %RMSE", "bias %", "spread %", "leg %RMSE"]
+    about = f"humolire, {len(walks)} walks, {len(legs)} legs, {sum(leg.distance_m for leg in legs):.0f} m."
+    columns += ["summed: total %RMSE", "summed: leg %RMSE"]
+    tables.write("step_length_walk_left_out", columns, rows, about)
 
 
 def percent(make: Callable[[float], StepLengthModel], legs: list[Leg], theta: FloatArray) -> str:
@@ -257,19 +261,13 @@ def percent(make: Callable[[float], StepLengthModel], legs: list[Leg], theta: Fl
     error = 100 * (totals[:, 0] / totals[:, 1] - 1)
     bias = np.average(error, weights=totals[:, 1])
     spread = np.sqrt(np.average((error - bias) ** 2, weights=totals[:, 1]))
-    return f"{bias:+.0f} +- {spread:.0f}" if len(error) > 1 else f"{bias:+.0f}"
+    return f"{bias:+.0f} ± {spread:.0f}" if len(error) > 1 else f"{bias:+.0f}"
 
 
-def other_sites(sites: dict[str, list[Leg]], routes: list[Route]) -> None:
+def other_sites(tables: Tables, sites: dict[str, list[Leg]], routes: list[Route]) -> None:
     """Tables 2 and 3."""
     modes = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
-    print(
-        "\n| model | humolire to ms_indoor | ms_indoor to humolire | both to humolire | both to ms_indoor | "
-        + " | ".join(f"both to tyrex {m}" for m in modes)
-        + " | ubicomp13: walks | people | places, largest |\n"
-        + "|---" * 13
-        + "|"
-    )
+    rows = []
     for name, make in MODELS.items():
         here, there = sites["humolire"], sites["ms_indoor"]
         both = fit(make, here + there, displacement)
@@ -279,7 +277,11 @@ def other_sites(sites: dict[str, list[Leg]], routes: list[Route]) -> None:
         row += [percent(make, [leg for leg in sites["tyrex"] if leg.walk.endswith(m)], both) for m in modes]
         walks, people, places = spread_on_one_route(make, routes, both)
         row += [f"{walks:.1f}", f"{people:.1f}", f"{places:.1f}"]
-        print("| " + " | ".join(row) + f" | {both.round(4).tolist()}", flush=True)
+        rows.append(row)
+        print(name, both.round(4).tolist(), flush=True)
+    columns = ["model", "humolire to ms_indoor", "ms_indoor to humolire", "both to humolire", "both to ms_indoor"]
+    columns += [*(f"both to tyrex {m}" for m in modes), "ubicomp13: walks", "people", "places"]
+    tables.write("step_length_other_sites", columns, rows, "Bias ± spread of walks in %; standard deviations in %.")
 
 
 def spread_on_one_route(
@@ -300,23 +302,43 @@ def spread_on_one_route(
     return 100 * length.std(), 100 * effect[: len(people)].std(ddof=1), 100 * float(np.abs(place).max())
 
 
+INPUTS: dict[str, Callable[[Step], float]] = {
+    "step frequency": lambda s: s.frequency_hz,
+    "amplitude A": lambda s: s.vertical_amplitude_mps2,
+    "mean modulus": lambda s: s.mean_abs_mps2,
+    "vertical range": lambda s: s.vertical_max_mps2 - s.vertical_min_mps2,
+    "maximum of a": lambda s: s.magnitude_max_mps2 - STANDARD_GRAVITY_MPS2,
+    "variance": lambda s: s.variance,
+}
+
+
+def inputs(tables: Tables, routes: list[Route]) -> None:
+    """Table 4: 100 times the mean log over the steps, less that of the mean place, people apart."""
+    people, places = sorted({r.person for r in routes}), sorted({r.place for r in routes})
+    design = np.array([[r.person == p for p in people] + [r.place == q for q in places[1:]] for r in routes], float)
+    rows = []
+    for name, value in INPUTS.items():
+        of_walk = [np.mean(np.log([max(value(s), 1e-3) for s in r.steps])) for r in routes]
+        effect = np.linalg.lstsq(design, np.array(of_walk), rcond=None)[0]
+        place = 100 * np.concatenate([[0.0], effect[len(people) :]])
+        place -= np.mean([place[places.index(r.place)] for r in routes])
+        rows.append([name, *(f"{e:+.0f}" for e in place)])
+    tables.write("step_length_inputs", ["input", *places], rows, "In % of the input.")
+
+
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
+    args = options(__doc__).parse_args()
+    data, tables = args.data, Tables.of(__spec__.name, args)
     sites = {
-        site: [leg for p in sorted((data / site).glob("*.zip")) for leg in legs_between_landmarks(p)]
+        site: [leg for p in paths(data, site) for leg in legs_between_landmarks(p)]
         for site in ("humolire", "ms_indoor")
     }
-    walking = [
-        p for p in sorted((data / "tyrex").glob("*.zip")) if not p.stem.endswith(("_ar", "hand", "runningpocket"))
-    ]
+    walking = [p for p in paths(data, "tyrex") if not p.stem.endswith(("_ar", "hand", "runningpocket"))]
     sites["tyrex"] = [leg for p in walking for leg in strides_in_motion_capture(p)]
-    routes = [route_of(p) for p in sorted((data / "ubicomp13").glob("*.zip"))]
-    for site, legs in sites.items():
-        print(f"{site}: {len(walks_of(legs))} walks, {len(legs)} legs, {sum(leg.distance_m for leg in legs):.0f} m")
-    leave_one_walk_out(sites["humolire"])
-    other_sites(sites, routes)
+    routes = [route_of(p) for p in paths(data, "ubicomp13")]
+    leave_one_walk_out(tables, sites["humolire"])
+    other_sites(tables, sites, routes)
+    inputs(tables, routes)
 
 
 if __name__ == "__main__":

@@ -1,25 +1,24 @@
 """The default step detector and its gate against steps counted on video and against foot switches.
 
-    python tests/benchmarks/steps.py [--data ../shared/data]
+    python -m tests.benchmarks.steps [--data ../shared/data]
 
-Prints the step frequency as a function of the power of the motion (the law the detector rests on); count errors of
-ubicomp13 by placement with the single-scale wavelet, with the default detector, and behind the gate; the same with
-only every second or fourth sample; F1 of oxford at several rates; and step rates of running and stairs, which have no
-counted steps. What the gate does to handling, with people left out, is in step_gate.py.
+The step frequency as a function of the power of the motion (the law of the detector); count errors of ubicomp13 by
+placement with the single-scale wavelet, with the default detector, and behind the gate; the same with only every second
+or fourth sample; F1 of oxford at several rates. What the gate does to handling, with people left out, is in
+step_gate.py.
 """
 
 from __future__ import annotations
 
-import argparse
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 import pdr_filter as pdr
+from pdr_filter import evaluate
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.front_end import Sensing
@@ -27,6 +26,7 @@ from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector, low_pass_ker
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values.samples import Samples
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]
 
@@ -66,46 +66,40 @@ def cell(errors: Sequence[float]) -> str:
     return f"{np.abs(errors).mean():.2f}, {np.mean(errors):+.2f}, {np.abs(errors).max():.1f}"
 
 
-def print_counts(recordings: Sequence[pdr.Recording]) -> None:
-    columns = {name: count_errors(sensing, recordings) for name, sensing in PIPELINES.items()}
+def counts(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
+    columns = {name: count_errors(sensing, walks) for name, sensing in PIPELINES.items()}
     for keep_every in (2, 4):
-        thin = [thinned(r, keep_every) for r in recordings]
-        columns[f"... at {100 // keep_every} Hz"] = count_errors(PIPELINES["default detector, gate"], thin)
-    print("\nubicomp13, count error %: mean absolute, bias, largest\n")
-    print(f"| placement | walks | {' | '.join(columns)} |\n" + "|---" * (len(columns) + 2) + "|")
-    for name in sorted(next(iter(columns.values())), key=lambda n: (n != "all", n)):
-        n = len(columns["default detector"][name])
-        print(f"| {name} | {n} | {' | '.join(cell(c[name]) for c in columns.values())} |")
+        thin = [thinned(r, keep_every) for r in walks]
+        columns[f"the same at {100 // keep_every} Hz"] = count_errors(PIPELINES["default detector, gate"], thin)
+    places = sorted(columns["default detector"], key=lambda n: (n != "all", n))
+    rows = [
+        [place, len(columns["default detector"][place]), *(cell(errors[place]) for errors in columns.values())]
+        for place in places
+    ]
+    about = "Count error in per cent: mean absolute, bias, largest (ubicomp13)."
+    tables.write("steps_counts", ["placement", "walks", *columns], rows, about)
 
 
-def f1(truth_s: FloatArray, found_s: FloatArray, tolerance_s: float) -> float:
-    """F1 of one-to-one matches in time order, at the best constant offset."""
-    best = 0.0
-    for offset_s in np.arange(-0.4, 0.41, 0.02):
-        i = j = hits = 0
-        while i < len(truth_s) and j < len(found_s):
-            if abs(found_s[j] + offset_s - truth_s[i]) <= tolerance_s:
-                hits, i, j = hits + 1, i + 1, j + 1
-            elif found_s[j] + offset_s < truth_s[i]:
-                j += 1
-            else:
-                i += 1
-        best = max(best, 2 * hits / (len(truth_s) + len(found_s)))
-    return best
-
-
-def print_oxford(recordings: Sequence[pdr.Recording]) -> None:
-    print("\noxford, F1\n\n| | Hz | within 0.25 s | lowest | within 0.1 s |\n|---|---|---|---|---|")
+def switches(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
+    rows = []
     for name, sensing in PIPELINES.items():
         for keep_every in (1, 2, 4, 8, 16) if "gate" in name else (1,):
             close: list[tuple[float, float]] = []
-            for recording in recordings:
-                truth_s = np.asarray(recording.truth.steps.time_s)
+            for recording in walks:
+                true_s = np.asarray(recording.truth.steps.time_s)
                 time_s = step_times(sensing, thinned(recording, keep_every))
-                time_s = time_s[(time_s > truth_s[0] - 0.6) & (time_s < truth_s[-1] + 0.6)]
-                close.append((f1(truth_s, time_s, 0.25), f1(truth_s, time_s, 0.1)))
+                time_s = time_s[(time_s > true_s[0] - 0.6) & (time_s < true_s[-1] + 0.6)]
+                offset_s = [evaluate.best_offset_s(true_s, time_s, tolerance_s) for tolerance_s in (0.25, 0.1)]
+                close.append(
+                    tuple(
+                        evaluate.f1_score(true_s, time_s + o, tol) for o, tol in zip(offset_s, (0.25, 0.1), strict=True)
+                    )
+                )
             wide, narrow = np.array(close).T
-            print(f"| {name} | {405 // keep_every} | {wide.mean():.4f} | {wide.min():.3f} | {narrow.mean():.4f} |")
+            figures = [f"{wide.mean():.3f}", f"{wide.min():.3f}", f"{narrow.mean():.3f}"]
+            rows.append([name, 405 // keep_every, *figures])
+    columns = ["", "Hz", "F1 within 0.25 s", "lowest", "F1 within 0.1 s"]
+    tables.write("steps_switches", columns, rows, "16 walks of one person, foot switches (oxford).")
 
 
 def power_and_frequency(recording: pdr.Recording) -> tuple[FloatArray, FloatArray]:
@@ -124,35 +118,23 @@ def power_and_frequency(recording: pdr.Recording) -> tuple[FloatArray, FloatArra
     return np.log(rms), -np.log(interval_s)
 
 
-def print_law(recordings: Sequence[pdr.Recording]) -> None:
-    parts = [power_and_frequency(r) for r in recordings]
+def law(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
+    parts = [power_and_frequency(r) for r in walks]
     x, y = np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts])
     mass = np.concatenate([np.full(len(p[0]), 1.0 / max(len(p[0]), 1)) for p in parts])
     slope, offset = np.polyfit(x, y, 1, w=np.sqrt(mass))
-    deviation = np.sqrt(np.average((y - slope * x - offset) ** 2, weights=mass))
-    print(f"f = {np.exp(offset):.2f} R^{slope:.2f} Hz, deviation {100 * deviation:.0f} %, {len(parts)} recordings")
-
-
-def print_rates(recordings: Sequence[pdr.Recording]) -> None:
-    print("\nmotionsense, steps a second by context: 10, 50 and 90 % of recordings\n")
-    rates: dict[str, list[float]] = defaultdict(list)
-    for recording in recordings:
-        time_s = step_times(PIPELINES["default detector, gate"], recording)
-        duration_s = float(recording.accelerometer.time_s[-1])
-        rates[recording.name.split("_")[2]].append(len(time_s) / duration_s)
-    for context, values in sorted(rates.items()):
-        print(context, len(values), np.round(np.quantile(values, [0.1, 0.5, 0.9]), 2))
+    spread = np.sqrt(np.average((y - slope * x - offset) ** 2, weights=mass))
+    columns = ["recordings", "frequency at R = 1 m/s², Hz", "exponent", "standard deviation %"]
+    tables.write("steps_law", columns, [[len(parts), f"{np.exp(offset):.2f}", f"{slope:.2f}", f"{100 * spread:.0f}"]])
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
-    sets = {n: [pdr.read(p) for p in sorted((data / n).glob("*.zip"))] for n in ("ubicomp13", "oxford", "motionsense")}
-    print_law([*sets["ubicomp13"], *sets["oxford"], *(r for r in sets["motionsense"] if "_jog_" in r.name)])
-    print_counts(sets["ubicomp13"])
-    print_oxford(sets["oxford"])
-    print_rates(sets["motionsense"])
+    args = options(__doc__).parse_args()
+    tables = Tables.of(__spec__.name, args)
+    counted, switched = (list(recordings(args.data, site)) for site in ("ubicomp13", "oxford"))
+    law(tables, [*counted, *switched, *recordings(args.data, "motionsense", "*_jog_*.zip")])
+    counts(tables, counted)
+    switches(tables, switched)
 
 
 if __name__ == "__main__":

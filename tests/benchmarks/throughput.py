@@ -1,18 +1,13 @@
 """How fast the whole pipeline is: an hour of 100 Hz data at once, and the cost of one pushed block of 0.1 s.
 
-usage: .venv/bin/python tests/benchmarks/throughput.py [--hours 1]
+usage: python -m tests.benchmarks.throughput [--hours 1]
 
 The hour is the embedded simulated walk repeated in time. One core: BLAS threads are set to one.
 """
 
 from __future__ import annotations
 
-import argparse
-import os
 import time
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 import numpy as np
 
@@ -20,6 +15,7 @@ import pdr_filter as pdr
 from pdr_filter.recipes import default
 from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
 from pdr_filter.values.samples import Samples
+from tests.benchmarks.common import Tables, options
 
 
 def long_walk(hours: float) -> pdr.Recording:
@@ -57,9 +53,10 @@ def features_s(recording: pdr.Recording) -> tuple[float, int]:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser = options(__doc__)
     parser.add_argument("--hours", type=float, default=1.0)
-    recording = long_walk(parser.parse_args().hours)
+    args = parser.parse_args()
+    recording, rows = long_walk(args.hours), []
     pdr.track(pdr.simulate.demo_walk())  # loads models, fills caches
     for weighting in ("imm", "wc", "hc"):
         best = np.inf
@@ -67,12 +64,10 @@ def main() -> None:
             start = time.perf_counter()
             track = pdr.track(recording, weighting=weighting)
             best = min(best, time.perf_counter() - start)
-        print(
-            f"{weighting}: {recording.duration_s:.0f} s of data, {track.n_steps} steps, in {best:.2f} s: "
-            f"{recording.duration_s / best:.0f} times real time"
-        )
+        times = recording.duration_s / best
+        rows.append([f"an hour, `{weighting}`, {track.n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
     best, n_windows = min(features_s(recording) for _ in range(3))
-    print(f"all {len(FEATURE_SETS['invariant'])} features of {n_windows} windows: {best:.2f} s")
+    rows.append([f"{len(FEATURE_SETS['invariant'])} features of its {n_windows} windows", f"{best:.2f} s"])
     block = pdr.merge_streams(recording)
     online = pdr.OnlineFilter()
     cost: list[float] = []
@@ -82,11 +77,13 @@ def main() -> None:
         online.push(block.time_s[part], block.specific_force_mps2[part], block.angular_rate_radps[part])
         cost.append(1e3 * (time.perf_counter() - start))
     high = np.percentile(cost, 99)
-    print(f"one pushed 0.1 s block: mean {np.mean(cost):.3f} ms, 99th percentile {high:.3f} ms, n = {len(cost)}")
+    rows.append(["one pushed block of 0.1 s", f"mean {np.mean(cost):.2f} ms, 99th percentile {high:.1f} ms"])
     blob = online.save()
     start = time.perf_counter()
     pdr.OnlineFilter.load(blob)
-    print(f"saved filter: {len(blob) / 1e3:.0f} kB, loaded in {1e3 * (time.perf_counter() - start):.0f} ms")
+    loaded_ms = 1e3 * (time.perf_counter() - start)
+    rows.append(["a saved filter, models included", f"{len(blob) / 1e3:.0f} kB, loaded in {loaded_ms:.0f} ms"])
+    Tables.of(__spec__.name, args).write("throughput", ["what", "result"], rows, "One core.")
 
 
 if __name__ == "__main__":

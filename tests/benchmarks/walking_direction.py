@@ -1,6 +1,6 @@
 """The walking direction in any carrying mode (`pdr_filter.sensing.heading.walking_direction`), against motion capture.
 
-usage: .venv/bin/python tests/benchmarks/walking_direction.py [--data ../shared/data]
+usage: python -m tests.benchmarks.walking_direction [--data ../shared/data]
 
 Tyrex: one person, two minutes for each scenario, motion capture of the phone. Truth is the direction of the body's
 velocity:
@@ -23,9 +23,9 @@ the angle between walking and screen is the same on stairs and running (the runn
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import dataclass
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,6 +42,7 @@ from pdr_filter.sensing.steps.detector import ModeBlock, unknown_modes
 from pdr_filter.values.angles import circular_mean, wrap_angle
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.step import Step
+from tests.benchmarks.common import Tables, median_and, options, paths, recordings
 
 FloatArray = NDArray[np.float64]
 BoolArray = NDArray[np.bool_]
@@ -84,7 +85,7 @@ class Walk:
         return cls(recording, block, attitude, steps + detector.finish(state))
 
     def annotated(self, stage: WalkingDirection, carrying_mode: str) -> list[Step]:
-        """Steps with their directions; the carrying mode is told at once, or never if it is empty."""
+        """Steps with their directions; the carrying mode is known at once, or never if it is empty."""
         n = len(self.block.time_s)
         mode = CARRYING_MODES.index(carrying_mode) if carrying_mode else -1
         modes = ModeBlock(np.full(n, -1), np.full(n, mode))
@@ -169,118 +170,118 @@ def band(signal: ComplexArray) -> ComplexArray:
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def print_tyrex(data: Path, stage: WalkingDirection) -> None:
-    print(
-        "| scenario | steps | learnt, mode told: median, 90 % | after 20 s | reversed after 20 s | bias | median "
-        "deviation told | error / deviation, rms | first said | mode not told: median, 90 % | fixed from the start | "
-        "best |"
-    )
-    print("|---" * 12 + "|")
+def tyrex(tables: Tables, data: Path, stage: WalkingDirection) -> None:
+    columns = [
+        "scenario",
+        "steps",
+        "mode known: median, 90 %",
+        "reversed after 20 s",
+        "bias",
+        "std given",
+        "error / std",
+    ]
+    columns += ["first direction at", "mode unknown: median, 90 %", "fixed", "best"]
+    rows = []
     for kind in ("nodist", "dist"):
         for scenario, carrying_mode in SCENARIOS.items():
-            path = data / "tyrex" / f"tyrex_thibaud_nexus5_{kind}_{scenario}.zip"
-            if path.exists():
-                print(tyrex_row(f"{kind} {scenario}", Walk.of(pdr.read(path)), stage, carrying_mode), flush=True)
+            for recording in recordings(data, "tyrex", f"*_{kind}_{scenario}.zip"):
+                rows.append([f"{kind} {scenario}", *tyrex_row(Walk.of(recording), stage, carrying_mode)])
+    tables.write("walking_direction", columns, rows, "Errors in degrees, tyrex (one person).")
 
 
-def tyrex_row(name: str, walk: Walk, stage: WalkingDirection, carrying_mode: str) -> str:
+def tyrex_row(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> list[str]:
     heading, counts = truth(walk)
     device = np.array([s.device_heading_rad for _, s in walk.steps])
     time_s = np.array([s.time_s for _, s in walk.steps])
     true_offset = wrap_angle(heading - device)
-    cells = [name]
-    for mode in (carrying_mode, ""):
-        offset, std, said = believed(walk.annotated(stage, mode))
-        scored = counts & said
-        error = np.degrees(wrap_angle(offset - true_offset))
-        size = np.abs(error)
-        middle_90 = f"{np.median(size[scored]):.1f}, {np.percentile(size[scored], 90):.0f}"
-        if not mode:
-            cells.append(middle_90)
-            continue
-        late = scored & (time_s > 20.0)
-        bias = np.degrees(circular_mean(np.radians(error[scored])))
-        ratio = np.sqrt(np.mean((error[scored] / np.degrees(std[scored])) ** 2))
-        cells += [f"{scored.sum()} of {counts.sum()}", middle_90, f"{np.median(size[late]):.1f}"]
-        cells += [
-            f"{(size[late] > 90).sum()}",
-            f"{bias:+.1f}",
-            f"{np.degrees(np.median(std[scored])):.0f}",
-            f"{ratio:.2f}",
-        ]
-        cells.append(f"{time_s[said.argmax()]:.0f} s")
+
+    def errors(mode: str) -> tuple[FloatArray, FloatArray, BoolArray]:
+        offset, std, known = believed(walk.annotated(stage, mode))
+        return np.degrees(wrap_angle(offset - true_offset)), np.degrees(std), known
+
+    error, std, known = errors(carrying_mode)
+    scored = counts & known
+    late = np.abs(error[scored & (time_s > 20.0)])
+    cells = [f"{scored.sum()} of {counts.sum()}", median_and(np.abs(error[scored]), 90, 1), f"{(late > 90).sum()}"]
+    cells += [f"{np.degrees(circular_mean(np.radians(error[scored]))):+.1f}", f"{np.median(std[scored]):.0f}"]
+    cells += [f"{np.sqrt(np.mean((error[scored] / std[scored]) ** 2)):.2f}", f"{time_s[known.argmax()]:.0f} s"]
+    error, _, known = errors("")
+    cells.append(median_and(np.abs(error[counts & known]), 90, 1))
     first = np.flatnonzero(counts)[:6]
     for constant in (circular_mean(true_offset[first]), circular_mean(true_offset[counts])):
         cells.append(f"{np.degrees(np.median(np.abs(wrap_angle(true_offset - constant)[counts]))):.1f}")
-    return "| " + " | ".join(cells) + " |"
+    return cells
 
 
-def print_other_sets(data: Path, stage: WalkingDirection) -> None:
-    print(
-        "\n| set, place | walks | steps | standard deviation of the offset 8 s after it is first said: median, "
-        "largest | steps reversed 20 s after | told of a move | deviation told |"
-    )
-    print("|---" * 7 + "|")
-    rows: dict[tuple[str, str], list[tuple[float, ...]]] = {}
-    globs = ("humolire/*", "ms_indoor/*", "motionsense/*wlk*", "motionsense/*jog*", "ubicomp13/*")
-    for pattern in globs:
-        for path in sorted(data.glob(f"{pattern}.zip")):
-            place, mode = pattern.split("/")[0], "texting"
-            if place == "motionsense":
-                place, mode = f"motionsense {pattern[-4:-1]}", "pocket"
-            elif place == "ubicomp13":
+class Steadiness(NamedTuple):
+    """How much the learnt offset of a walk wanders."""
+
+    n_steps: int
+    spread_deg: float  # standard deviation of the offset, from 8 s after the first direction
+    n_reversed: int  # steps more than 90 degrees from the mean offset, from 20 s after it
+    n_moves: int
+    std_deg: float  # median of what the stage gives
+
+
+def other_sets(tables: Tables, data: Path, stage: WalkingDirection) -> None:
+    found: dict[tuple[str, str], list[Steadiness]] = {}
+    for site, pattern in (
+        ("humolire", "*.zip"),
+        ("ms_indoor", "*.zip"),
+        ("motionsense", "*wlk*.zip"),
+        ("motionsense", "*jog*.zip"),
+        ("ubicomp13", "*.zip"),
+    ):
+        for path in paths(data, site, pattern):
+            place, mode = site, "texting"
+            if site == "motionsense":
+                place, mode = f"motionsense {'walking' if 'wlk' in pattern else 'running'}", "pocket"
+            elif site == "ubicomp13":
                 kind = path.stem.split("_", 3)[-1]
                 place, mode = f"ubicomp13 {kind}", PLACES.get(kind, "pocket")
             walk = Walk.of(pdr.read(path))
-            for told in {"": "not told", mode: "told"}.items():
-                found = consistency(walk, stage, told[0])
-                if found is not None:
-                    rows.setdefault((place, told[1]), []).append(found)
-    for (place, told), values in sorted(rows.items()):
-        n, sd, reversed_steps, moves, std = np.array(values).T
-        print(
-            f"| {place}, {told} | {len(n)} | {n.sum():.0f} | {np.median(sd):.1f}, {sd.max():.1f} | "
-            f"{reversed_steps.sum():.0f} | {moves.sum():.0f} | {np.median(std):.0f} |"
-        )
+            for carrying_mode, known in {mode: "known", "": "unknown"}.items():
+                of_walk = steadiness(walk, stage, carrying_mode)
+                if of_walk is not None:
+                    found.setdefault((place, known), []).append(of_walk)
+    rows = []
+    for (place, known), walks in sorted(found.items()):
+        n_steps, spread, n_reversed, n_moves, std = zip(*walks, strict=True)
+        cells = [median_and(spread, 100, 1), sum(n_reversed), sum(n_moves), f"{np.median(std):.0f}"]
+        rows.append([place, known, len(walks), sum(n_steps), *cells])
+    columns = ["recordings", "mode", "walks", "steps", "spread of the offset: median, largest", "reversed", "moves"]
+    tables.write("walking_direction_other_sets", [*columns, "std given"], rows, "Degrees.")
 
 
-def consistency(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> tuple[float, ...] | None:
-    """Steps, spread of the offset, reversed steps, times that a move was told, and the deviation told of a walk."""
+def steadiness(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> Steadiness | None:
+    """Of a walk; None where there are too few steps to say."""
     steps = walk.annotated(stage, carrying_mode)
     if len(steps) < 12:
         return None
-    offset, std, said = believed(steps)
+    offset, std, known = believed(steps)
     time_s = np.array([s.time_s for s in steps])
     if (segments := walk.recording.truth.segments) is not None and walk.recording.name.startswith("ubicomp13"):
-        said = said & (time_s > segments.start_s[0]) & (time_s < segments.end_s[0])
-    if said.sum() < 10:
-        return None
-    since_s = time_s - time_s[said.argmax()]
-    settled = said & (since_s > 8.0)
-    if settled.sum() < 5:
+        known = known & (time_s > segments.start_s[0]) & (time_s < segments.end_s[0])
+    since_s = time_s - time_s[known.argmax()]
+    settled = known & (since_s > 8.0)
+    if known.sum() < 10 or settled.sum() < 5:
         return None
     away = np.degrees(wrap_angle(offset - circular_mean(offset[settled])))
-    moves = sum(s.offset_change_std_rad > 1.0 for s, inside in zip(steps, said, strict=True) if inside)
-    reversed_steps = (np.abs(away) > 90)[said & (since_s > 20.0)].sum()
-    return (
-        float(said.sum()),
+    return Steadiness(
+        int(known.sum()),
         float(away[settled].std()),
-        float(reversed_steps),
-        moves,
-        float(np.degrees(np.median(std[said]))),
+        int((np.abs(away) > 90)[known & (since_s > 20.0)].sum()),
+        sum(s.offset_change_std_rad > 1.0 for s, inside in zip(steps, known, strict=True) if inside),
+        float(np.degrees(np.median(std[known]))),
     )
 
 
-def print_agreement(data: Path, stage: WalkingDirection) -> None:
+def agreement(tables: Tables, data: Path, stage: WalkingDirection) -> None:
     """How the direction against the screen agrees with that of the same person's longest walk in the same pocket."""
-    print(
-        "\n| motionsense, against the longest walk | recordings | difference of direction: median, 90 % | beyond 90 |\n"
-        "|---|---|---|---|"
-    )
     away: dict[str, list[float]] = {"wlk": [], "ups": [], "dws": [], "jog": []}
     for person in range(1, 13):
         found: list[tuple[str, int, FloatArray, float]] = []
-        for path in sorted((data / "motionsense").glob(f"motionsense_s{person:02d}_*.zip")):
+        for path in paths(data, "motionsense", f"motionsense_s{person:02d}_*.zip"):
             if (kind := path.stem.split("_")[2]) in away:
                 walk = Walk.of(pdr.read(path))
                 n = len(walk.block.time_s)
@@ -294,19 +295,21 @@ def print_agreement(data: Path, stage: WalkingDirection) -> None:
         for kind, _, other_up, other in found:
             if other is not direction and up @ other_up > 0.8:
                 away[kind].append(float(np.degrees(np.abs(wrap_angle(other - direction)))))
-    for kind, angles in away.items():
-        size = np.array(angles)
-        print(f"| {kind} | {len(size)} | {np.median(size):.0f}, {np.percentile(size, 90):.0f} | {(size > 90).sum()} |")
+    names = {"wlk": "walking", "ups": "upstairs", "dws": "downstairs", "jog": "running"}
+    rows = [
+        [names[kind], len(angles), median_and(angles, 90, 0), int((np.array(angles) > 90).sum())]
+        for kind, angles in away.items()
+    ]
+    columns = ["motionsense", "recordings", "degrees from the longest walk: median, 90 %", "beyond 90"]
+    tables.write("walking_direction_agreement", columns, rows)
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
-    stage = WalkingDirection()
-    print_tyrex(data, stage)
-    print_other_sets(data, stage)
-    print_agreement(data, stage)
+    args = options(__doc__).parse_args()
+    tables, stage = Tables.of(__spec__.name, args), WalkingDirection()
+    tyrex(tables, args.data, stage)
+    other_sets(tables, args.data, stage)
+    agreement(tables, args.data, stage)
 
 
 if __name__ == "__main__":

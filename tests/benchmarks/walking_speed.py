@@ -1,28 +1,28 @@
 """Walking speed against the straight legs of humolire and motion capture of tyrex: error, and what was said of it.
 
-usage: OMP_NUM_THREADS=1 .venv/bin/python tests/benchmarks/walking_speed.py [--data ../shared/data]
+usage: python -m tests.benchmarks.walking_speed [--data ../shared/data]
 
 humolire: mean smoothed speed of each leg against its length over its time (9 walks, 133 legs, one person). tyrex:
 smoothed speed at each step against the speed of the phone, its path low-passed at 0.5 Hz (one person; walking
-scenarios). Inside: share of the errors within one and two of the deviations that the filter gives, 68 and 95 % if these
-are right.
+scenarios). Inside: share of the errors within one and two of the standard deviations that the filter gives, 0.68 and
+0.95 if these are right.
 """
 
 from __future__ import annotations
 
-import argparse
 from pathlib import Path
 
 import numpy as np
 from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
+from tests.benchmarks.common import Tables, options, paths
 
 WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
 
 
 def on_legs(path: Path) -> list[tuple[float, float, float]]:
-    """True speed, found speed and its deviation of each leg."""
+    """True speed, found speed and its standard deviation of each leg."""
     recording = pdr.read(path)
     track = pdr.track(recording)
     rows = []
@@ -47,27 +47,23 @@ def in_the_room(path: Path) -> list[tuple[float, float, float]]:
     return list(zip(true, track.smoothed_speed_mps[inside], track.smoothed_speed_std_mps[inside], strict=True))
 
 
-def row(name: str, found: list[tuple[float, float, float]]) -> None:
+def row(name: str, found: list[tuple[float, float, float]]) -> list[str]:
     """One line of the table."""
     true, speed, std = np.array(found).T
     error = speed - true
     within = [np.mean(np.abs(error) <= k * std) for k in (1, 2)]
-    print(
-        f"| {name} | {len(error)} | {true.mean():.2f} | {error.mean():+.3f} | {error.std():.3f} | "
-        f"{np.abs(error).mean():.3f} | {within[0]:.2f}, {within[1]:.2f} |"
-    )
+    figures = [f"{true.mean():.2f}", f"{error.mean():+.3f}", f"{error.std():.3f}", f"{np.abs(error).mean():.3f}"]
+    return [name, str(len(error)), *figures, f"{within[0]:.2f}, {within[1]:.2f}"]
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[3] / "shared" / "data")
-    data = parser.parse_args().data
-    print("| where | n | true m/s | bias m/s | spread m/s | mean absolute m/s | inside 1, 2 deviations |")
-    print("|---|---|---|---|---|---|---|")
-    row("humolire, legs", [r for p in sorted((data / "humolire").glob("*.zip")) for r in on_legs(p)])
+    args = options(__doc__).parse_args()
+    rows = [row("humolire, legs", [r for p in paths(args.data, "humolire") for r in on_legs(p)])]
     for scenario in WALKING:
-        paths = sorted((data / "tyrex").glob(f"*_{scenario}.zip"))
-        row(f"tyrex {scenario}, steps", [r for path in paths for r in in_the_room(path)])
+        of_steps = [r for p in paths(args.data, "tyrex", f"*_{scenario}.zip") for r in in_the_room(p)]
+        rows.append(row(f"tyrex {scenario}, steps", of_steps))
+    columns = ["where", "n", "true m/s", "bias m/s", "spread m/s", "mean absolute m/s", "inside 1, 2 std"]
+    Tables.of(__spec__.name, args).write("walking_speed", columns, rows)
 
 
 if __name__ == "__main__":

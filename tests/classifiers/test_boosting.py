@@ -34,9 +34,9 @@ def test_probabilities_are_those_of_scikit_learn(trained: Trained) -> None:
 def test_a_row_on_a_threshold_goes_the_way_of_scikit_learn(trained: Trained) -> None:
     boosting, ours, X, _ = trained
     rows = np.repeat(X[:1], 400, axis=0)
-    inner = np.flatnonzero(~ours._trees.is_leaf)[:400]
-    near = ours.threshold[inner].astype(np.float32).astype(np.float64)
-    rows[np.arange(len(inner)), ours.feature[inner]] = near
+    inner = np.flatnonzero(~ours.trees.is_leaf)[:400]
+    near = ours.trees.threshold[inner].astype(np.float32).astype(np.float64)
+    rows[np.arange(len(inner)), ours.trees.feature[inner]] = near
     np.testing.assert_allclose(ours.predict_proba(rows), boosting.predict_proba(rows), rtol=1e-12)
 
 
@@ -61,12 +61,13 @@ def test_arrays_come_back(trained: Trained) -> None:
         (dict(baseline=np.zeros(2)), "3 or more classes"),
         (dict(baseline=np.full(4, np.inf)), "must be finite"),
         (dict(value=np.zeros(3)), "finite number for each"),
-        (dict(n_features=2), "a feature outside"),
     ],
 )
 def test_what_is_no_boosting_is_refused(trained: Trained, change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         replace(trained[1], **change)
+    with pytest.raises(ValueError, match="a feature outside"):
+        replace(trained[1].trees, n_features=2)
 
 
 def test_nan_is_refused_with_its_place(trained: Trained) -> None:

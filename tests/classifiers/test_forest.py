@@ -11,6 +11,7 @@ from sklearn.datasets import make_classification
 from sklearn.ensemble import RandomForestClassifier
 
 from pdr_filter.classifiers.forest import Forest
+from pdr_filter.classifiers.trees import Trees
 
 
 def problem(seed: int, n_rows: int = 400, n_classes: int = 4) -> tuple[np.ndarray, np.ndarray]:
@@ -57,14 +58,14 @@ def test_features_within_rounding_of_a_threshold_go_where_scikit_learn_sends_the
     trained: tuple[RandomForestClassifier, Forest, np.ndarray],
 ) -> None:
     oracle, forest, _ = trained
-    inner = np.flatnonzero(forest.left >= 0)[:400]
+    inner = np.flatnonzero(forest.trees.left >= 0)[:400]
     edges: list[np.ndarray] = []
     for node in inner:
-        threshold = forest.threshold[node]
+        threshold = forest.trees.threshold[node]
         in_float32 = float(np.float32(threshold))
         for value in (threshold, in_float32, np.nextafter(in_float32, np.inf), np.nextafter(in_float32, -np.inf)):
             row = np.zeros(12)
-            row[forest.feature[node]] = value
+            row[forest.trees.feature[node]] = value
             edges.append(row)
     rows = np.array(edges)
     np.testing.assert_allclose(forest.predict_proba(rows), oracle.predict_proba(rows), atol=1e-14)
@@ -72,7 +73,7 @@ def test_features_within_rounding_of_a_threshold_go_where_scikit_learn_sends_the
 
 def test_a_feature_is_compared_after_rounding_to_float32() -> None:
     # 1 + 1e-9 is 1 in float32, and 1 <= 1 goes left; in float64 it would go right
-    stump = Forest(1, [0], [0, -1, -1], [1.0, 0, 0], [1, -1, -1], [2, -1, -1], [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
+    stump = Forest(Trees(1, [0], [0, -1, -1], [1.0, 0, 0], [1, -1, -1], [2, -1, -1]), [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
     np.testing.assert_array_equal(stump.predict_proba([[1.0 + 1e-9], [1.0 + 1e-6]]), [[1, 0], [0, 1]])
 
 
@@ -81,7 +82,7 @@ EDGES = [0.0, -0.0, 1e-50, -1e-50, 1.0, 1 + 1e-9, 1 - 1e-9, 1.0000001, 3.4028234
 
 @pytest.mark.parametrize("threshold", EDGES)  # most of them no float32, some beyond its range
 def test_thresholds_are_not_rounded_to_float32(threshold: float) -> None:
-    stump = Forest(1, [0], [0, -1, -1], [threshold, 0, 0], [1, -1, -1], [2, -1, -1], [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
+    stump = Forest(Trees(1, [0], [0, -1, -1], [threshold, 0, 0], [1, -1, -1], [2, -1, -1]), [[0, 0], [1, 0], [0, 1]])  # type: ignore[arg-type]
     values = np.array(EDGES)
     with np.errstate(over="ignore"):
         in_float32 = values.astype(np.float32).astype(np.float64)
@@ -104,7 +105,7 @@ def test_every_leaf_of_a_very_uneven_tree_is_reached(goes_deep: str, n_inner: in
     leaves = np.array([*(inner + 1), 2 * n_inner])
     probability = np.zeros((2 * n_inner + 1, n_inner + 1))
     probability[leaves] = np.eye(n_inner + 1)
-    tree = Forest(1, np.array([0]), np.zeros_like(left), threshold, left, right, probability)
+    tree = Forest(Trees(1, np.array([0]), np.zeros_like(left), threshold, left, right), probability)
     rows = (np.arange(n_inner + 1) - 0.5)[:, None] * (1.0 if goes_deep == "right" else -1.0)
     np.testing.assert_array_equal(tree.predict_proba(rows), np.eye(n_inner + 1))
     for i, row in enumerate(rows):
@@ -137,16 +138,16 @@ def test_more_trees_than_go_down_together() -> None:
     left, right = np.full((2, 3 * n), -1)
     left[::3], right[::3] = 3 * np.arange(n) + 1, 3 * np.arange(n) + 2
     probability = np.tile([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0], [0.0, 0.0], [0.0, 1.0], [1.0, 0.0]], (n // 2, 1))
-    forest = Forest(1, left[::3] - 1, np.zeros(3 * n, int), np.zeros(3 * n), left, right, probability)
+    forest = Forest(Trees(1, left[::3] - 1, np.zeros(3 * n, int), np.zeros(3 * n), left, right), probability)
     np.testing.assert_array_equal(forest.predict_proba([[-1.0], [1.0], [0.0]]), np.full((3, 2), 0.5))
 
 
 def test_all_arrays_are_read_only(trained: tuple[RandomForestClassifier, Forest, np.ndarray]) -> None:
-    owners = trained[1], trained[1]._trees
+    owners = trained[1], trained[1].trees
     arrays = [
         array for owner in owners for f in fields(owner) if isinstance(array := getattr(owner, f.name), np.ndarray)
     ]
-    assert len(arrays) == 6 + 7
+    assert len(arrays) == 1 + 7
     assert not any(array.flags.writeable for array in arrays)
 
 
@@ -198,9 +199,9 @@ def changed(array: np.ndarray, index: int, value: float) -> np.ndarray:
 def test_arrays_that_are_not_trees_are_refused(
     trained: tuple[RandomForestClassifier, Forest, np.ndarray], name: str, index: int, value: float, message: str
 ) -> None:
-    forest = trained[1]
+    trees = trained[1].trees
     with pytest.raises(ValueError, match=message):
-        replace(forest, **{name: changed(getattr(forest, name), index, value)})
+        replace(trees, **{name: changed(getattr(trees, name), index, value)})
 
 
 @pytest.mark.parametrize("leaf", [[0.5, 0.5, 0.5, 0.0], [1.5, -0.5, 0.0, 0.0], [np.nan, 0.0, 0.0, 1.0]])
@@ -209,14 +210,14 @@ def test_leaves_that_are_not_probabilities_are_refused(
 ) -> None:
     forest = trained[1]
     probability = np.array(forest.probability)
-    probability[np.flatnonzero(forest.left < 0)[3]] = leaf
+    probability[np.flatnonzero(forest.trees.left < 0)[3]] = leaf
     with pytest.raises(ValueError, match="sum to one"):
         replace(forest, probability=probability)
 
 
 def test_arrays_of_different_lengths_are_refused(trained: tuple[RandomForestClassifier, Forest, np.ndarray]) -> None:
     with pytest.raises(ValueError, match="one entry for each node"):
-        replace(trained[1], threshold=trained[1].threshold[:-1])
+        replace(trained[1].trees, threshold=trained[1].trees.threshold[:-1])
 
 
 def test_prediction_needs_no_scikit_learn() -> None:

@@ -137,6 +137,7 @@ def test_shipped_models_are_found_by_name(
     forest_model.save(tmp_path / "checkout")
     replace(forest_model, name="a").save(tmp_path / "wheel")
     (tmp_path / "wheel" / "half.npz").touch()  # without a .json it is no model
+    (tmp_path / "wheel" / "me.json").write_text('{"kind": "calibration", "format_version": 1}')
     assert available_models() == ("a", forest_model.name)
     assert load_model(forest_model.name).name == forest_model.name
     with pytest.raises(ValueError, match=r"no shipped model of that name \(there are: a, pocket-forest"):
@@ -186,7 +187,7 @@ def test_parts_that_do_not_fit_together_are_refused(
 def test_a_card_that_json_cannot_hold_is_refused_before_anything_is_written(
     forest_model: ContextModel, tmp_path: Path
 ) -> None:
-    with pytest.raises(TypeError, match="the model card holds a set"):
+    with pytest.raises(TypeError, match="JSON cannot hold a set"):
         replace(forest_model, card={"x": {1}}).save(tmp_path)
     assert not list(tmp_path.iterdir())
 
@@ -220,22 +221,36 @@ def assert_refused(path: Path, message: str) -> None:
 def test_a_missing_file_is_named(forest_model: ContextModel, tmp_path: Path) -> None:
     assert_refused(tmp_path / "none.npz", r"none\.npz: no such file")
     path = forest_model.save(tmp_path)
-    Path(str(path).removesuffix(".npz") + ".json").unlink()
-    assert_refused(path, r"v1\.json: no such file")
+    path.unlink()
+    json_path = Path(str(path).removesuffix(".npz") + ".json")
+    assert_refused(json_path, r"v1\.json: .* pocket-forest\.v1\.npz is missing beside it")
+    json_path.unlink()
+    assert_refused(json_path, r"v1\.json: no such file")
+
+
+def test_a_model_of_before_kinds_had_names_is_still_read(forest_model: ContextModel, tmp_path: Path) -> None:
+    path = forest_model.save(tmp_path)
+    json_path = Path(str(path).removesuffix(".npz") + ".json")
+    description = json.loads(json_path.read_text(encoding="utf-8"))
+    assert description.pop("kind") == "context_model"
+    json_path.write_text(json.dumps(description), encoding="utf-8")
+    assert load_model(path).name == forest_model.name
+    json_path.write_text(json.dumps(description | {"kind": "calibration"}), encoding="utf-8")
+    assert_refused(path, "its kind is 'calibration', not 'context_model'; train it again")
 
 
 def test_files_of_two_trainings_are_not_mixed_up(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     other = replace(forest_model, feature_mean=np.ones(4)).save(tmp_path / "other")
     path.write_bytes(other.read_bytes())
-    assert_refused(path, "another training")
+    assert_refused(path, r"belongs to another \.json")
 
 
 def test_truncated_arrays_are_refused(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     content = path.read_bytes()
     path.write_bytes(content[: len(content) // 2])
-    assert_refused(path, "damaged")
+    assert_refused(path, "npz is damaged")
     for part in (
         content[: len(content) // 2],
         b"",
@@ -243,7 +258,7 @@ def test_truncated_arrays_are_refused(forest_model: ContextModel, tmp_path: Path
         content[:200] + b"\0" * 400 + content[600:],
     ):
         rewrite(path, part)
-        assert_refused(path, "not a usable context model")
+        assert_refused(path, "not usable as context model")
 
 
 class Bomb:
@@ -254,11 +269,11 @@ class Bomb:
 def test_a_pickle_is_never_opened(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     rewrite(path, pickle.dumps(Bomb()))
-    assert_refused(path, "not a usable context model")
+    assert_refused(path, "not usable as context model")
     buffer = io.BytesIO()
     np.savez(buffer, feature_mean=np.array([Bomb()], dtype=object))
     rewrite(path, buffer.getvalue())
-    assert_refused(path, "not a usable context model")
+    assert_refused(path, "not usable as context model")
 
 
 def test_a_single_array_instead_of_an_archive_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
@@ -266,7 +281,7 @@ def test_a_single_array_instead_of_an_archive_is_refused(forest_model: ContextMo
     buffer = io.BytesIO()
     np.save(buffer, np.zeros(3))
     rewrite(path, buffer.getvalue())
-    assert_refused(path, "not a usable context model")
+    assert_refused(path, "not usable as context model")
 
 
 @pytest.mark.parametrize(
@@ -276,7 +291,7 @@ def test_a_single_array_instead_of_an_archive_is_refused(forest_model: ContextMo
         ("training_prior", None, "'training_prior' is missing"),
         ("training_prior", np.array(["a"] * 6), "could not convert"),
         ("machine_n_features", np.array(5), "machine has 5 features"),
-        ("machine_n_features", np.array([4, 4]), "not a usable"),
+        ("machine_n_features", np.array([4, 4]), "not usable as"),
         ("machine_left", np.zeros(3), "integers"),
         ("machine_left", np.zeros((3, 2), dtype=int), "one entry for each node"),
         ("machine_probability", np.ones((3, 3)), "a row for each of"),
@@ -293,7 +308,7 @@ def test_arrays_that_are_missing_or_wrong_are_refused(
 def test_a_forest_that_runs_in_circles_is_refused(forest_model: ContextModel, tmp_path: Path) -> None:
     path = forest_model.save(tmp_path)
     assert isinstance(forest_model.machine, Forest)
-    left = np.array(forest_model.machine.left)
+    left = np.array(forest_model.machine.trees.left)
     left[np.flatnonzero(left >= 0)[3]] = 0
     with_arrays(path, machine_left=left)
     assert_refused(path, "must come after its parent")
@@ -302,10 +317,12 @@ def test_a_forest_that_runs_in_circles_is_refused(forest_model: ContextModel, tm
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("{", "not valid JSON"),
-        ("[]", "format_version is None"),
-        ('{"format_version": 99}', "format_version is 99"),
-        ('{"format_version": 1}', "damaged"),
+        ("{", r"json: not usable as context model: Expecting property name.*; train it again"),
+        ("[]", "its kind is None, not 'context_model'"),
+        ("{}", "its kind is None, not 'context_model'"),
+        ('{"kind": "calibration", "format_version": 2}', "its kind is 'calibration', not 'context_model'"),
+        ('{"kind": "context_model", "format_version": 99}', "its format_version is 99, this version reads 2 only"),
+        ('{"kind": "context_model", "format_version": 1}', "format_version is 1, .* use the version that wrote it"),
     ],
 )
 def test_a_damaged_description_is_refused(forest_model: ContextModel, tmp_path: Path, text: str, message: str) -> None:
@@ -334,4 +351,4 @@ def test_a_description_of_something_else_is_refused(
     json_path = Path(str(path).removesuffix(".npz") + ".json")
     description = json.loads(json_path.read_text(encoding="utf-8"))
     json_path.write_text(json.dumps(description | {key: value}), encoding="utf-8")
-    assert_refused(path, "not a usable context model")
+    assert_refused(path, "not usable as context model")

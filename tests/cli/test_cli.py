@@ -18,7 +18,7 @@ from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.sensing.contexts.learned import LearnedContexts
-from pdr_filter.training import contexts as training
+from pdr_filter.training import run as training
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
 

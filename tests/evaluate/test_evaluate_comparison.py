@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from dataclasses import replace
 
-import accuracy as benchmark
 import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.evaluate import comparison, tracks
+from pdr_filter.evaluate import comparison, runs, tracks
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.io.recording import Truth
 from pdr_filter.values.contexts import CONTEXTS
+from tests.oracles import track_scores as oracle
 
 
 @pytest.fixture(scope="module")
@@ -27,7 +27,18 @@ def config(walk: pdr.Recording) -> pdr.Config:
 
 @pytest.fixture(scope="module")
 def by_weighting(walk: pdr.Recording, config: pdr.Config) -> dict[str, pdr.Track]:
-    return comparison.weighting_tracks(walk, config)
+    return runs.weighting_tracks(walk, config)
+
+
+def test_the_weightings_are_those_of_the_default_recipe_if_none_is_given_and_report_their_progress(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    seen: list[float] = []
+    found = runs.weighting_tracks(walk, progress=seen.append)
+    for name, track in found.items():
+        np.testing.assert_array_equal(track.position_m, by_weighting[name].position_m)
+    assert seen == sorted(seen)
+    assert seen[-1] == 1.0
 
 
 def test_the_weightings_share_their_steps_and_windows(by_weighting: dict[str, pdr.Track]) -> None:
@@ -59,7 +70,7 @@ def test_straight_legs_are_those_of_the_accuracy_benchmark(
     imm = by_weighting["imm"]
     segments = walk.truth.segments
     walked = replace(walk, truth=replace(walk.truth, segments=segments[segments.distance_m > 0]))
-    expected = benchmark.track_errors(walked, imm)[3]
+    expected = oracle.track_errors(walked, imm)[3]
     # where within its first step the walk begins is taken otherwise: less than that step
     first = 100 * imm.step_length_m[0] / segments.distance_m.sum()
     assert comparison.straight_leg_error_percent(walk, imm) == pytest.approx(expected, abs=first)
@@ -94,7 +105,7 @@ def test_in_the_frame_of_the_truth_it_is_as_far_off_as_the_table_says(
 def test_the_sweep_goes_from_always_weighted_to_the_highest(
     walk: pdr.Recording, config: pdr.Config, by_weighting: dict[str, pdr.Track]
 ) -> None:
-    found = comparison.threshold_sweep(walk, config, (0.0, config.tracker.wc_threshold, 1.0))
+    found = runs.threshold_sweep(walk, config, (0.0, 0.8, 1.0))
     assert found.distance_m[1] == by_weighting["wc"].distance_m
     assert found.distance_m[2] == pytest.approx(by_weighting["hc"].distance_m, rel=1e-9)
     assert found.distance_m[0] != pytest.approx(found.distance_m[2], rel=1e-3)
@@ -110,11 +121,11 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
     config: pdr.Config, by_weighting: dict[str, pdr.Track]
 ) -> None:
     hc = by_weighting["hc"]
-    distance_m, prob = comparison.epoch_distances(hc, config.tracker.modes)
+    distance_m, prob = runs.epoch_distances(hc, config.model.modes)
     assert distance_m.shape == (len(prob) - 1, len(CONTEXTS))
     ends_s = hc.windows.time_s
     inside = (hc.time_s > ends_s[0]) & (hc.time_s <= ends_s[-1])
-    static = config.tracker.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
+    static = config.model.modes[CONTEXTS.index("upstairs")].step_length.theta[0]
     assert distance_m[:, CONTEXTS.index("upstairs")].sum() == pytest.approx(static * inside.sum())
     totals = weighted_distances(distance_m, prob, HC)
     assert totals.total_final_m[-1] == pytest.approx(hc.step_length_m[inside].sum(), rel=0.1)
@@ -122,4 +133,4 @@ def test_epochs_add_up_to_the_steps_between_the_first_and_the_last_window(
 
 def test_modes_that_miss_a_context_are_refused(config: pdr.Config, by_weighting: dict[str, pdr.Track]) -> None:
     with pytest.raises(ValueError, match="one mode for each"):
-        comparison.epoch_distances(by_weighting["hc"], config.tracker.modes[:-1])
+        runs.epoch_distances(by_weighting["hc"], config.model.modes[:-1])

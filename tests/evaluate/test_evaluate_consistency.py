@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import consistency as benchmark
 import numpy as np
 import pytest
 
 from pdr_filter.evaluate import consistency
+from tests.benchmarks import consistency as benchmark
 
 
 def gaussian(n: int, too_sure: float = 1.0) -> tuple[np.ndarray, np.ndarray]:

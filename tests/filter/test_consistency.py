@@ -9,12 +9,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
 from scipy.stats import chi2
 
 import pdr_filter as pdr
-from pdr_filter.filter.tracking import TRAIL_STEPS, present_position
+from pdr_filter.filter.pedestrian import TRAIL_STEPS, present_position
 from pdr_filter.values.contexts import CONTEXTS
+from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
 
 # --- the simulation itself ------------------------------------------------------------------------------------------
 
@@ -36,12 +36,12 @@ def test_the_simulated_classifier_is_calibrated() -> None:
 
 def test_a_simulated_walk_goes_as_far_as_its_modes_say() -> None:
     """Without the person's scale: distance of all steps within four deviations of the sum of the modes' lengths."""
-    tracker = own_model()
-    still = replace(tracker, noise=replace(tracker.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
-    walk = simulated_walk(still, 1000, np.random.default_rng(3), anew=True)
+    model = own_model()
+    still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
+    walk = simulated_walk(still, 1000, np.random.default_rng(3), redrawn=True)
     moved_m = np.linalg.norm(np.diff(walk.state[:, :2], axis=0), axis=1)
-    expected = np.array([tracker.modes[m].step_length.predict(s) for m, s in zip(walk.modes, walk.steps, strict=True)])
-    moving = np.array([tracker.modes[m].context != "stationary" for m in walk.modes])[1:]
+    expected = np.array([model.modes[m].step_length.predict(s) for m, s in zip(walk.modes, walk.steps, strict=True)])
+    moving = np.array([model.modes[m].context != "stationary" for m in walk.modes])[1:]
     error_m = (moved_m - expected[1:, 0])[moving].sum()
     assert abs(error_m) < 4 * np.sqrt(expected[1:, 1][moving].sum())
     assert len(set(walk.modes)) == len(CONTEXTS)
@@ -104,19 +104,20 @@ def test_a_filter_that_trusts_people_too_much_fails_these_tests() -> None:
 def test_hours_of_walking_and_rest_leave_the_state_as_large_as_it_was(weighting: str) -> None:
     """The state holds all that a step may cost: no array of it grows, so that neither memory nor time do."""
     n_steps = 2000
-    tracker = replace(pdr.recipes.default().tracker, weighting=weighting)
-    state, found = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
+    tracker = pdr.recipes.default().with_weighting(weighting).tracker
+    state, found, _ = run_day(tracker, n_steps, 86_400.0 * n_steps / 60_000)
     sizes = np.array(found)
     tenth = len(sizes) // 10
     first, last = sizes[:tenth].max(axis=0), sizes[-tenth:].max(axis=0)
     assert first[2] == TRAIL_STEPS
     assert (last <= first).all()
-    assert state.n_final >= n_steps - 3
-    assert state.mode_prob.sum() == pytest.approx(1.0, abs=1e-12)
-    assert np.isfinite(state.mean).all()
-    assert np.isfinite(state.cov).all()
-    np.testing.assert_allclose(state.cov, state.cov.swapaxes(-1, -2), rtol=0, atol=1e-12 * np.abs(state.cov).max())
-    assert np.linalg.eigvalsh(state.cov).min() >= -1e-12 * np.abs(state.cov).max()
-    position_m, cov_m2 = present_position(state)
+    known = state.pedestrian
+    assert known.n_final >= n_steps - 3
+    assert known.prob.sum() == pytest.approx(1.0, abs=1e-12)
+    assert np.isfinite(known.mean).all()
+    assert np.isfinite(known.cov).all()
+    np.testing.assert_allclose(known.cov, known.cov.swapaxes(-1, -2), rtol=0, atol=1e-12 * np.abs(known.cov).max())
+    assert np.linalg.eigvalsh(known.cov).min() >= -1e-12 * np.abs(known.cov).max()
+    position_m, cov_m2 = present_position(known)
     assert np.isfinite(position_m).all()
     assert np.linalg.eigvalsh(cov_m2).min() > 0

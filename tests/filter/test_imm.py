@@ -12,9 +12,9 @@ from scipy.stats import multivariate_normal
 from pdr_filter.filter.imm import (
     check_transition_prob,
     combine,
-    lagged_mode_prob,
     mix,
     predict,
+    smoothed_mode_prob,
     update,
     update_mode_prob,
 )
@@ -326,7 +326,7 @@ def test_evidence_that_says_nothing_of_one_pedestrian_is_still_used_for_the_othe
     np.testing.assert_allclose(update_mode_prob(prob, evidence), [[0.3, 0.7], [0.5, 0.5], [1.0, 0.0]])
 
 
-def test_lagged_mode_probabilities_are_those_of_the_exact_forward_backward_algorithm() -> None:
+def test_smoothed_mode_probabilities_are_those_of_the_exact_forward_backward_algorithm() -> None:
     rng = np.random.default_rng(5)
     n_steps, lag = 30, 4
     T, log_likelihood = rng.dirichlet(np.ones(3), 3), rng.normal(scale=2.0, size=(n_steps, 3))
@@ -335,7 +335,7 @@ def test_lagged_mode_probabilities_are_those_of_the_exact_forward_backward_algor
         mu = (mu @ T) * likelihood
         mu = mu / mu.sum()
         filtered.append(mu)
-    lagged = lagged_mode_prob(np.array(filtered), T, lag)
+    lagged = smoothed_mode_prob(np.array(filtered), T, lag)
     for k in range(n_steps):
         # all sequences of modes from k on, summed by their probability
         beta = np.ones(3)
@@ -343,10 +343,10 @@ def test_lagged_mode_probabilities_are_those_of_the_exact_forward_backward_algor
             beta = T @ (np.exp(log_likelihood[later]) * beta)
         expected = filtered[k] * beta
         np.testing.assert_allclose(lagged[k], expected / expected.sum(), atol=1e-12)
-    np.testing.assert_array_equal(lagged_mode_prob(np.array(filtered), T, 0), filtered)
+    np.testing.assert_array_equal(smoothed_mode_prob(np.array(filtered), T, 0), filtered)
 
 
 def test_a_negative_lag_is_refused_and_no_steps_stay_none() -> None:
     with pytest.raises(ValueError, match="lag must be 0 steps or more, got -1"):
-        lagged_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
-    assert lagged_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)
+        smoothed_mode_prob(np.ones((2, 1)), np.ones((1, 1)), -1)
+    assert smoothed_mode_prob(np.empty((0, 2)), np.eye(2), 3).shape == (0, 2)

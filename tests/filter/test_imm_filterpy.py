@@ -4,14 +4,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from filterpy.kalman import IMMEstimator, KalmanFilter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter.filter import imm, imm_filterpy
-from pdr_filter.filter.imm_filterpy import MendedIMMEstimator
+from pdr_filter.filter.imm_filterpy import FilterpyImm, MendedIMMEstimator
+from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.values.fixes import PositionFix
 
 M = np.array([[0.9, 0.1], [0.3, 0.7]])  # from row to column
@@ -106,10 +106,7 @@ def test_every_function_agrees_with_the_one_of_imm(seed: int, n_modes: int, n: i
     )
 
 
-@pytest.mark.parametrize("backend", ["filterpy", "numba"])
-def test_a_walk_with_fixes_is_the_same_with_every_backend(backend: str) -> None:
-    if backend == "numba":
-        pytest.importorskip("numba")
+def test_a_walk_with_fixes_is_the_same_with_the_arithmetic_of_filterpy() -> None:
     walk = pdr.simulate.demo_walk()
     truth = walk.truth.waypoints
     assert truth is not None
@@ -118,12 +115,7 @@ def test_a_walk_with_fixes_is_the_same_with_every_backend(backend: str) -> None:
         for p in truth[1:]
     ]
     config = pdr.recipes.default()
-    other = replace(config, tracker=replace(config.tracker, backend=backend))
+    other = replace(config, tracker=ImmTracker(config.model, FilterpyImm()))
     expected, found = (pdr.track(walk, c, fixes=fixes) for c in (config, other))
     for name in ("position_m", "position_cov_m2", "step_length_m", "mode_prob", "walking_heading_rad"):
         np.testing.assert_allclose(getattr(found, name), getattr(expected, name), atol=1e-9)
-
-
-def test_an_unknown_backend_is_refused() -> None:
-    with pytest.raises(ValueError, match="backend must be one of"):
-        replace(pdr.recipes.default().tracker, backend="torch")

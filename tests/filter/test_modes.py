@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import a_step
+from helpers import a_step, even_transitions, updates_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from pdr_filter.filter.motion import IRREGULAR, Mode
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.motion import IRREGULAR, Mode, MotionNoise
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.step_length import known_length
-from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
 from pdr_filter.filter.weighting import ModeEvidence, carrying_log_evidence
 from pdr_filter.sensing.contexts.stage import CARRYING_STAY_PROB, WindowContext, follow_mode
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -28,13 +30,13 @@ def a_window(time_s: float, carrying: np.ndarray | None = None, irregular_prob: 
     return WindowContext(time_s, SURE_OF_WALKING, PRIOR, carrying, irregular_prob=irregular_prob)
 
 
-def walked(tracker: Tracker, windows: list[WindowContext]) -> tuple[TrackerState, list[StepUpdate]]:
+def walked(tracker: ImmTracker, windows: list[WindowContext]) -> tuple[ImmState, list[StepUpdate]]:
     """Two steps with each window."""
     state, updates = tracker.init(), []
     for window in windows:
-        state, _ = tracker.on_window(state, window)
+        state, _ = updates_of(tracker.on_window(state, window))
         for part in (0.5, 0.0):
-            state, found = tracker.on_step(state, a_step(window.time_s - part))
+            state, found = updates_of(tracker.on_step(state, a_step(window.time_s - part)))
             updates += found
     return state, updates
 
@@ -65,7 +67,7 @@ def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
     """The chain of the filter is that of the classifier here: the same transitions, the same evidence."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "swinging"))
     stay = CARRYING_STAY_PROB
-    tracker = Tracker(pair, even_transitions(2, stay))
+    tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, stay)))
     rng = np.random.default_rng(3)
     prior = np.isin(CARRYING_MODES, ["texting", "swinging"]) / 2
     carrying, state = prior, tracker.init()
@@ -74,25 +76,25 @@ def test_a_mode_of_a_carrying_mode_has_the_probability_of_it() -> None:
         said = np.zeros(5)
         said[index] = rng.dirichlet([1.0, 1.0])
         carrying = follow_mode(carrying, said, prior, stay, 0.5)
-        state, _ = tracker.on_window(state, a_window(2.0 + k, carrying))
-        state, [update] = tracker.on_step(state, a_step(2.0 + k))
+        state, _ = updates_of(tracker.on_window(state, a_window(2.0 + k, carrying)))
+        state, [update] = updates_of(tracker.on_step(state, a_step(2.0 + k)))
         np.testing.assert_allclose(update.mode_prob, carrying[index], atol=1e-9)
 
 
 def test_a_gap_is_no_time_for_the_carrying_mode() -> None:
     """The classifier keeps its probabilities over a gap, and what it kept is no evidence once more."""
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
-    tracker = Tracker(pair, even_transitions(2, CARRYING_STAY_PROB))
+    tracker = ImmTracker(PedestrianModel(pair, even_transitions(2, CARRYING_STAY_PROB)))
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
     state, _ = walked(tracker, [a_window(2.0, said)])
-    state, _ = tracker.on_gap(state, 60.0)
+    state, _ = updates_of(tracker.on_gap(state, 60.0))
     # a window that says nothing: only the transition
     kept = follow_mode(said, even, even, CARRYING_STAY_PROB, 0.5)
-    state, _ = tracker.on_window(state, a_window(63.0, kept))
-    before = state.mode_prob
-    state, [update] = tracker.on_step(state, a_step(63.0))
-    np.testing.assert_allclose(update.mode_prob, before @ tracker.transition_prob, atol=1e-9)
+    state, _ = updates_of(tracker.on_window(state, a_window(63.0, kept)))
+    before = state.pedestrian.prob
+    state, [update] = updates_of(tracker.on_step(state, a_step(63.0)))
+    np.testing.assert_allclose(update.mode_prob, before @ tracker.model.transition_prob, atol=1e-9)
 
 
 def test_several_windows_without_a_step_say_together_what_the_classifier_says_after_them() -> None:
@@ -100,26 +102,26 @@ def test_several_windows_without_a_step_say_together_what_the_classifier_says_af
     index = [CARRYING_MODES.index(c) for c in ("texting", "pocket")]
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     said = np.where(np.array(CARRYING_MODES) == "texting", 0.8, 0.2) * (even > 0)
-    tracker = Tracker(pair, np.eye(2))
+    tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
     state, updates = walked(tracker, [a_window(2.0, said)])
     before, carrying = updates[-1].mode_prob, said
     for k in range(3):  # windows that say nothing: the classifier forgets, three windows long
         carrying = follow_mode(carrying, even, even, CARRYING_STAY_PROB, 0.5)
-        state, _ = tracker.on_window(state, a_window(3.0 + k, carrying))
-    _, [update] = tracker.on_step(state, a_step(5.0))
+        state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, carrying)))
+    _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
     np.testing.assert_allclose(update.mode_prob, before, atol=1e-9)
     assert carrying[index[0]] < 0.78
 
 
 def test_windows_without_a_step_count_for_the_carrying_mode_too() -> None:
     pair = tuple(Mode(c, "walking", LENGTH, carrying_mode=c) for c in ("texting", "pocket"))
-    tracker = Tracker(pair, np.eye(2))
+    tracker = ImmTracker(PedestrianModel(pair, np.eye(2)))
     even = np.isin(CARRYING_MODES, ["texting", "pocket"]) / 2
     put_away = np.where(np.array(CARRYING_MODES) == "pocket", 0.98, 0.005)
     state, _ = walked(tracker, [a_window(2.0, even)])
     for k in range(3):  # nobody steps while the phone is put away
-        state, _ = tracker.on_window(state, a_window(3.0 + k, put_away))
-    _, [update] = tracker.on_step(state, a_step(5.0))
+        state, _ = updates_of(tracker.on_window(state, a_window(3.0 + k, put_away)))
+    _, [update] = updates_of(tracker.on_step(state, a_step(5.0)))
     assert update.mode_prob[1] > 0.95
 
 
@@ -128,7 +130,7 @@ def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> Non
     rng = np.random.default_rng(0)
     windows = [a_window(2.0 + k) for k in range(5)]
     told = [replace(w, carrying_prob=rng.dirichlet(np.ones(5))) for w in windows]
-    tracker = Tracker(modes, even_transitions(2, 0.9))
+    tracker = ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
     one, two = (walked(tracker, w)[1][-1] for w in (windows, told))
     np.testing.assert_array_equal(one.mode_prob, two.mode_prob)
 
@@ -136,10 +138,10 @@ def test_without_a_carrying_mode_of_their_own_modes_do_not_depend_on_it() -> Non
 # --- irregular motion -----------------------------------------------------------------------------------------------
 
 
-def with_irregular() -> Tracker:
+def with_irregular() -> ImmTracker:
     # a long step of its own, which must not matter
     modes = (Mode("walk", "walking", LENGTH), Mode("handling", IRREGULAR, known_length(5.0, 0.02)))
-    return Tracker(modes, even_transitions(2, 0.9))
+    return ImmTracker(PedestrianModel(modes, even_transitions(2, 0.9)))
 
 
 def test_in_irregular_motion_an_irregular_mode_takes_over_and_moves_nowhere() -> None:
@@ -167,13 +169,13 @@ def test_an_irregular_probability_that_is_not_a_number_says_nothing() -> None:
 
 def test_before_the_first_window_contexts_are_those_of_the_modes_that_have_one() -> None:
     tracker = with_irregular()
-    _, [update] = tracker.on_step(tracker.init(), a_step(1.0))
+    _, [update] = updates_of(tracker.on_step(tracker.init(), a_step(1.0)))
     assert update.context_prob[WALKING] == 1.0
 
 
 def test_without_an_irregular_mode_the_gate_does_not_change_the_evidence() -> None:
-    evidence = ModeEvidence(("walking", "running"), (None, None), 1.0, 0.2, 0.01, 1.0)
-    one, two = (evidence.of(a_window(2.0, irregular_prob=p), None) for p in (0.0, 0.9))
+    evidence = ModeEvidence(("walking", "running"), (None, None), 1.0, 0.2, 0.01)
+    one, two = (evidence.of(a_window(2.0, irregular_prob=p), None, 1) for p in (0.0, 0.9))
     np.testing.assert_array_equal(one, two)
 
 
@@ -184,10 +186,10 @@ def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart()
     from pdr_filter.values.fixes import PositionFix
 
     modes = (Mode("short", "walking", known_length(0.5, 0.02)), Mode("long", "walking", known_length(0.9, 0.02)))
-    tracker = Tracker(modes, even_transitions(2, 0.99))
-    tracker = replace(tracker, noise=replace(tracker.noise, log_scale_std=0.02))
+    noise = MotionNoise(log_scale_std=0.02)
+    tracker = ImmTracker(PedestrianModel(modes, even_transitions(2, 0.99), noise=noise))
     state, updates = walked(tracker, [a_window(2.0 + k) for k in range(5)])
     np.testing.assert_allclose(updates[-1].mode_prob, 0.5, atol=1e-12)
     north_m = 0.9 * len(updates)
-    state, _ = tracker.on_fix(state, PositionFix(6.0, np.array([0.0, north_m]), 0.04 * np.eye(2)))
-    assert state.mode_prob[1] > 0.99
+    state, _, _ = tracker.on_fix(state, PositionFix(6.0, np.array([0.0, north_m]), 0.04 * np.eye(2)))
+    assert state.pedestrian.prob[1] > 0.99

@@ -5,25 +5,22 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from helpers import a_step
+from helpers import a_step, even_transitions, tracker_of, updates_of
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from pdr_filter import recipes
 from pdr_filter.filter.alignment import Alignment
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, initial_estimate, second_order_errors
+from pdr_filter.filter.pedestrian import StepUpdate, in_other_frame, present_position
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, StepLengths, known_length
-from pdr_filter.filter.tracking import (
-    StepUpdate,
-    Tracker,
-    TrackerState,
-    WindowContext,
-    _moved,
-    even_transitions,
-    present_position,
-)
+from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.weighting import HC, weighted_distances
+from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values.fixes import HeadingFix, PositionFix, SpeedFix
 from pdr_filter.values.step import Step
 
 LATENCY_S = 0.74
@@ -46,8 +43,20 @@ def modes() -> tuple[Mode, ...]:
     )
 
 
+Tracker = ImmTracker | WeightedTracker
+State = ImmState | WeightedState
+
+
+def model() -> PedestrianModel:
+    return PedestrianModel(modes(), even_transitions(6, 0.9), evidence_exponent=0.5, prior_exponent=1.0)
+
+
 def tracker(weighting: str) -> Tracker:
-    return Tracker(modes(), even_transitions(6, 0.9), weighting=weighting, evidence_exponent=0.5, prior_exponent=1.0)
+    return tracker_of(weighting, model())
+
+
+def position_of(state: State) -> tuple[np.ndarray, np.ndarray]:
+    return present_position(state.pedestrian)
 
 
 def sure(context: int, prob: float = 1.0) -> np.ndarray:
@@ -72,15 +81,13 @@ def in_order(steps: list[Step], windows: list[WindowContext]) -> list[Event]:
     return [event for *_, event in sorted(timed, key=lambda e: e[:2])]
 
 
-def run(
-    filter_: Tracker, events: list[Event], state: TrackerState | None = None
-) -> tuple[TrackerState, list[StepUpdate]]:
+def run(filter_: Tracker, events: list[Event], state: State | None = None) -> tuple[State, list[StepUpdate]]:
     state, updates = state or filter_.init(), []
     for event in events:
         on_event = filter_.on_window if isinstance(event, WindowContext) else filter_.on_step
-        state, found = on_event(state, event)  # type: ignore[arg-type]
+        state, found = updates_of(on_event(state, event))  # type: ignore[arg-type]
         updates += found
-    state, found = filter_.finish(state)
+    state, found = updates_of(filter_.finish(state))
     return state, [*updates, *found]
 
 
@@ -123,7 +130,7 @@ def test_the_provisional_position_at_the_end_of_an_epoch_is_its_total_provisiona
 ) -> None:
     steps, windows = random_walk(1)
     steps = [replace(s, device_heading_rad=0.0) for s in steps]
-    straight = replace(tracker(weighting), modes=tuple(replace(m, heading_offset_rad=0.0) for m in modes()))
+    straight = tracker_of(weighting, replace(model(), modes=tuple(replace(m, heading_offset_rad=0.0) for m in modes())))
     distance_m, epochs = distances_of_epochs(steps, len(windows) - 1)
     expected = weighted_distances(distance_m, np.stack([w.prob for w in windows]), threshold)
     _, updates = run(straight, in_order(steps, windows))
@@ -151,7 +158,7 @@ def test_imm_reports_every_step_once_and_at_once() -> None:
     state, updates = run(tracker("imm"), in_order(steps, windows))
     assert [u.index for u in updates] == list(range(len(steps)))
     assert all(u.is_final for u in updates)
-    np.testing.assert_array_equal(present_position(state)[0], updates[-1].position_m)
+    np.testing.assert_array_equal(position_of(state)[0], updates[-1].position_m)
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
@@ -173,17 +180,17 @@ def test_a_sure_context_gives_the_length_and_direction_of_its_mode(weighting: st
 
 def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
     mode, noise = modes()[WALKING], MotionNoise()
-    single = Tracker((mode,), np.ones((1, 1)), weighting="imm", noise=noise)
+    single = ImmTracker(PedestrianModel((mode,), np.ones((1, 1)), noise=noise))
     steps, windows = random_walk(4)
     x, P = np.zeros(4), np.diag([0.0, 0.0, noise.initial_heading_offset_std_rad**2, noise.log_scale_std**2])
     state = single.init()
     for window in windows[:3]:  # evidence for the only mode means nothing
-        state, _ = single.on_window(state, window)
+        state, _ = updates_of(single.on_window(state, window))
     rng = np.random.default_rng(0)
     shared_m, last_s = np.zeros((3, 2)), np.nan
     residual_var = mode.step_length.residual_std_m**2
     for k, step in enumerate(steps):
-        state, [update] = single.on_step(state, step)
+        state, [update] = updates_of(single.on_step(state, step))
         elapsed_s = step.duration_s if np.isnan(last_s) else step.time_s - last_s
         last_s = step.time_s
         length, length_var = mode.step_length.predict(step)
@@ -215,14 +222,14 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         np.testing.assert_allclose(update.position_cov_m2, seen, atol=1e-9)
         if k % 5 == 4:
             z, R = x[:2] + 0.3 * rng.normal(size=2), np.array([[0.5, 0.1], [0.1, 0.4]])
-            state, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
+            state, outcome, _ = single.on_fix(state, PositionFix(step.time_s, z, R))
+            assert outcome == "used"
             H = np.eye(2, 4)
             P[:2, :2], shared_m = seen, np.zeros((3, 2))
             K = P @ H.T @ np.linalg.inv(H @ P @ H.T + R)
             x, P = x + K @ (z - H @ x), (np.eye(4) - K @ H) @ P
-            np.testing.assert_allclose(state.mean[0], x, atol=1e-9)
-            np.testing.assert_allclose(state.cov[0], P, atol=1e-9)
-    assert state.rejected_fixes == 0
+            np.testing.assert_allclose(state.pedestrian.mean[0], x, atol=1e-9)
+            np.testing.assert_allclose(state.pedestrian.cov[0], P, atol=1e-9)
 
 
 @settings(max_examples=10, deadline=None)
@@ -230,8 +237,8 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
 def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
     order = np.random.default_rng(seed).permutation(6)
     rows = np.random.default_rng(seed).dirichlet(np.ones(6), 6)
-    straight = Tracker(modes(), rows)
-    permuted = Tracker(tuple(modes()[i] for i in order), rows[np.ix_(order, order)])
+    straight = ImmTracker(PedestrianModel(modes(), rows))
+    permuted = ImmTracker(PedestrianModel(tuple(modes()[i] for i in order), rows[np.ix_(order, order)]))
     events = in_order(*random_walk(seed))
     for a, b in zip(run(permuted, events)[1], run(straight, events)[1], strict=True):
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
@@ -241,20 +248,20 @@ def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
 
 
 def test_one_window_is_evidence_for_one_step_only() -> None:
-    filter_ = replace(tracker("imm"), step_log_odds_stationary=0.0)
+    filter_ = ImmTracker(replace(model(), step_log_odds_stationary=0.0))
     window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
-    state, _ = filter_.on_window(filter_.init(), window)
-    state, [first] = filter_.on_step(state, a_step(1.5))
-    _, [second] = filter_.on_step(state, a_step(2.0))
+    state, _ = updates_of(filter_.on_window(filter_.init(), window))
+    state, [first] = updates_of(filter_.on_step(state, a_step(1.5)))
+    _, [second] = updates_of(filter_.on_step(state, a_step(2.0)))
     evidence = np.sqrt(window.prob / EVEN_PRIOR)
     np.testing.assert_allclose(first.mode_prob, evidence / evidence.sum(), atol=1e-12)
-    np.testing.assert_allclose(second.mode_prob, first.mode_prob @ filter_.transition_prob, atol=1e-12)
+    np.testing.assert_allclose(second.mode_prob, first.mode_prob @ filter_.model.transition_prob, atol=1e-12)
 
 
 def test_a_detected_step_speaks_against_standing_still() -> None:
     filter_ = tracker("imm")
-    _, [update] = filter_.on_step(filter_.init(), a_step())
-    assert update.mode_prob[0] / update.mode_prob[1] == pytest.approx(np.exp(filter_.step_log_odds_stationary))
+    _, [update] = updates_of(filter_.on_step(filter_.init(), a_step()))
+    assert update.mode_prob[0] / update.mode_prob[1] == pytest.approx(np.exp(filter_.model.step_log_odds_stationary))
 
 
 def test_several_fits_at_once_give_the_numbers_of_each() -> None:
@@ -300,41 +307,48 @@ def test_an_accepted_fix_draws_the_position_and_shrinks_the_covariance(weighting
     filter_ = tracker(weighting)
     steps, windows = random_walk(7)
     state, _ = run(filter_, in_order(steps, windows))
-    position, cov = present_position(state)
+    position, cov = position_of(state)
     fix_m = position + 0.5 * np.sqrt(np.diag(cov))
-    fixed, _ = filter_.on_fix(state, PositionFix(20.0, fix_m, 0.01 * np.eye(2)))
-    new_position, new_cov = present_position(fixed)
+    fixed, outcome, _ = filter_.on_fix(state, PositionFix(20.0, fix_m, 0.01 * np.eye(2)))
+    new_position, new_cov = position_of(fixed)
     assert np.linalg.norm(new_position - fix_m) < 0.1 * np.linalg.norm(position - fix_m)
     assert np.trace(new_cov) < 0.1 * np.trace(cov)
-    assert fixed.rejected_fixes == 0
-    np.testing.assert_array_equal(present_position(state)[0], position)
+    assert outcome == "used"
+    np.testing.assert_array_equal(position_of(state)[0], position)
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
-def test_a_fix_that_no_mode_explains_changes_nothing_but_its_count(weighting: str) -> None:
+def test_a_fix_that_no_mode_explains_is_rejected_and_changes_nothing(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = run(filter_, in_order(*random_walk(8)))
-    after, nis = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
-    assert nis > filter_.fix_gate_nis
-    assert after == replace(state, rejected_fixes=1) or after.rejected_fixes == 1
-    for name in ("mean", "cov", "mode_prob"):
-        np.testing.assert_array_equal(getattr(after, name), getattr(state, name))
+    after, outcome, nis = filter_.on_fix(state, PositionFix(20.0, np.array([1000.0, 0.0]), np.eye(2)))
+    assert outcome == "rejected" and nis > filter_.model.fix_gate_nis
+    assert after.pedestrian is state.pedestrian
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
+def test_a_speed_or_a_heading_before_any_step_has_nothing_to_compare_and_changes_nothing(weighting: str) -> None:
+    filter_ = tracker(weighting)
+    state = filter_.init()
+    for fix in (SpeedFix(0.5, 1.3, 0.2), HeadingFix(0.5, 1.0, 0.2)):
+        after, outcome, nis = filter_.on_fix(state, fix)
+        assert outcome == "nothing to compare" and np.isnan(nis)
+        assert after.pedestrian is state.pedestrian
 
 
 def test_fixes_keep_the_scale_of_a_tall_person() -> None:
     """Steps 10 % longer than the population's: fixes along the way teach it."""
-    filter_ = Tracker((modes()[WALKING],), np.ones((1, 1)))
+    filter_ = ImmTracker(PedestrianModel((modes()[WALKING],), np.ones((1, 1))))
     state = filter_.init()
     true_north_m = 0.0
     for k in range(300):
-        state, _ = filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0))
+        state, _ = updates_of(filter_.on_step(state, a_step(0.5 * (k + 1), duration_s=0.5, variance=0.0)))
         true_north_m += 1.1 * 0.7
         if k % 10 == 9:
-            state, _ = filter_.on_fix(
-                state, PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
-            )
-    assert np.exp(state.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
-    assert state.rejected_fixes == 0
+            fix = PositionFix(0.5 * (k + 1), np.array([0.0, true_north_m]), 0.25 * np.eye(2))
+            state, outcome, _ = filter_.on_fix(state, fix)
+            assert outcome == "used"
+    assert np.exp(state.pedestrian.mean[0, 3]) == pytest.approx(1.1, abs=0.01)
 
 
 # --- steps that become known late ------------------------------------------------------------------------------------
@@ -348,24 +362,24 @@ def test_a_late_step_is_weighted_by_the_windows_of_its_own_time() -> None:
         filter_ = tracker(weighting)
         state = filter_.init()
         for window in windows:
-            state, _ = filter_.on_window(state, window)
-        _, updates = filter_.on_step(state, a_step(2.5))
+            state, _ = updates_of(filter_.on_window(state, window))
+        _, updates = updates_of(filter_.on_step(state, a_step(2.5)))
         assert updates[0].context_prob[WALKING] == 1.0
 
 
 def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
     filter_ = tracker("imm")
     window = WindowContext(2.0, sure(RUNNING, 0.9), EVEN_PRIOR)
-    state, _ = filter_.on_window(filter_.init(), window)
-    state, [first] = filter_.on_step(state, a_step(1.4))
+    state, _ = updates_of(filter_.on_window(filter_.init(), window))
+    state, [first] = updates_of(filter_.on_step(state, a_step(1.4)))
     for late_s in (3.0, 4.0, 5.0):
-        state, _ = filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR))
-    _, [second] = filter_.on_step(state, a_step(1.9))
+        state, _ = updates_of(filter_.on_window(state, WindowContext(late_s, sure(WALKING), EVEN_PRIOR)))
+    _, [second] = updates_of(filter_.on_step(state, a_step(1.9)))
     # between the two steps only the transitions have moved the probabilities
     moved = (
         first.mode_prob
-        @ filter_.transition_prob
-        * np.exp(np.where(np.arange(6) == STATIONARY, filter_.step_log_odds_stationary, 0.0))
+        @ filter_.model.transition_prob
+        * np.exp(np.where(np.arange(6) == STATIONARY, filter_.model.step_log_odds_stationary, 0.0))
     )
     np.testing.assert_allclose(second.mode_prob, moved / moved.sum(), atol=1e-12)
 
@@ -376,21 +390,21 @@ def test_the_imm_uses_each_window_once_however_late_its_steps_come() -> None:
 @pytest.mark.parametrize("weighting", ["hc", "wc"])
 def test_at_a_gap_waiting_steps_become_final_with_the_windows_of_their_segment(weighting: str) -> None:
     filter_ = tracker(weighting)
-    state, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR))
-    state, [waiting] = filter_.on_step(state, a_step(1.6))
-    state, updates = filter_.on_gap(state, 5.0)
+    state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(WALKING), EVEN_PRIOR)))
+    state, [waiting] = updates_of(filter_.on_step(state, a_step(1.6)))
+    state, updates = updates_of(filter_.on_gap(state, 5.0))
     assert [(u.index, u.is_final) for u in updates] == [(waiting.index, True)]
     assert updates[0].mode_prob[WALKING] == 1.0
-    state, late = filter_.on_window(state, WindowContext(9.0, sure(RUNNING), EVEN_PRIOR))
+    state, late = updates_of(filter_.on_window(state, WindowContext(9.0, sure(RUNNING), EVEN_PRIOR)))
     assert late == []
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc"])
 def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) -> None:
     filter_ = tracker(weighting)
-    state, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR))
-    state, _ = filter_.on_gap(state, 5.0)
-    state, [provisional] = filter_.on_step(state, a_step(7.5))
+    state, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR)))
+    state, _ = updates_of(filter_.on_gap(state, 5.0))
+    state, [provisional] = updates_of(filter_.on_step(state, a_step(7.5)))
     assert provisional.context_prob[RUNNING] == pytest.approx(1 / 6)
     _, updates = run(filter_, [WindowContext(t, sure(WALKING), EVEN_PRIOR) for t in (9.0, 10.0)], state)
     assert [u.mode_prob[WALKING] for u in final(updates)] == [1.0]
@@ -398,11 +412,11 @@ def test_after_a_gap_windows_of_the_segment_before_are_not_used(weighting: str) 
 
 def test_after_a_gap_the_window_before_is_no_evidence_for_the_imm() -> None:
     filter_ = tracker("imm")
-    with_window, _ = filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR))
+    with_window, _ = updates_of(filter_.on_window(filter_.init(), WindowContext(2.0, sure(RUNNING), EVEN_PRIOR)))
     probs = []
     for state in (with_window, filter_.init()):
-        state, _ = filter_.on_gap(state, 5.0)
-        probs.append(filter_.on_step(state, a_step(7.5))[1][0])
+        state, _ = updates_of(filter_.on_gap(state, 5.0))
+        probs.append(updates_of(filter_.on_step(state, a_step(7.5)))[1][0])
     np.testing.assert_array_equal(probs[0].mode_prob, probs[1].mode_prob)
     np.testing.assert_array_equal(probs[0].context_prob, probs[1].context_prob)
 
@@ -411,10 +425,10 @@ def test_after_a_gap_the_window_before_is_no_evidence_for_the_imm() -> None:
 def test_a_gap_makes_the_position_less_certain_and_does_not_move_it(weighting: str) -> None:
     filter_ = tracker(weighting)
     state, _ = run(filter_, in_order(*random_walk(9)))
-    after, _ = filter_.on_gap(state, 10.0)
-    np.testing.assert_array_equal(present_position(after)[0], present_position(state)[0])
-    grown = np.diag(present_position(after)[1] - present_position(state)[1])
-    np.testing.assert_allclose(grown, (filter_.noise.gap_speed_mps * 10.0) ** 2)
+    after, _ = updates_of(filter_.on_gap(state, 10.0))
+    np.testing.assert_array_equal(position_of(after)[0], position_of(state)[0])
+    grown = np.diag(position_of(after)[1] - position_of(state)[1])
+    np.testing.assert_allclose(grown, (filter_.model.noise.gap_speed_mps * 10.0) ** 2)
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
@@ -427,7 +441,7 @@ def test_without_any_window_steps_are_still_tracked(weighting: str) -> None:
 
 def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
     filter_ = tracker("imm")
-    mean, cov = initial_estimate(filter_.noise)
+    mean, cov = initial_estimate(filter_.model.noise)
     step = a_step(heading_rad=0.4)
     length, variance = StepLengths(tuple(m.step_length for m in modes())).predict(step)
     moved, _ = advance(
@@ -437,9 +451,9 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         length,
         variance,
         Directions.of(modes()),
-        filter_.noise,
+        filter_.model.noise,
     )
-    _, [update] = filter_.on_step(filter_.init(), step)
+    _, [update] = updates_of(filter_.on_step(filter_.init(), step))
     np.testing.assert_allclose(update.position_m, update.mode_prob @ moved[:, :2], atol=1e-12)
     assert update.step_length_m == pytest.approx(update.mode_prob @ length)
 
@@ -450,35 +464,38 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"weighting": "best"}, "weighting must be one of"),
         ({"modes": (modes()[0],) * 6}, "distinct"),
         ({"transition_prob": np.eye(5)}, "transition_prob"),
-        ({"modes": modes()[:5], "transition_prob": np.eye(5), "weighting": "wc"}, "exactly one mode"),
         ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
         ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
         ({"evidence_exponent": np.nan}, "evidence_exponent must be 0 or more, got nan"),
         ({"evidence_floor": -0.1}, "evidence_floor must be at least 0 and below 1"),
-        ({"window_hop_s": 0.0}, "window_hop_s must be positive"),
         ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary must be finite"),
     ],
 )
-def test_a_tracker_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
+def test_a_model_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
-        replace(tracker("imm"), **change)  # type: ignore[arg-type]
+        replace(model(), **change)  # type: ignore[arg-type]
 
 
-def test_even_transitions_stay_with_their_probability_and_leave_alike() -> None:
-    np.testing.assert_allclose(even_transitions(3, 0.8), [[0.8, 0.1, 0.1], [0.1, 0.8, 0.1], [0.1, 0.1, 0.8]])
-    np.testing.assert_array_equal(even_transitions(1, 0.3), [[1.0]])
-    with pytest.raises(ValueError, match="stay_prob"):
-        even_transitions(3, 1.2)
+def test_weighted_step_lengths_need_one_mode_for_each_context_and_a_threshold() -> None:
+    with pytest.raises(ValueError, match="exactly one mode"):
+        WeightedTracker(PedestrianModel(modes()[:5], np.eye(5)))
+    with pytest.raises(ValueError, match="threshold must be 0 or more, got nan"):
+        WeightedTracker(model(), np.nan)
+
+
+def test_an_unknown_weighting_is_refused_with_the_known_ones() -> None:
+    with pytest.raises(ValueError, match=r"weighting must be one of \('hc', 'wc', 'imm'\), got 'best'"):
+        recipes.default().with_weighting("best")
 
 
 def test_a_turned_frame_turns_what_all_steps_share_too() -> None:
     filter_ = tracker("imm")
     state, _ = run(filter_, in_order(*random_walk(5)))
-    assert np.linalg.norm(state.shared_m) > 0.1
-    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, state.n_final)
-    before, after = present_position(state)[1], present_position(_moved(state, turn))[1]
+    known = state.pedestrian
+    assert np.linalg.norm(known.shared_m) > 0.1
+    turn = Alignment(0.7, 0.0, np.zeros(2), np.zeros(2), 0.0, known.n_final)
+    before, after = present_position(known)[1], present_position(in_other_frame(known, turn))[1]
     np.testing.assert_allclose(after, turn.rotation @ before @ turn.rotation.T, atol=1e-9)

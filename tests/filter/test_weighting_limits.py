@@ -15,17 +15,21 @@ so its total is that of the provisional distances, and that of the final ones wh
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
-from helpers import a_step
+from helpers import a_step, even_transitions, updates_of
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from pdr_filter.filter import imm
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import Mode
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit
-from pdr_filter.filter.tracking import StepUpdate, Tracker, TrackerState, even_transitions
+from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.weighting import HC, context_weights, weighted_distances
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values.contexts import CONTEXTS
@@ -51,8 +55,12 @@ def modes(sideways_rad: float = np.pi / 2) -> tuple[Mode, ...]:
     )
 
 
-def memoryless(sideways_rad: float = np.pi / 2) -> Tracker:
-    return Tracker(
+Tracker = ImmTracker | WeightedTracker
+State = ImmState | WeightedState
+
+
+def memoryless(sideways_rad: float = np.pi / 2, **changes: Any) -> ImmTracker:
+    model = PedestrianModel(
         modes(sideways_rad),
         np.full((N, N), 1 / N),
         evidence_exponent=1.0,
@@ -60,14 +68,13 @@ def memoryless(sideways_rad: float = np.pi / 2) -> Tracker:
         evidence_floor=1e-300,
         step_log_odds_stationary=0.0,
     )
+    return ImmTracker(replace(model, **changes))
 
 
-def weighted(name: str, sideways_rad: float = np.pi / 2) -> Tracker:
+def weighted(name: str, sideways_rad: float = np.pi / 2) -> WeightedTracker:
     """The tracker of that weighting; transitions are no part of it."""
-    tracker = replace(memoryless(sideways_rad), transition_prob=even_transitions(N, 0.9))
-    if name == "hc":
-        return replace(tracker, weighting="hc")
-    return replace(tracker, weighting="wc", wc_threshold=THRESHOLDS[name])
+    model = replace(memoryless(sideways_rad).model, transition_prob=even_transitions(N, 0.9))
+    return WeightedTracker(model, THRESHOLDS[name])
 
 
 def walk(seed: int, n_epochs: int, alike_in_pairs: bool = False) -> tuple[list[Step], list[np.ndarray]]:
@@ -103,18 +110,18 @@ def windows_of(prob: list[np.ndarray], threshold: float | None = None) -> list[W
     return [WindowContext(2.0 + k, p, prior) for k, p in enumerate(said)]
 
 
-def run(tracker: Tracker, steps: list[Step], windows: list[WindowContext]) -> tuple[TrackerState, list[StepUpdate]]:
+def run(tracker: Tracker, steps: list[Step], windows: list[WindowContext]) -> tuple[State, list[StepUpdate]]:
     """Final updates; a step becomes known when its own window is."""
     state, updates = tracker.init(), []
     for _, _, event in sorted(
         [*((w.time_s, 0, w) for w in windows), *((np.ceil(s.time_s), 1, s) for s in steps)], key=lambda e: e[:2]
     ):
         if isinstance(event, WindowContext):
-            state, found = tracker.on_window(state, event)
+            state, found = updates_of(tracker.on_window(state, event))
         else:
-            state, found = tracker.on_step(state, event)
+            state, found = updates_of(tracker.on_step(state, event))
         updates += found
-    state, found = tracker.finish(state)
+    state, found = updates_of(tracker.finish(state))
     return state, [u for u in [*updates, *found] if u.is_final]
 
 
@@ -173,9 +180,9 @@ def test_with_the_highest_context_the_whole_estimate_is_that_of_hc() -> None:
     for a, b in zip(of_imm, of_hc, strict=True):
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
         np.testing.assert_allclose(a.position_cov_m2, b.position_cov_m2, atol=1e-9)
-    x, P = imm.combine(state.mean, state.cov, state.mode_prob)  # noqa: N806
-    np.testing.assert_allclose(x, other.mean[0], atol=1e-9)
-    np.testing.assert_allclose(P, other.cov[0], atol=1e-9)
+    x, P = imm.combine(state.pedestrian.mean, state.pedestrian.cov, state.pedestrian.prob)  # noqa: N806
+    np.testing.assert_allclose(x, other.pedestrian.mean[0], atol=1e-9)
+    np.testing.assert_allclose(P, other.pedestrian.cov[0], atol=1e-9)
 
 
 def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
@@ -201,15 +208,15 @@ def test_with_raw_probabilities_the_imm_is_where_wc_is_and_not_surer() -> None:
 def test_each_of_the_conditions_is_needed(change: dict[str, object]) -> None:
     steps, prob = walk(8, 60)
     expected = weighted_distances(distances(steps, 60), np.stack(prob), 0.0)
-    _, updates = run(replace(memoryless(), **change), steps, windows_of(prob))  # type: ignore[arg-type]
+    _, updates = run(memoryless(**change), steps, windows_of(prob))
     assert np.abs(length_of(updates) - expected.provisional_m).max() > 0.01
 
 
 def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> None:
     tracker = memoryless()
-    state, _ = tracker.on_window(tracker.init(), WindowContext(2.0, np.eye(N)[1], np.full(N, 1 / N)))
-    state, [first] = tracker.on_step(state, a_step(1.3))
-    _, [second] = tracker.on_step(state, a_step(1.8))
+    state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(2.0, np.eye(N)[1], np.full(N, 1 / N))))
+    state, [first] = updates_of(tracker.on_step(state, a_step(1.3)))
+    _, [second] = updates_of(tracker.on_step(state, a_step(1.8)))
     np.testing.assert_allclose(first.mode_prob, np.eye(N)[1], atol=1e-12)
     np.testing.assert_allclose(second.mode_prob, 1 / N, atol=1e-12)
 
@@ -217,15 +224,21 @@ def test_a_second_step_in_a_window_has_even_probabilities_without_memory() -> No
 # --- what mode probabilities survive ---------------------------------------------------------------------------------
 
 
-def assert_sane(state: TrackerState) -> None:
-    assert np.isfinite(state.mode_prob).all()
-    assert (state.mode_prob >= 0).all()
-    assert state.mode_prob.sum() == pytest.approx(1.0)
-    assert np.isfinite(state.mean).all()
-    assert np.isfinite(state.cov).all()
-    np.testing.assert_allclose(state.cov, state.cov.swapaxes(-1, -2), rtol=0, atol=1e-9 * np.abs(state.cov).max())
+def with_mode_prob(state: ImmState, mode_prob: np.ndarray) -> ImmState:
+    return replace(state, pedestrian=replace(state.pedestrian, prob=mode_prob))
+
+
+def assert_sane(state: State) -> None:
+    assert np.isfinite(state.pedestrian.prob).all()
+    assert (state.pedestrian.prob >= 0).all()
+    assert state.pedestrian.prob.sum() == pytest.approx(1.0)
+    assert np.isfinite(state.pedestrian.mean).all()
+    assert np.isfinite(state.pedestrian.cov).all()
+    cov = state.pedestrian.cov
     # rounding of the largest entry is all that an eigenvalue may be below zero
-    assert np.linalg.eigvalsh(state.cov).min() >= -1e-9 * np.abs(state.cov).max()
+    rounding = 1e-9 * np.abs(cov).max()
+    np.testing.assert_allclose(cov, cov.swapaxes(-1, -2), rtol=0, atol=rounding)
+    assert np.linalg.eigvalsh(cov).min() >= -rounding
 
 
 odd_log = st.one_of(st.floats(-1e308, 1e308), st.sampled_from([-np.inf, np.nan, 0.0, -800.0, -1e5]))
@@ -269,26 +282,24 @@ def test_windows_that_make_no_sense_leave_a_sane_state(
     seed: int, said: list[list[float]], exponent: float, floor: float
 ) -> None:
     rng = np.random.default_rng(seed)
-    tracker = replace(
-        memoryless(), transition_prob=even_transitions(N, 0.9), evidence_exponent=exponent, evidence_floor=floor
-    )
+    tracker = memoryless(transition_prob=even_transitions(N, 0.9), evidence_exponent=exponent, evidence_floor=floor)
     prior = np.where(rng.random(N) < 0.3, 0.0, 1.0)
     state = tracker.init()
     for k, prob in enumerate(said):
-        state, _ = tracker.on_window(state, WindowContext(k + 1.0, np.array(prob), prior))
+        state, _ = updates_of(tracker.on_window(state, WindowContext(k + 1.0, np.array(prob), prior)))
         with np.errstate(divide="ignore"):
-            state, [update] = tracker.on_step(state, a_step(k + 0.7, heading_rad=rng.normal()))
+            state, [update] = updates_of(tracker.on_step(state, a_step(k + 0.7, heading_rad=rng.normal())))
         assert_sane(state)
         assert np.isfinite(update.position_m).all()
 
 
 def test_evidence_that_rules_out_every_mode_is_as_no_window() -> None:
-    tracker = replace(memoryless(), evidence_floor=0.0, transition_prob=even_transitions(N, 0.9))
+    tracker = memoryless(evidence_floor=0.0, transition_prob=even_transitions(N, 0.9))
     for prob in (np.zeros(N), np.full(N, np.nan)):
-        state, _ = tracker.on_window(tracker.init(), WindowContext(1.0, prob, np.full(N, 1 / N)))
+        state, _ = updates_of(tracker.on_window(tracker.init(), WindowContext(1.0, prob, np.full(N, 1 / N))))
         with np.errstate(divide="ignore"):
-            _, [told] = tracker.on_step(state, a_step(0.7))
-        _, [untold] = tracker.on_step(tracker.init(), a_step(0.7))
+            _, [told] = updates_of(tracker.on_step(state, a_step(0.7)))
+        _, [untold] = updates_of(tracker.on_step(tracker.init(), a_step(0.7)))
         np.testing.assert_allclose(told.mode_prob, untold.mode_prob, atol=1e-12)
         np.testing.assert_allclose(told.position_m, untold.position_m, atol=1e-12)
 
@@ -299,10 +310,10 @@ def test_a_mode_without_prior_comes_back_only_by_a_transition() -> None:
     closed /= closed.sum(axis=1, keepdims=True)
     running = WindowContext(1.0, np.eye(N)[5], np.full(N, 1 / N))
     for transitions, reachable in ((closed, False), (even_transitions(N, 0.9), True)):
-        tracker = replace(memoryless(), transition_prob=transitions)
-        state = replace(tracker.init(), mode_prob=np.eye(N)[1])
-        state, _ = tracker.on_window(state, running)
-        state, [update] = tracker.on_step(state, a_step(0.7))
+        tracker = memoryless(transition_prob=transitions)
+        state = with_mode_prob(tracker.init(), np.eye(N)[1])
+        state, _ = updates_of(tracker.on_window(state, running))
+        state, [update] = updates_of(tracker.on_step(state, a_step(0.7)))
         assert_sane(state)
         assert (update.mode_prob[5] > 0.99) == reachable
         assert (update.mode_prob[5] > 0) == reachable
@@ -313,12 +324,11 @@ def test_a_fix_a_thousand_kilometres_away_is_rejected_and_one_that_is_that_unsur
     tracker = memoryless()
     state, _ = run(tracker, steps, windows_of(prob))
     far_m = np.array([1e6, -1e6])
-    rejected, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
-    assert rejected.rejected_fixes == 1
-    assert nis > 1e9
-    np.testing.assert_array_equal(rejected.mode_prob, state.mode_prob)
-    accepted, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
-    assert accepted.rejected_fixes == 0
+    rejected, outcome, nis = tracker.on_fix(state, PositionFix(20.0, far_m, np.eye(2)))
+    assert outcome == "rejected" and nis > 1e9
+    np.testing.assert_array_equal(rejected.pedestrian.prob, state.pedestrian.prob)
+    accepted, outcome, _ = tracker.on_fix(state, PositionFix(20.0, far_m, 1e12 * np.eye(2)))
+    assert outcome == "used"
     assert_sane(accepted)
 
 
@@ -334,19 +344,19 @@ def test_no_fix_wherever_it_is_leaves_anything_but_a_sane_state(
     seed: int, log10_away: float, log10_std: float, gap_s: float, n_zero: int
 ) -> None:
     rng = np.random.default_rng(seed)
-    tracker = replace(memoryless(), transition_prob=even_transitions(N, 0.9))
+    tracker = memoryless(transition_prob=even_transitions(N, 0.9))
     steps, prob = walk(seed, 10)
     state, _ = run(tracker, steps, windows_of(prob))
     mode_prob = np.where(np.arange(N) < n_zero, 0.0, rng.dirichlet(np.ones(N)) + 1e-6)
-    state = replace(state, mode_prob=mode_prob / mode_prob.sum())
+    state = with_mode_prob(state, mode_prob / mode_prob.sum())
     if gap_s:
-        state, _ = tracker.on_gap(state, gap_s)
+        state, _ = updates_of(tracker.on_gap(state, gap_s))
     angle = rng.uniform(0, 2 * np.pi)
     fix_m = 10**log10_away * np.array([np.sin(angle), np.cos(angle)])
     for _ in range(2):
-        state, _ = tracker.on_fix(state, PositionFix(11.0, fix_m, 10 ** (2 * log10_std) * np.eye(2)))
+        state, _, _ = tracker.on_fix(state, PositionFix(11.0, fix_m, 10 ** (2 * log10_std) * np.eye(2)))
         assert_sane(state)
-        assert (state.mode_prob[:n_zero] == 0).all()
-    state, [update] = tracker.on_step(state, a_step(12.0 + gap_s))
+        assert (state.pedestrian.prob[:n_zero] == 0).all()
+    state, [update] = updates_of(tracker.on_step(state, a_step(12.0 + gap_s)))
     assert_sane(state)
     assert np.isfinite(update.position_cov_m2).all()

@@ -261,7 +261,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("RoNIN", "quaternions wxyz in `synced`, xyzw in `raw`"): [
         (RONIN, "test_a_quaternion_of_the_other_order_is_refused")
     ],
-    ("any CSV", "units and sign as told, and only so"): [
+    ("any CSV", "units and sign are given in a TOML file"): [
         (GENERIC, "test_a_walk_comes_back_in_si_units"),
         (GENERIC, "test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown"),
     ],

@@ -14,7 +14,8 @@ from helpers import windows_of
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.stats import chi2
 
-from pdr_filter.report.plotting import context_colours, plot_track
+from pdr_filter.report.palette import context_colours
+from pdr_filter.report.plotting import plot_track
 from pdr_filter.tracks import Track
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.step import Step, step_table

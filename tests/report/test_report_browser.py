@@ -16,7 +16,7 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
-from pdr_filter.report import html as report_html
+from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
 
@@ -149,7 +149,7 @@ def test_every_picture_is_on_the_screen_in_the_colours_of_the_contexts(
         # Not an empty sheet: a picture has lines, letters and areas.
         assert len(np.unique(colours[top:bottom, left:right])) > 20
     left, top, right, bottom = (round(v) for v in places[0]["box"])
-    walking = report_html._COLOURS[track.contexts.index("walking")]
+    walking = palette.COLOURS[track.contexts.index("walking")]
     assert int(walking[1:], 16) in colours[top:bottom, left:right]
 
 

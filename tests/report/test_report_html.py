@@ -17,8 +17,7 @@ import pytest
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.report import reading_report
-from pdr_filter.report import html as report_html
-from pdr_filter.report import trust
+from pdr_filter.report import palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
 from pdr_filter.values.contexts import CONTEXTS
@@ -116,10 +115,10 @@ def test_the_way_is_drawn_to_scale_with_north_up(page: str, track: Track) -> Non
 
 def test_every_step_has_the_colour_of_its_context(page: str, track: Track) -> None:
     dark, *coloured = pictures(page)[0].iter("polyline")
-    assert dark.attrib["stroke"] == "#222"
+    assert dark.attrib["stroke"] == palette.INK
     drawn = [(len(points(line)) - 1, line.attrib["stroke"]) for line in coloured]
     colours = [colour for n, colour in drawn for _ in range(n)]
-    assert colours == [report_html._COLOURS[i] for i in track.context_prob.argmax(axis=1)]
+    assert colours == [palette.COLOURS[i] for i in track.context_prob.argmax(axis=1)]
 
 
 def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track) -> None:
@@ -218,12 +217,6 @@ def test_the_reading_report_is_all_there(page: str, recording: Recording) -> Non
         assert stream.name in words
         assert f"{stream.n_samples:,}" in words
     assert "How it was read" not in Seen(html_report(pdr.track(recording))).words
-
-
-def test_colours_are_those_of_the_figures() -> None:
-    from pdr_filter.report.plotting import context_colours
-
-    assert tuple(context_colours().values()) == report_html._COLOURS
 
 
 # --- self-contained and safe -----------------------------------------------------------------------------------------

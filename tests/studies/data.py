@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
+from dataclasses import replace
 from pathlib import Path
+
+import numpy as np
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.step import Step
+
+# Height of somebody of whom it is not known: between the means of women and men, as in the recipes.
+HEIGHT_M = 1.70
+# Persons 1 to 6 had a say in thresholds, trees and detector constants.
+_LEFT_OUT = ("ubicomp13_p0[7-9]_*.zip", "ubicomp13_p1?_*.zip")
 
 
 def recordings(data: Path, name: str, pattern: str = "*.zip") -> Iterator[Recording]:
@@ -18,3 +29,43 @@ def recordings(data: Path, name: str, pattern: str = "*.zip") -> Iterator[Record
 def has(data: Path, name: str) -> bool:
     """Whether the folder has the data set."""
     return any((data / name).glob("*.zip"))
+
+
+def people_left_out(data: Path, places: Collection[str] = ()) -> Iterator[Recording]:
+    """Walks of persons 7 to 13 of ubicomp13, on whom nothing was chosen; with the phone in these places if given."""
+    for pattern in _LEFT_OUT:
+        yield from (r for r in recordings(data, "ubicomp13", pattern) if not places or place_of(r) in places)
+
+
+def place_of(recording: Recording) -> str:
+    """Where the phone was: the end of the name of a ubicomp13 recording."""
+    return recording.name.split("_", 3)[-1]
+
+
+def counted_walk(recording: Recording) -> tuple[float, float, int]:
+    """Start and end of the first truth segment, and its number of steps."""
+    segments = recording.truth.segments
+    if segments is None:
+        raise ValueError(f"{recording.name}: no truth_segments.csv")
+    return float(segments.start_s[0]), float(segments.end_s[0]), int(segments.n_steps[0])
+
+
+def even_way(recording: Recording, every_s: float) -> tuple[FloatArray, FloatArray]:
+    """Even times, and east and north of the truth then, (N,) and (N, 2)."""
+    position = recording.truth.position
+    if position is None:
+        raise ValueError(f"{recording.name}: no truth_position.csv")
+    time_s = np.arange(position.time_s[0], position.time_s[-1], every_s)
+    way_m = [np.interp(time_s, position.time_s, c) for c in (position.east_m, position.north_m)]
+    return time_s, np.column_stack(way_m)
+
+
+def with_subject(recording: Recording, **known: object) -> Recording:
+    """The recording of a person of whom this is known too, such as `id`."""
+    return replace(recording, meta={**recording.meta, "subject": {**recording.meta["subject"], **known}})
+
+
+def steps_of(track: Track) -> tuple[Step, ...]:
+    """The steps of a track, as models of step length take them."""
+    names = track.steps.dtype.names or ()
+    return tuple(Step(**dict(zip(names, row, strict=True))) for row in track.steps.tolist())

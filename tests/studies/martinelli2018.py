@@ -10,451 +10,63 @@ subgroups, as in the paper, always by machines trained on the other people.
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from functools import partial
-from itertools import pairwise
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
-from sklearn.discriminant_analysis import LinearDiscriminantAnalysis
 from sklearn.exceptions import ConvergenceWarning
-from sklearn.model_selection import cross_val_score
-from sklearn.pipeline import make_pipeline
-from sklearn.preprocessing import StandardScaler
 from threadpoolctl import threadpool_limits
 
-from pdr_filter.classifiers.model import ContextModel, load_model
-from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
-from pdr_filter.config import Config
-from pdr_filter.evaluate.classification import accuracy, confusion_matrix, macro_recall, recall
-from pdr_filter.evaluate.comparison import epoch_distances, second_over_first
-from pdr_filter.evaluate.distance import distance_scores, percent_error, walked_m
-from pdr_filter.evaluate.tracks import path_m
-from pdr_filter.filter.motion import Mode
-from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
-from pdr_filter.filter.weighting import HC, weighted_distances
-from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.evaluate.classification import accuracy, macro_recall, recall
+from pdr_filter.evaluate.comparison import second_over_first
+from pdr_filter.evaluate.distance import distance_scores, percent_error
 from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
 from pdr_filter.recipes import default, martinelli2018, with_context_model
-from pdr_filter.recording_run import detect_steps, track
-from pdr_filter.report.plotting import context_colours
-from pdr_filter.sensing.attitude import AttitudeEstimator
-from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.features import invariant
+from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
 from pdr_filter.sensing.features.windows import FeatureWindows
-from pdr_filter.simulate import Carrying, Gait, Leg, simulate
-from pdr_filter.simulate.gait import STAIR_TREAD_M
-from pdr_filter.tracks import Track
-from pdr_filter.training.contexts import FEATURE_LIMIT, fit, fit_blend, label_of
-from pdr_filter.values.arrays import FloatArray, IntArray, table
+from pdr_filter.training.protocol import DUPLICATES
+from pdr_filter.values.arrays import IntArray
 from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import Samples
 from tests.studies.data import recordings
-from tests.studies.feature_selection import Selection, select_features
+from tests.studies.feature_selection import Selection
+from tests.studies.measured.martinelli2018 import (
+    Examples,
+    Size,
+    Walk,
+    calibrated,
+    confusion_of,
+    default_machine,
+    examples_of,
+    machine_accuracy,
+    of_subgroups,
+    relevance_machine,
+    searched_features,
+    short_segments,
+    simulated_person,
+    subgroups,
+    walk_of,
+    walked_path,
+    walks_of_people,
+)
+from tests.studies.printed.martinelli2018 import (
+    ACCURACY,
+    PAPER,
+    SUBGROUPS,
+    TABLE_III,
+    TABLE_IV,
+    TABLE_V,
+    TABLE_VI,
+    THRESHOLD,
+    printed_checks,
+)
 from tests.studies.report import Study, StudyFigure, StudyTable
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
-
-TextArray = NDArray[np.str_]
 Rows = tuple[Mapping[str, object], ...]
-
-PAPER = (
-    'A. Martinelli, H. Gao, P. D. Groves, S. Morosi, "Probabilistic Context-Aware Step Length Estimation for '
-    'Pedestrian Dead Reckoning", IEEE Sensors Journal 18(4), pp. 1600-1611, 2018.'
-)
-
-# --- What is printed -------------------------------------------------------------------------------------------------
-
-# Table III, per cent, rows and columns in the order of `CONTEXTS` (the paper has sideways third).
-TABLE_III = np.array(
-    [
-        [93.7, 0.9, 0.5, 0.0, 4.9, 0.0],
-        [0.0, 85.2, 9.0, 1.0, 4.8, 0.0],
-        [0.0, 9.8, 82.5, 4.3, 3.4, 0.0],
-        [0.0, 1.0, 3.0, 95.2, 0.8, 0.0],
-        [0.0, 6.0, 2.2, 1.8, 90.0, 0.0],
-        [0.0, 0.0, 0.0, 0.0, 0.0, 100.0],
-    ]
-)
-ACCURACY = 91.1
-# Table IV: %RMSE with HC and WC of subjects 1-5, 6-10, 11-15, and of all.
-TABLE_IV = {"hc": (4.5, 6.2, 11.5, 7.9), "wc": (5.7, 5.9, 3.6, 5.2)}
-# Table V: %error of subjects 1 to 15.
-TABLE_V = {
-    "hc": (0.6, -3.3, -5.7, -3.0, -6.9, -7.8, -3.6, -6.0, -4.5, -7.5, -13.6, -13.5, -7.8, -7.5, -13.1),
-    "wc": (5.1, 1.2, 4.5, -3.3, -10.3, -9.0, 0.0, -7.5, -0.3, -6.0, -3.0, -3.9, 1.8, 1.2, -6.1),
-}
-# Table VI: length in m, %error with HC and with WC.
-TABLE_VI = {
-    "walking": (209.9, -8.5, -5.1),
-    "upstairs": (20.6, 6.2, 3.4),
-    "downstairs": (30.5, -5.5, -4.2),
-    "sideways": (20.0, -5.9, -2.5),
-    "running": (50.0, -4.8, -3.3),
-}
-PATH_M = 331.0
-# Of single stairs, up and down (section VI.A).
-_STAIR_M = (0.29, 0.43)
-_THRESHOLD = 0.8
-_SUBGROUPS = tuple(f"subgroup {i} (paper: subjects {n})" for i, n in ((1, "1-5"), (2, "6-10"), (3, "11-15")))
-
-
-def printed_checks() -> tuple[str, ...]:
-    """What the paper's printed figures say against each other, one sentence or two each."""
-    table_v = {k: np.array(v) for k, v in TABLE_V.items()}
-    found_iv = {k: [distance_scores(part).rmse_percent for part in (*np.split(v, 3), v)] for k, v in table_v.items()}
-    largest = max(abs(f - p) for k in found_iv for f, p in zip(found_iv[k], TABLE_IV[k], strict=True))
-    length_m, *of_context = np.array(list(TABLE_VI.values())).T
-    by_context = {k: float(length_m @ e / length_m.sum()) for k, e in zip(("hc", "wc"), of_context, strict=True)}
-    mean = {k: float(v.mean()) for k, v in table_v.items()}
-    stairs = [TABLE_VI[c][0] / m for c, m in zip(("upstairs", "downstairs"), _STAIR_M, strict=True)]
-    return (
-        f"Table V gives Table IV: %RMSE {found_iv['hc'][3]:.2f} (HC) and {found_iv['wc'][3]:.2f} (WC) for the printed "
-        f"{TABLE_IV['hc'][3]} and {TABLE_IV['wc'][3]}; the subgroups agree within {largest:.2f}.",
-        f"The errors of Table V are biased: mean {mean['hc']:.2f} (HC) and {mean['wc']:.2f} % (WC), spread "
-        f"{table_v['hc'].std():.2f} and {table_v['wc'].std():.2f} %. WC's lower %RMSE is its smaller bias; its "
-        "spread is the larger one.",
-        f"Table VI against Table V: the errors of the contexts, weighted with their lengths, give "
-        f"{by_context['hc']:.2f} % (HC) and {by_context['wc']:.2f} % (WC) of the whole path, the mean of Table V is "
-        f"{mean['hc']:.2f} and {mean['wc']:.2f} %. That agrees for HC and not for WC.",
-        f"The lengths of Table VI add up to {length_m.sum():.1f} m, the length of the path. Its stairs are "
-        f"{stairs[0]:.1f} steps of {_STAIR_M[0]} m up and {stairs[1]:.1f} of {_STAIR_M[1]} m down: the same 71.",
-        f"The diagonal of Table III has the mean {np.diagonal(TABLE_III).mean():.1f} %, which is the accuracy printed "
-        f"({ACCURACY} %), as it must be with as many movements of each context.",
-        'The text on the threshold has "true" for HC at 1: the second highest over the highest probability is below 1 '
-        "but where the two are equal, and then Algorithm 2 weights.",
-    )
-
-
-# --- Windows and machines --------------------------------------------------------------------------------------------
-
-
-@dataclass(frozen=True)
-class Size:
-    """How much is done; the paper's own numbers unless said otherwise."""
-
-    n_simulated: int = 15  # people
-    walked: float = 1.0  # part of the walking and the stairs on their path
-    n_windows: int = 40  # of each person in each context, in training and in Table III
-    n_features: int = 23  # at which the floating search ends
-    window_s: tuple[float, ...] = (0.5, 1.0, 2.0, 3.0, 4.0)
-
-
-@dataclass(frozen=True, eq=False)
-class _Examples:
-    """Feature windows inside one context, at most so many of each person in each context."""
-
-    names: tuple[str, ...]
-    features: FloatArray  # (N, F)
-    context: TextArray  # (N,)
-    person: TextArray  # (N,)
-
-    def of(self, names: Sequence[str]) -> FloatArray:
-        """Columns of the features with these names."""
-        return self.features[:, [self.names.index(n) for n in names]]
-
-    def rows(self, use: Any) -> _Examples:
-        """Some of the windows."""
-        return replace(self, features=self.features[use], context=self.context[use], person=self.person[use])
-
-
-def _examples(walks: Iterable[Recording], stages: Mapping[str, FeatureWindows], n_windows: int) -> dict[str, _Examples]:
-    """Labelled windows of all stages, every recording conditioned once."""
-    found: dict[str, list[tuple[FloatArray, str, str]]] = {name: [] for name in stages}
-    for recording in walks:
-        conditioner, attitude_estimator = Conditioner(), AttitudeEstimator()
-        attitude_state, states = attitude_estimator.init(), {name: s.init() for name, s in stages.items()}
-        for part in conditioner.step(conditioner.init(), merge_streams(recording))[1]:
-            if part.gap_before_s > 0:
-                attitude_state = attitude_estimator.after_gap(attitude_state)
-                states = {name: s.init() for name, s in stages.items()}
-            attitude_state, attitude = attitude_estimator.step(attitude_state, part)
-            for name, stage in stages.items():
-                states[name], windows = stage.step(states[name], part, attitude)
-                for _, window in windows:
-                    label = label_of(recording, window.time_s - stage.window_s, window.time_s)
-                    if label is not None:
-                        found[name].append((window.features, label[0], str(recording.subject.id)))
-    return {name: _balanced(stages[name].names, rows, n_windows) for name, rows in found.items() if rows}
-
-
-def _balanced(names: tuple[str, ...], rows: list[tuple[FloatArray, str, str]], n_windows: int) -> _Examples:
-    """At most so many windows of each person in each context, evenly over time."""
-    features, context, person = zip(*rows, strict=True)
-    every = _Examples(names, np.array(features), np.array(context), np.array(person))
-    use: list[int] = []
-    for p in np.unique(every.person):
-        for c in np.unique(every.context):
-            both = np.flatnonzero((every.person == p) & (every.context == c))
-            n = min(n_windows, len(both))
-            use += both[np.linspace(0, len(both) - 1, n).round().astype(int)].tolist() if n else []
-    return every.rows(sorted(use))
-
-
-def _subgroups(people: Iterable[str]) -> list[list[str]]:
-    """Three subgroups of people, in the order of their names."""
-    return [part.tolist() for part in np.array_split(np.unique(list(people)), 3)]
-
-
-def _folds(examples: _Examples) -> list[tuple[IntArray, IntArray]]:
-    """Rows to train with and to test with, for each subgroup."""
-    tests = [np.isin(examples.person, part) for part in _subgroups(examples.person)]
-    return [(np.flatnonzero(~test), np.flatnonzero(test)) for test in tests if test.any()]
-
-
-def _relevance_vectors() -> Any:
-    """The machine of the martinelli2018 recipe, as an estimator.
-
-    300 candidates: 500 take half as long again and tell people left out no better.
-    """
-    machine = RelevanceVectorClassifier(kernel="rbf", kernel_width=3.0, max_samples=300, max_basis=200, random_state=0)
-    return make_pipeline(StandardScaler(), machine)
-
-
-def _machine(examples: _Examples, names: Sequence[str]) -> ContextModel:
-    """A relevance vector machine as the paper has it: its probabilities normalised, not calibrated."""
-    fitted = _relevance_vectors().fit(examples.of(names), examples.context)
-    scaler, machine = fitted[0], fitted[1]
-    return ContextModel(
-        name="left_out",
-        feature_names=tuple(names),
-        classes=tuple(str(c) for c in machine.classes_),
-        training_prior=_prior(examples),
-        feature_mean=scaler.mean_,
-        feature_scale=scaler.scale_,
-        machine=machine.machine_,
-        card={},
-    )
-
-
-def _default_machine(examples: _Examples) -> ContextModel:
-    """The default recipe's model, of other people; the two numbers of its calibration are the shipped model's."""
-    weight, nobody = np.ones(len(examples.person)), np.full(len(examples.person), "")
-    # without people to leave out nothing is calibrated, which would take four times as long again
-    fitted = fit(fit_blend, CONTEXTS, examples.of(invariant.NAMES), examples.context, nobody, weight)
-    shipped = load_model("context")
-    return ContextModel(
-        name="left_out",
-        feature_names=invariant.NAMES,
-        classes=fitted.classes,
-        training_prior=_prior(examples),
-        feature_mean=fitted.mean,
-        feature_scale=fitted.scale,
-        machine=fitted.machine,
-        card={},
-        temperature=shipped.temperature,
-        slip=shipped.slip,
-        feature_limit=FEATURE_LIMIT,
-    )
-
-
-def _prior(examples: _Examples) -> FloatArray:
-    return np.array([np.mean(examples.context == c) for c in CONTEXTS])
-
-
-Train = Callable[[_Examples], ContextModel]
-
-
-def _of_subgroups(examples: _Examples, train: Train) -> list[tuple[list[str], ContextModel]]:
-    """Each subgroup with a model of the people in the other two."""
-    return [
-        (part, train(examples.rows(~np.isin(examples.person, part)))) for part in _subgroups(examples.person) if part
-    ]
-
-
-def _confusion(examples: _Examples, models: list[tuple[list[str], ContextModel]]) -> IntArray:
-    """Confusion matrix (C, C) over all people, each told by the model of the others."""
-    label, predicted = [], []
-    for people, model in models:
-        of_part = examples.rows(np.isin(examples.person, people))
-        label += [CONTEXTS.index(c) for c in of_part.context]
-        predicted += [int(model.predict(x).argmax()) for x in of_part.of(model.feature_names)]
-    return confusion_matrix(np.array(label), np.array(predicted), len(CONTEXTS))
-
-
-# --- Walks -----------------------------------------------------------------------------------------------------------
-
-# Trial, start and length in s. The lengths are about those of the paper's path, from 4 s in: the phone has been put
-# away by then.
-_PARTS: tuple[tuple[str, float, float], ...] = (
-    ("std_6", 4.0, 10.0),
-    ("wlk_7", 4.0, 50.0),
-    ("ups_3", 4.0, 40.0),
-    ("wlk_8", 4.0, 50.0),
-    ("jog_9", 4.0, 20.0),
-    ("sit_5", 4.0, 15.0),
-    ("wlk_15", 4.0, 25.0),
-    ("dws_1", 4.0, 37.0),
-    ("wlk_7", 60.0, 25.0),
-    ("std_14", 4.0, 8.0),
-)
-
-
-def _put_together(data: Path, person: str) -> Recording | None:
-    """Parts of a person's recordings one after the other, turned to one mean gravity; None without any.
-
-    Nothing is cross-faded. A part that is missing is left out, a shorter recording gives what it has.
-    """
-    force: list[FloatArray] = []
-    rate: list[FloatArray] = []
-    labels: list[tuple[int, str]] = []
-    clock = 0
-    for trial, start_s, length_s in _PARTS:
-        for recording in recordings(data, "motionsense", f"motionsense_{person}_{trial}.zip"):
-            assert recording.gyroscope is not None and recording.truth.labels is not None
-            time_s = recording.accelerometer.time_s
-            use = (time_s >= start_s) & (time_s < start_s + length_s)
-            if not use.any():
-                continue
-            own = recording.accelerometer.values[use]
-            up = force[0].mean(axis=0) if force else own.mean(axis=0)
-            turn = Rotation.align_vectors([up], [own.mean(axis=0)])[0]
-            force.append(turn.apply(own))
-            gyroscope = recording.gyroscope
-            at = [np.interp(time_s[use], gyroscope.time_s, gyroscope.values[:, i]) for i in range(3)]
-            rate.append(turn.apply(np.column_stack(at)))
-            clock += int(use.sum())
-            labels.append((clock, str(recording.truth.labels["context"][0])))
-    if not force:
-        return None
-    end_s = np.array([n for n, _ in labels]) / 50.0  # MotionSense: the row number divided by 50 Hz
-    truth = {"start_s": np.concatenate([[0.0], end_s[:-1]]), "end_s": end_s, "context": [c for _, c in labels]}
-    carrying_mode = np.array(["pocket"] * len(labels))
-    time_s = np.arange(clock) / 50.0
-    return Recording(
-        name=f"put_together_{person}",
-        accelerometer=Samples(time_s, np.concatenate(force)),
-        gyroscope=Samples(time_s, np.concatenate(rate)),
-        truth=Truth(labels=table({**truth, "carrying_mode": carrying_mode})),
-    )
-
-
-# On a belt, in front of the hip and upright: it moves with the trunk.
-_WAIST = {
-    "waist": Carrying(
-        pivot=(0.1, 0.06, 0.06),
-        pitch_rad=np.pi / 2,
-        impact_sideways=0.3,
-        wobble_pitch_rad=0.03,
-        wobble_roll_rad=0.04,
-        wobble_yaw_rad=0.06,
-    )
-}
-_RIGHT = np.pi / 2
-_N_STAIRS = 71
-
-
-def _path(walked: float) -> list[Leg]:
-    """The paper's lengths of each context, with its five stops, in an order of our own: Fig. 3 is a map."""
-    walking = iter(walked * m for m in (60.0, 50.0, 45.0, 30.0, 24.9))
-    stairs_m = round(walked * _N_STAIRS) * STAIR_TREAD_M
-    stop = Leg("stationary", duration_s=8.0)
-    return [
-        stop,
-        Leg("walking", distance_m=next(walking)),
-        stop,
-        Leg("upstairs", distance_m=stairs_m),
-        Leg("walking", distance_m=next(walking), turn_rad=_RIGHT),
-        Leg("sideways", distance_m=TABLE_VI["sideways"][0]),
-        stop,
-        Leg("walking", distance_m=next(walking), turn_rad=_RIGHT),
-        Leg("running", distance_m=TABLE_VI["running"][0]),
-        stop,
-        Leg("walking", distance_m=next(walking), turn_rad=_RIGHT),
-        Leg("downstairs", distance_m=stairs_m),
-        stop,
-        Leg("walking", distance_m=next(walking), turn_rad=_RIGHT),
-        stop,
-    ]
-
-
-def _short_segments() -> list[Leg]:
-    """What the machine learns from: every context twice, "different short path segments traveled twice"."""
-    legs: list[Leg] = []
-    for pace in (0.95, 1.05):
-        legs.append(Leg("stationary", duration_s=11.0))
-        legs += [Leg(c, duration_s=11.0, frequency_factor=pace, turn_rad=0.5) for c in CONTEXTS if c != "stationary"]
-    return legs
-
-
-@dataclass(frozen=True, eq=False)
-class _Walk:
-    """Epochs of a walk, K of them, between the ends of K + 1 windows."""
-
-    person: str
-    context: IntArray  # (K,) true, at the middle of the epoch
-    true_m: FloatArray  # (K,)
-    distance_m: FloatArray  # (K, C) if every step had been of one context (eq. 17)
-    context_prob: FloatArray  # (K + 1, C)
-    imm_m: FloatArray  # (K,)
-
-    def weighted_m(self, threshold: float) -> FloatArray:
-        """D_k - D_(k-1) of Algorithms 1 and 2, (K,)."""
-        found = weighted_distances(self.distance_m, self.context_prob, threshold)
-        return 0.5 * (found.provisional_m + found.final_m)
-
-    def by(self, weighting: str) -> FloatArray:
-        """Distance of each epoch with HC, WC or IMM, (K,)."""
-        return self.imm_m if weighting == "imm" else self.weighted_m({"hc": HC, "wc": _THRESHOLD}[weighting])
-
-    def error_percent(self, found_m: FloatArray) -> float:
-        """Of the whole walk."""
-        return float(percent_error(found_m.sum(), self.true_m.sum()))
-
-
-def _walk(recording: Recording, config: Config) -> _Walk:
-    """The walk of a recording; its true distance, where it has no positions, that of its steps in the true contexts."""
-    found: Track = track(recording, config.with_weighting("imm"))
-    modes: tuple[Mode, ...] = config.tracker.modes
-    distance_m, context_prob = epoch_distances(found, modes)
-    ends_s = found.windows.time_s
-    context = _context_at(recording, 0.5 * (ends_s[1:] + ends_s[:-1]))
-    position = recording.truth.position
-    if position is None:
-        true_m = distance_m[np.arange(len(context)), context]
-    else:
-        along_m = path_m(np.column_stack([position.east_m, position.north_m]))
-        true_m = np.diff(np.interp(ends_s, position.time_s, along_m))
-    imm_m = walked_m(found.time_s, found.step_length_m, ends_s[:-1], ends_s[1:])
-    return _Walk(str(recording.subject.id), context, true_m, distance_m, context_prob, imm_m)
-
-
-def _context_at(recording: Recording, time_s: FloatArray) -> IntArray:
-    """True contexts at times, (T,); labels follow each other without a gap."""
-    labels = recording.truth.labels
-    assert labels is not None
-    k = np.minimum(np.searchsorted(labels["end_s"], time_s, side="right"), len(labels) - 1)
-    return np.array([CONTEXTS.index(str(c)) for c in labels["context"][k]])
-
-
-def _calibrated(config: Config, walk: Recording) -> Config:
-    """The configuration with k0, k1, k2 of this person, by eq. 13 to 16 on parts of 10 m of the walk itself.
-
-    Group A. Stairs (group B) have one tread, which the least squares solution gives to every step: k1 = k2 = 0.
-    k1 and k2 are the person's own too; the paper fits them to all people at once.
-    """
-    steps, truth = detect_steps(walk, config), walk.truth
-    assert truth.position is not None and truth.labels is not None
-    along_m = path_m(np.column_stack([truth.position.east_m, truth.position.north_m]))
-    fits = {c: known_length(STAIR_TREAD_M, 0.02) for c in ("upstairs", "downstairs")}
-    for context in ("walking", "sideways", "running"):
-        rows: list[tuple[float, float, float]] = []
-        for label in truth.labels[truth.labels["context"] == context]:
-            start_m, end_m = np.interp([label["start_s"], label["end_s"]], truth.position.time_s, along_m)
-            marks_s = np.interp(np.arange(start_m, end_m + 0.01, 10.0), along_m, truth.position.time_s)
-            for begin_s, end_s in pairwise(marks_s):
-                own = steps[(steps.time_s > begin_s) & (steps.time_s <= end_s)]
-                rows.append((len(own), own["frequency_hz"].sum(), own["variance"].sum()))
-        # of few parts the smallest solution: the change with cadence and variance is then not known, and small
-        theta = np.linalg.lstsq(np.array(rows), np.full(len(rows), 10.0), rcond=1e-3)[0]
-        fits[context] = StepLengthFit(FrequencyVarianceStepLength(), theta, np.zeros((3, 3)), 0.06)
-    modes = tuple(replace(m, step_length=fits.get(m.context, m.step_length)) for m in config.tracker.modes)
-    return replace(config, tracker=replace(config.tracker, modes=modes))
 
 
 # --- Tables ----------------------------------------------------------------------------------------------------------
@@ -491,7 +103,7 @@ def _percent(confusions: Mapping[str, IntArray], score: Callable[[IntArray], flo
 Columns = Mapping[str, Sequence[float]]
 
 
-def _errors(walks: Sequence[_Walk], default_walks: Sequence[_Walk] = ()) -> dict[str, list[float]]:
+def _errors(walks: Sequence[Walk], default_walks: Sequence[Walk] = ()) -> dict[str, list[float]]:
     """Errors of the walks' distances, per cent, by column."""
     columns = {f"ours {w.upper()}": [x.error_percent(x.by(w)) for x in walks] for w in ("hc", "wc", "imm")}
     if default_walks:
@@ -501,9 +113,9 @@ def _errors(walks: Sequence[_Walk], default_walks: Sequence[_Walk] = ()) -> dict
 
 def _table_iv(errors: Columns, people: Sequence[str]) -> Rows:
     """%RMSE of each subgroup and of all, and bias and spread of all."""
-    parts = [np.isin(people, part) for part in _subgroups(people)]
+    parts = [np.isin(people, part) for part in subgroups(people)]
     rows: list[Mapping[str, object]] = []
-    for k, (name, use) in enumerate([*zip(_SUBGROUPS, parts, strict=True), ("all", np.ones(len(people), bool))]):
+    for k, (name, use) in enumerate([*zip(SUBGROUPS, parts, strict=True), ("all", np.ones(len(people), bool))]):
         row: dict[str, object] = {"%RMSE of": name, "paper HC": TABLE_IV["hc"][k], "paper WC": TABLE_IV["wc"][k]}
         rows.append(row | {c: distance_scores(np.array(e)[use]).rmse_percent for c, e in errors.items()})
     for name, field in (("all: bias", "bias_percent"), ("all: spread", "spread_percent")):
@@ -528,10 +140,10 @@ def _table_v(errors: Columns, people: Sequence[str]) -> Rows:
     )
 
 
-def _table_vi(walks: Sequence[_Walk], default_walks: Sequence[_Walk] = ()) -> Rows:
+def _table_vi(walks: Sequence[Walk], default_walks: Sequence[Walk] = ()) -> Rows:
     """%error under each context, averaged over the people."""
 
-    def mean_error(of: Sequence[_Walk], weighting: str, c: int) -> float:
+    def mean_error(of: Sequence[Walk], weighting: str, c: int) -> float:
         each = [
             float(percent_error(w.by(weighting)[w.context == c].sum(), w.true_m[w.context == c].sum()))
             for w in of
@@ -551,31 +163,27 @@ def _table_vi(walks: Sequence[_Walk], default_walks: Sequence[_Walk] = ()) -> Ro
 _THRESHOLDS = tuple(float(t) for t in np.linspace(0.0, 1.0, 21))
 
 
-def _sweep(walks: Sequence[_Walk]) -> list[float]:
+def _sweep(walks: Sequence[Walk]) -> list[float]:
     """%RMSE over the walks with WC at each threshold."""
     return [distance_scores([w.error_percent(w.weighted_m(t)) for w in walks]).rmse_percent for t in _THRESHOLDS]
 
 
-def _rmse(walks: Sequence[_Walk], weighting: str) -> float:
+def _rmse(walks: Sequence[Walk], weighting: str) -> float:
     return distance_scores([w.error_percent(w.by(weighting)) for w in walks]).rmse_percent
 
 
 # --- Figures ---------------------------------------------------------------------------------------------------------
-
-_COLOURS = context_colours()
-_BLUE, _ORANGE, _GREEN = _COLOURS["walking"], _COLOURS["upstairs"], _COLOURS["downstairs"]
-_INK = "#222222"
 
 
 def _draw_selection(axes: Axes, selection: Selection, machine: Mapping[int, float]) -> None:
     n = np.arange(1, len(selection.curve) + 1)
     mean = 100.0 * np.array([s.score for s in selection.curve])
     std = 100.0 * np.array([s.score_std for s in selection.curve])
-    axes.fill_between(n, mean - std, mean + std, color=_BLUE, alpha=0.15, linewidth=0)
-    axes.plot(n, mean, color=_BLUE, label="linear discriminant (searched)")
+    axes.fill_between(n, mean - std, mean + std, color=BLUE, alpha=0.15, linewidth=0)
+    axes.plot(n, mean, color=BLUE, label="linear discriminant (searched)")
     of_machine = [100.0 * v for v in machine.values()]
-    axes.plot(list(machine), of_machine, color=_ORANGE, marker="s", markersize=4, label="RVM, same sets")
-    axes.plot(len(SELECTED_18), ACCURACY, color=_INK, marker="D", linestyle="none", label="paper's best")
+    axes.plot(list(machine), of_machine, color=ORANGE, marker="s", markersize=4, label="RVM, same sets")
+    axes.plot(len(SELECTED_18), ACCURACY, color=INK, marker="D", linestyle="none", label="paper's best")
     axes.set(xlabel="number of features", ylabel="accuracy, %")
     axes.legend(frameon=False, loc="lower right", fontsize="small")
 
@@ -583,18 +191,18 @@ def _draw_selection(axes: Axes, selection: Selection, machine: Mapping[int, floa
 def _draw_lengths(axes: Axes, accuracy_of: Mapping[float, tuple[float, float]]) -> None:
     length_s = list(accuracy_of)
     mean, std = (100.0 * np.array([v[k] for v in accuracy_of.values()]) for k in (0, 1))
-    axes.errorbar(length_s, mean, std, color=_BLUE, marker="o", capsize=3, label="ours, spread of the subgroups")
-    axes.plot(2.0, ACCURACY, color=_INK, marker="D", linestyle="none", label="paper, 2 s")
+    axes.errorbar(length_s, mean, std, color=BLUE, marker="o", capsize=3, label="ours, spread of the subgroups")
+    axes.plot(2.0, ACCURACY, color=INK, marker="D", linestyle="none", label="paper, 2 s")
     axes.set(xlabel="length of the window, s", ylabel="accuracy, %", xlim=(0.0, max(length_s) + 0.25))
     axes.legend(frameon=False, loc="lower right", fontsize="small")
 
 
-def _draw_sweep(axes: Axes, of: Mapping[str, Sequence[_Walk]]) -> None:
-    for (name, walks), colour, marker in zip(of.items(), (_BLUE, _GREEN), ("o", "s"), strict=False):
+def _draw_sweep(axes: Axes, of: Mapping[str, Sequence[Walk]]) -> None:
+    for (name, walks), colour, marker in zip(of.items(), (BLUE, GREEN), ("o", "s"), strict=False):
         axes.plot(_THRESHOLDS, _sweep(walks), color=colour, marker=marker, markersize=4, label=f"{name}: WC")
         axes.axhline(_rmse(walks, "imm"), color=colour, linestyle="--", label=f"{name}: IMM")
-    axes.plot(_THRESHOLD, TABLE_IV["wc"][3], color=_INK, marker="D", linestyle="none", label="paper: WC")
-    axes.plot(1.0, TABLE_IV["hc"][3], color=_INK, marker="D", fillstyle="none", linestyle="none", label="paper: HC")
+    axes.plot(THRESHOLD, TABLE_IV["wc"][3], color=INK, marker="D", linestyle="none", label="paper: WC")
+    axes.plot(1.0, TABLE_IV["hc"][3], color=INK, marker="D", fillstyle="none", linestyle="none", label="paper: HC")
     axes.set(xlabel="threshold (0: always WC, 1: HC)", ylabel="RMSE of the distance, %", xlim=(-0.03, 1.03))
     axes.set_ylim(bottom=0.0)
     axes.legend(frameon=False, fontsize="small", loc="lower left")
@@ -638,14 +246,14 @@ def study(data: Path, size: Size | None = None) -> Study:
         )
 
 
-def _notes(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> list[str]:
+def _notes(real: Sequence[Walk], simulated: Sequence[Walk]) -> list[str]:
     notes: list[str] = []
     for name, walks in (("real recordings put together", real), ("simulated", simulated)):
         if walks:
             ratio = np.concatenate([second_over_first(w.context_prob) for w in walks])
             notes.append(
-                f"The second highest probability is at least {_THRESHOLD} of the highest in "
-                f"{100.0 * np.mean(ratio >= _THRESHOLD):.1f} % of the windows ({name}, n = {len(ratio)}): WC differs "
+                f"The second highest probability is at least {THRESHOLD} of the highest in "
+                f"{100.0 * np.mean(ratio >= THRESHOLD):.1f} % of the windows ({name}, n = {len(ratio)}): WC differs "
                 "from HC in these only."
             )
     return [
@@ -660,21 +268,20 @@ def _notes(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> list[str]:
     ]
 
 
-def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], list[_Walk]]:
+def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], list[Walk]]:
     """Tables and figures of real recordings, and the walks put together of them."""
     stages = {f"{s:g}": FeatureWindows("martinelli", window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
     stages["invariant"] = FeatureWindows("invariant")
-    # sit_13 of subject 1 is the same recording as sit_5
-    walks = (r for r in recordings(data, "motionsense") if r.name != "motionsense_s01_sit_13")
-    examples = _examples(walks, stages, size.n_windows)
+    walks = (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
+    examples = examples_of(walks, stages, size.n_windows)
     if not examples or len(np.unique(examples["2"].person)) < 3:
         return [StudyTable(t, (), _NO_MOTIONSENSE, "nothing to compare") for t in _TITLES], [], []
     two_s, of_default = examples["2"], examples["invariant"]
-    models = _of_subgroups(two_s, partial(_machine, names=WITHOUT_MAGNETOMETER))
-    default_models = _of_subgroups(of_default, _default_machine)
-    confusions = {"ours": _confusion(two_s, models), "ours default": _confusion(of_default, default_models)}
-    real = _told(data, models, martinelli2018())
-    by_default = _told(data, default_models, default())
+    models = of_subgroups(two_s, partial(relevance_machine, names=WITHOUT_MAGNETOMETER))
+    default_models = of_subgroups(of_default, default_machine)
+    confusions = {"ours": confusion_of(two_s, models), "ours default": confusion_of(of_default, default_models)}
+    real = walks_of_people(data, models, martinelli2018())
+    by_default = walks_of_people(data, default_models, default())
 
     people = [w.person for w in real]
     errors = _errors(real, by_default)
@@ -706,12 +313,14 @@ def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], 
 
 
 def _of_windows(
-    examples: Mapping[str, _Examples], size: Size, windows: str, split: str
+    examples: Mapping[str, Examples], size: Size, windows: str, split: str
 ) -> tuple[list[StudyTable], list[StudyFigure]]:
     """Accuracy against the number of features and the length of the window."""
-    selection, machine = _selection(examples["2"], size)
+    selection, machine = searched_features(examples["2"], size)
     searched = f"{split}. The search scores a linear discriminant, the machine is trained on some of the sets it finds"
-    of_length = {s: _accuracy(examples[f"{s:g}"], WITHOUT_MAGNETOMETER) for s in size.window_s if f"{s:g}" in examples}
+    of_length = {
+        s: machine_accuracy(examples[f"{s:g}"], WITHOUT_MAGNETOMETER) for s in size.window_s if f"{s:g}" in examples
+    }
     lengths = windows.replace(" of 2 s", " of 2 s and as many of each other length, where there are")
     rows = tuple(
         {"window, s": s, "paper": ACCURACY if s == 2.0 else np.nan, "ours": 100.0 * m, "ours, std": 100.0 * d}
@@ -729,50 +338,6 @@ def _of_windows(
     ]
 
 
-def _told(data: Path, models: list[tuple[list[str], ContextModel]], config: Config) -> list[_Walk]:
-    """A walk of each person, told by the model of the others."""
-    walks: list[_Walk] = []
-    for people, model in models:
-        for person in people:
-            recording = _put_together(data, person)
-            if recording is not None:
-                walks.append(replace(_walk(recording, with_context_model(config, model)), person=person))
-    return walks
-
-
-def _accuracy(examples: _Examples, names: Sequence[str]) -> tuple[float, float]:
-    """Mean accuracy of the machine over the subgroups left out, and its standard deviation."""
-    scores = cross_val_score(_relevance_vectors(), examples.of(names), examples.context, cv=_folds(examples))
-    return float(scores.mean()), float(scores.std())
-
-
-# Sizes of sets that the machine is trained on.
-_SIZES = (1, 2, 4, 8, 12, 18, 23)
-
-
-def _selection(examples: _Examples, size: Size) -> tuple[Selection, dict[int, float]]:
-    """Floating search over the features, and the accuracy of the machine with some of the sets found."""
-    estimator = LinearDiscriminantAnalysis()
-    features = examples.of(WITHOUT_MAGNETOMETER)
-    folds = _Splits(_folds(examples))
-    selection = select_features(
-        estimator, features, examples.context, cv=folds, names=WITHOUT_MAGNETOMETER, max_features=size.n_features
-    )
-    chosen = {n: selection.curve[n - 1] for n in _SIZES if n <= len(selection.curve)}
-    return selection, {n: _accuracy(examples, subset.names)[0] for n, subset in chosen.items()}
-
-
-@dataclass(frozen=True)
-class _Splits:
-    """Known folds, as scikit-learn asks for them."""
-
-    folds: list[tuple[IntArray, IntArray]]
-
-    def split(self, X: Any, y: Any, groups: Any) -> list[tuple[IntArray, IntArray]]:
-        """The folds."""
-        return self.folds
-
-
 def _selection_rows(selection: Selection, machine: Mapping[int, float]) -> Rows:
     return tuple(
         {
@@ -787,18 +352,18 @@ def _selection_rows(selection: Selection, machine: Mapping[int, float]) -> Rows:
     )
 
 
-def _simulated(size: Size) -> tuple[list[StudyTable], list[_Walk]]:
+def _simulated(size: Size) -> tuple[list[StudyTable], list[Walk]]:
     """Tables III to VI of simulated people with six contexts and a magnetometer, and their walks."""
     people = {f"{i + 1:02d}": i for i in range(size.n_simulated)}
-    short = (_simulate(_short_segments(), i, name) for name, i in people.items())
-    examples = _examples(short, {"2": FeatureWindows("martinelli")}, size.n_windows)["2"]
-    models = _of_subgroups(examples, partial(_machine, names=NAMES))
-    walks: list[_Walk] = []
+    short = (simulated_person(short_segments(), i, name) for name, i in people.items())
+    examples = examples_of(short, {"2": FeatureWindows("martinelli")}, size.n_windows)["2"]
+    models = of_subgroups(examples, partial(relevance_machine, names=NAMES))
+    walks: list[Walk] = []
     for part, model in models:
         for name in part:
-            recording = _simulate(_path(size.walked), people[name], name)
+            recording = simulated_person(walked_path(size.walked), people[name], name)
             config = with_context_model(martinelli2018(), model)
-            walks.append(replace(_walk(recording, _calibrated(config, recording)), person=name))
+            walks.append(replace(walk_of(recording, calibrated(config, recording)), person=name))
     errors, names = _errors(walks), [w.person for w in walks]
     length_m = float(np.mean([w.true_m.sum() for w in walks]))
     who = f"simulated, {size.n_simulated} people, phone at the waist"
@@ -816,7 +381,7 @@ def _simulated(size: Size) -> tuple[list[StudyTable], list[_Walk]]:
     )
     return [
         StudyTable(
-            "Table III, simulated: confusion matrix, %", _table_iii(_confusion(examples, models)), windows, easy
+            "Table III, simulated: confusion matrix, %", _table_iii(confusion_of(examples, models)), windows, easy
         ),
         StudyTable(
             "Table IV, simulated: %RMSE of the distance of each subgroup", _table_iv(errors, names), of_walks, of_path
@@ -828,13 +393,7 @@ def _simulated(size: Size) -> tuple[list[StudyTable], list[_Walk]]:
     ], walks
 
 
-def _simulate(legs: Sequence[Leg], seed: int, name: str) -> Recording:
-    """A simulated person's walk; `name` is the subject."""
-    walk = simulate(legs, Gait.random(seed), "waist", seed=seed, carrying=_WAIST)
-    return replace(walk, meta={**walk.meta, "subject": {**walk.meta["subject"], "id": name}})
-
-
-def _sweep_table(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> StudyTable:
+def _sweep_table(real: Sequence[Walk], simulated: Sequence[Walk]) -> StudyTable:
     """%RMSE against the threshold."""
     of_real = _sweep(real) if real else [np.nan] * len(_THRESHOLDS)
     rows: list[Mapping[str, object]] = [
@@ -855,10 +414,10 @@ def _sweep_table(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> StudyTabl
 
 def _printed_at(threshold: float) -> float:
     """%RMSE that the paper prints for a threshold; NaN but at 0.8."""
-    return TABLE_IV["wc"][3] if threshold == _THRESHOLD else np.nan
+    return TABLE_IV["wc"][3] if threshold == THRESHOLD else np.nan
 
 
-def _sweep_figure(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> StudyFigure:
+def _sweep_figure(real: Sequence[Walk], simulated: Sequence[Walk]) -> StudyFigure:
     of = {"real": real} if real else {}
     return StudyFigure(
         "Fig. 14: %RMSE of the distance against the threshold",
@@ -868,7 +427,7 @@ def _sweep_figure(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> StudyFig
     )
 
 
-def _of_both(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> str:
+def _of_both(real: Sequence[Walk], simulated: Sequence[Walk]) -> str:
     return f"simulated: {len(simulated)} walks; real recordings put together: {len(real)} walks, as in Table IV"
 
 

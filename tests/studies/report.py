@@ -3,15 +3,34 @@
 from __future__ import annotations
 
 import csv
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pdr_filter.evaluate.steps import StepScores
 from pdr_filter.evaluate.tables import Markdown, markdown
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
+
+NAN = float("nan")
+Rows = tuple[Mapping[str, object], ...]
+
+
+def prefixed(who: str, names: Iterable[str], values: Iterable[object], unit: str = "") -> dict[str, object]:
+    """Cells of a row, "WHO NAME UNIT" for each name, such as "paper walking %"."""
+    return {f"{who} {name}{unit}": value for name, value in zip(names, values, strict=True)}
+
+
+def together(scores: Sequence[StepScores]) -> StepScores:
+    """The scores of several walks as if they were one."""
+    return StepScores(*(sum(getattr(s, name) for s in scores) for name in ("n_true", "n_found", "n_matched")))
+
+
+def by_count(n_true: int, n_found: int) -> StepScores:
+    """Of counts alone: what is over-counted in one place and missed in another is not seen."""
+    return StepScores(n_true, n_found, min(n_true, n_found))
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,7 +53,7 @@ class StudyTable:
     """
 
     title: str
-    rows: tuple[Mapping[str, object], ...]
+    rows: Rows
     data: str
     differs: str
     digits: int = 1

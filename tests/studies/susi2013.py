@@ -6,229 +6,37 @@ Modes and steps of people on whom nothing was trained or chosen: ubicomp13 (hand
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
-from scipy.signal import butter, sosfiltfilt
 
-from pdr_filter.config import Config
 from pdr_filter.evaluate.classification import confusion_matrix
-from pdr_filter.evaluate.steps import StepScores, count_error_percent, step_scores
-from pdr_filter.io.recording import Recording
-from pdr_filter.recipes import for_recording
-from pdr_filter.recording_run import sensed_events
-from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.evaluate.steps import StepScores, count_error_percent
 from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.step import Step
-from tests.studies.data import recordings
-from tests.studies.report import Study, StudyTable
-
-# --- what is printed ------------------------------------------------------------------------------------------------
-
-ACTIVITIES = ("swinging", "texting/phoning/bag", "irregular")
-PAPER_MODES_PERCENT = np.array([[95, 2, 3], [1, 98, 3], [6, 0, 94]])  # Table 1, rows the activity
-PAPER_OCCURRENCE_PERCENT = (42, 53, 5)
-# Table 2: occurrence, Pdet, Pfa, Pmd in per cent.
-PAPER_STEPS_PERCENT: Mapping[str, tuple[int, int, int, int]] = {
-    "swinging": (42, 99, 1, 1),
-    "texting": (25, 100, 0, 0),
-    "phoning": (20, 99, 0, 1),
-    "bag": (8, 97, 1, 3),
-}
-PAPER_CONTROLLED_PERCENT = {"texting": (100, 0, 0), "swinging": (0, 98, 2)}  # Table 3: texting, swinging, irregular
-SUBJECTS = ("M1", "M2", "M3", "M4", "M5", "W1", "W2", "W3", "W4", "W5")
-PAPER_MOTION_PERCENT = (100, 100, 99, 100, 100, 98, 100, 98, 100, 100)  # Table 4
-PAPER_DETECTED_PERCENT = (99, 100, 100, 99, 100, 97, 100, 99, 98, 100)
-PAPER_MEANS_PERCENT = (99.6, 99.2)
-
-# --- what the recipes say -------------------------------------------------------------------------------------------
-
-MODES = ("swinging", "arm at rest", "irregular", "static")
-_WINDOW_S, _EDGE_S, _TOLERANCE_S = 2.56, 0.3, 0.25
-_STATIONARY = CONTEXTS.index("stationary")
-_SWINGING = CARRYING_MODES.index("swinging")
-
-
-def mode_of(window: WindowContext) -> int:
-    """Motion mode that a window says, into `MODES`: irregular, else static, else whether the arm swings."""
-    if window.irregular_prob > 0.5:
-        return MODES.index("irregular")
-    if window.prob[_STATIONARY] > 0.5:
-        return MODES.index("static")
-    return MODES.index("swinging" if int(window.carrying_prob.argmax()) == _SWINGING else "arm at rest")
-
-
-@dataclass(frozen=True, eq=False)
-class Sensed:
-    """Ends and modes of windows, and contacts, of one recipe."""
-
-    window_s: FloatArray  # (W,)
-    mode: IntArray  # (W,) into MODES
-    step_s: FloatArray  # (K,)
-
-    def modes_within(self, start_s: float, end_s: float) -> IntArray:
-        """Modes of the windows that lie wholly inside."""
-        return self.mode[(self.window_s - _WINDOW_S >= start_s) & (self.window_s <= end_s)]
-
-    def steps_within(self, start_s: float, end_s: float) -> FloatArray:
-        """Contacts inside, or so soon before or after that they may belong to it."""
-        return self.step_s[(self.step_s >= start_s - _EDGE_S) & (self.step_s <= end_s + _EDGE_S)]
-
-
-def sensed(recording: Recording, config: Config) -> Sensed:
-    """Windows and steps of a recording."""
-    events = list(sensed_events(config.sensing, recording))
-    windows = [e for e in events if isinstance(e, WindowContext)]
-    return Sensed(
-        np.array([w.time_s for w in windows]),
-        np.array([mode_of(w) for w in windows], dtype=np.int64),
-        np.sort([e.time_s for e in events if isinstance(e, Step)]),
-    )
-
-
-@dataclass(frozen=True, eq=False)
-class Stretch:
-    """A time in which somebody did one thing, with what both recipes say of it."""
-
-    source: str
-    person: str
-    activity: str  # of ACTIVITIES
-    carrying: str  # row of Table 2; empty where there are no steps to be found
-    ours: IntArray  # (W,) into MODES
-    default: IntArray
-    steps: StepScores | None
-    default_steps: StepScores | None
-
-
-def _scores(true_s: FloatArray | int, found_s: FloatArray) -> StepScores:
-    """By times, or where only their number is known by counts, of which over-counted and missed ones cancel."""
-    if isinstance(true_s, int):
-        return StepScores(true_s, len(found_s), min(true_s, len(found_s)))
-    return step_scores(true_s, found_s, _TOLERANCE_S)
-
-
-def _both(recording: Recording) -> tuple[Sensed, Sensed]:
-    ours, default = (sensed(recording, for_recording(name, recording)) for name in ("susi2013", "default"))
-    return ours, default
-
-
-def _stretch(
-    recording: Recording, activity: str, carrying: str, part: tuple[float, float], true_s: FloatArray | int | None
-) -> Stretch:
-    ours, default = _both(recording)
-    return _said(recording, ours, default, activity, carrying, [part], true_s)
-
-
-def _said(
-    recording: Recording,
-    ours: Sensed,
-    default: Sensed,
-    activity: str,
-    carrying: str,
-    parts: Sequence[tuple[float, float]],
-    true_s: FloatArray | int | None,
-) -> Stretch:
-    steps = [None if true_s is None else _scores(true_s, s.steps_within(*parts[0])) for s in (ours, default)]
-    return Stretch(
-        str(recording.meta.get("dataset")),
-        str(recording.subject.id or recording.name),
-        activity,
-        carrying,
-        np.concatenate([ours.modes_within(*part) for part in parts]),
-        np.concatenate([default.modes_within(*part) for part in parts]),
-        *steps,
-    )
-
-
-# --- recordings -----------------------------------------------------------------------------------------------------
-
-# Places of ubicomp13 that the modes of the paper know, and their row of Table 2; handbags are of persons 1 and 5 only.
-_PLACES = {"hand_held": "texting", "handheld_using": "texting", "backpack": "bag"}
-# Tree and depth were chosen on persons 1 to 6.
-_LEFT_OUT = ("ubicomp13_p0[7-9]_*.zip", "ubicomp13_p1?_*.zip")
-# Handling further from the walk than this is none of it.
-_APART_S = 1.0
-_OXFORD = {"inhand": "texting", "purse": "bag", "swingingarm": "swinging"}
-
-
-def walks_and_handling(data: Path) -> Iterator[Stretch]:
-    """Walks of persons 7 to 13 of ubicomp13, steps counted on video, and what they do with the phone outside."""
-    for pattern in _LEFT_OUT:
-        for recording in recordings(data, "ubicomp13", pattern):
-            place, segments = recording.name.split("_", 3)[-1], recording.truth.segments
-            if place not in _PLACES or segments is None:
-                continue
-            start_s, end_s, n_true = (segments[0][name] for name in ("start_s", "end_s", "n_steps"))
-            ours, default = _both(recording)
-            activity = "texting/phoning/bag"
-            walk, around = [(start_s, end_s)], [(-np.inf, start_s - _APART_S), (end_s + _APART_S, np.inf)]
-            yield _said(recording, ours, default, activity, _PLACES[place], walk, int(n_true))
-            yield _said(recording, ours, default, "irregular", "", around, None)
-
-
-def foot_switches(data: Path) -> Iterator[Stretch]:
-    """Walks of oxford in the hand, the purse and the swinging hand; it has no gyroscope."""
-    for place, carrying in _OXFORD.items():
-        for recording in recordings(data, "oxford", f"*_{place}_*.zip"):
-            steps = recording.truth.steps
-            if steps is not None:
-                true_s = np.asarray(steps.time_s, dtype=float)
-                activity = "swinging" if carrying == "swinging" else "texting/phoning/bag"
-                yield _stretch(recording, activity, carrying, (float(true_s[0]), float(true_s[-1])), true_s)
-
-
-def swinging_in_motion_capture(data: Path) -> Iterator[Stretch]:
-    """The swinging walk of tyrex that nothing was chosen on; steps are the turns of its arm."""
-    for recording in recordings(data, "tyrex", "*_dist_swinging.zip"):
-        labels = recording.truth.labels
-        if labels is not None and len(labels):
-            part = (float(labels.start_s[0]), float(labels.end_s[0]))
-            turns_s = arm_turns_s(recording)
-            turns_s = turns_s[(turns_s >= part[0]) & (turns_s <= part[1])]
-            yield _stretch(recording, "swinging", "swinging", part, turns_s)
-
-
-def arm_turns_s(recording: Recording) -> FloatArray:
-    """Times at which the hand overtakes the body or falls behind, twice in each cycle of the arm, by motion capture.
-
-    Zero crossings of the hand's horizontal velocity less that of the body (its 0.3 Hz low-pass), along the latter.
-    """
-    position = recording.truth.position
-    if position is None:
-        raise ValueError(f"{recording.name}: no truth_position.csv, which the swings of the arm are read from")
-    time_s = np.arange(position.time_s[0], position.time_s[-1], 0.01)
-    path = np.column_stack([np.interp(time_s, position.time_s, c) for c in (position.east_m, position.north_m)])
-    velocity, body = (
-        np.asarray(sosfiltfilt(butter(order, hz, fs=100, output="sos"), np.gradient(path, 0.01, axis=0), axis=0))
-        for order, hz in ((3, 3.5), (2, 0.3))
-    )
-    ahead = ((velocity - body) * body).sum(axis=1)
-    return time_s[np.flatnonzero(np.diff(np.sign(ahead)) != 0)]
-
-
-N_SIMULATED, SIMULATED_M = 10, 120.0
-_CARRYING = {"texting": "texting", "swinging": "swinging", "phoning": "calling"}
-
-
-def controlled(n_people: int, way_m: float) -> Iterator[Stretch]:
-    """Simulated people who walk a way with two corners, texting, swinging and phoning."""
-    for number in range(1, n_people + 1):
-        for carrying, mode in _CARRYING.items():
-            legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=way_m / 3)]
-            legs += [Leg("walking", distance_m=way_m / 3, turn_rad=turn) for turn in (0.5 * np.pi, -0.5 * np.pi)]
-            recording = simulate(legs, Gait.random(2013 + number), mode, seed=number, name=f"S{number}")
-            subject = {**recording.meta["subject"], "id": f"S{number}"}
-            recording = replace(recording, meta={**recording.meta, "subject": subject})
-            segments, steps = recording.truth.segments, recording.truth.steps
-            assert segments is not None and steps is not None  # of every simulated recording
-            part = (float(segments.start_s[1]), float(segments.end_s[-1]))
-            activity = "swinging" if carrying == "swinging" else "texting/phoning/bag"
-            yield _stretch(recording, activity, carrying, part, np.asarray(steps.time_s, dtype=float))
-
+from tests.studies.measured.susi2013 import (
+    MODES,
+    N_SIMULATED,
+    SIMULATED_M,
+    Stretch,
+    controlled,
+    foot_switches,
+    swinging_in_motion_capture,
+    walks_and_handling,
+)
+from tests.studies.printed.susi2013 import (
+    ACTIVITIES,
+    PAPER_CONTROLLED_PERCENT,
+    PAPER_DETECTED_PERCENT,
+    PAPER_MEANS_PERCENT,
+    PAPER_MODES_PERCENT,
+    PAPER_MOTION_PERCENT,
+    PAPER_OCCURRENCE_PERCENT,
+    PAPER_STEPS_PERCENT,
+    SUBJECTS,
+    paper_notes,
+)
+from tests.studies.report import NAN, Study, StudyTable, prefixed, together
 
 # --- the study ------------------------------------------------------------------------------------------------------
 
@@ -262,7 +70,6 @@ def study(data: Path, n_simulated: int = N_SIMULATED, simulated_m: float = SIMUL
     )
 
 
-_NAN = float("nan")
 _SOURCES = ("ubicomp13", "tyrex", "oxford", "simulated")
 _REAL = {
     "ubicomp13": "ubicomp13, persons 7 to 13 (hand, backpack; irregular is the phone taken out, started, put away more "
@@ -280,7 +87,7 @@ def _data(stretches: Sequence[Stretch], amount: str, sources: Sequence[str] = tu
 
 def _shares_percent(modes: IntArray) -> FloatArray:
     """Share of each of `MODES` (4,)."""
-    return 100.0 * np.bincount(modes, minlength=len(MODES)) / len(modes) if len(modes) else np.full(len(MODES), _NAN)
+    return 100.0 * np.bincount(modes, minlength=len(MODES)) / len(modes) if len(modes) else np.full(len(MODES), NAN)
 
 
 def _right_percent(activity: str, modes: IntArray) -> float:
@@ -299,9 +106,9 @@ def _modes_table(stretches: Sequence[Stretch], amount: str) -> StudyTable:
                 continue
             modes, default = (np.concatenate([getattr(s, name) for s in own]) for name in ("ours", "default"))
             row: dict[str, object] = {"activity": activity, "paper occurrence %": PAPER_OCCURRENCE_PERCENT[k]}
-            row |= {f"paper {a} %": int(v) for a, v in zip(ACTIVITIES, PAPER_MODES_PERCENT[k], strict=True)}
+            row |= prefixed("paper", ACTIVITIES, PAPER_MODES_PERCENT[k].tolist(), " %")
             row |= {"where": source, "windows": len(modes)}
-            row |= {f"ours {m} %": float(v) for m, v in zip(MODES, _shares_percent(modes), strict=True)}
+            row |= prefixed("ours", MODES, _shares_percent(modes).tolist(), " %")
             row["ours right %"] = _right_percent(activity, modes)
             row["ours default right %"] = _right_percent(activity, default)
             rows.append(row)
@@ -356,11 +163,6 @@ def _steps_table(stretches: Sequence[Stretch], amount: str) -> StudyTable:
     )
 
 
-def together(scores: Sequence[StepScores]) -> StepScores:
-    """The scores of several walks as if they were one."""
-    return StepScores(*(sum(getattr(s, name) for s in scores) for name in ("n_true", "n_found", "n_matched")))
-
-
 def _controlled_table(made: Sequence[Stretch], amount: str) -> StudyTable:
     columns = ("texting", "swinging", "irregular")
     rows: list[Mapping[str, object]] = []
@@ -371,7 +173,7 @@ def _controlled_table(made: Sequence[Stretch], amount: str) -> StudyTable:
         modes, default = (np.concatenate([getattr(s, name) for s in own]) for name in ("ours", "default"))
         share = dict(zip(MODES, _shares_percent(modes).tolist(), strict=True))
         row: dict[str, object] = {"test motion": activity}
-        row |= {f"paper {c} %": v for c, v in zip(columns, printed, strict=True)}
+        row |= prefixed("paper", columns, printed, " %")
         row |= {"ours texting %": share["arm at rest"], "ours swinging %": share["swinging"]}
         row |= {"ours irregular %": share["irregular"], "ours static %": share["static"], "windows": len(modes)}
         row["ours default right %"] = _right_percent(own[0].activity, default)
@@ -407,7 +209,7 @@ def _subjects_table(real: Sequence[Stretch], made: Sequence[Stretch], amount: st
     for name in rows[0]:
         if name not in mean:
             values = np.array([row[name] for row in rows], dtype=float)
-            mean[name] = float(np.nanmean(values)) if np.isfinite(values).any() else _NAN
+            mean[name] = float(np.nanmean(values)) if np.isfinite(values).any() else NAN
     return StudyTable(
         "Table 4: controlled walks, person by person",
         (*rows, {name: mean[name] for name in rows[0]}),
@@ -422,7 +224,7 @@ def _of_person(source: str, own: Sequence[Stretch]) -> dict[str, object]:
     """Share of windows with the right mode, and of steps found, by both recipes."""
     names = (f"ours {source} motion %", f"ours {source} steps %", f"ours default {source} steps %")
     if not own:
-        return dict.fromkeys(names, _NAN)
+        return dict.fromkeys(names, NAN)
     truth = np.concatenate([np.full(len(s.ours), ACTIVITIES.index(s.activity)) for s in own])
     confusion = confusion_matrix(truth, np.concatenate([s.ours for s in own]), len(MODES))
     motion = 100.0 * float(np.trace(confusion) / max(confusion.sum(), 1))
@@ -445,35 +247,6 @@ _NOT_REMADE = (
     "of a phone before and after a walk.",
     "Table 2 against a sensor on the foot: no public recording has a phone in the hand and a sensor on the foot.",
 )
-
-
-def paper_notes() -> tuple[str, ...]:
-    """What Tables 1 to 4 say against each other, worked out from the printed numbers."""
-    rows = PAPER_MODES_PERCENT.sum(axis=1)
-    odd = [f"{activity} {total} %" for activity, total in zip(ACTIVITIES, rows, strict=True) if total != 100]
-    right = np.diagonal(PAPER_MODES_PERCENT)
-    weighted = float(right @ np.array(PAPER_OCCURRENCE_PERCENT)) / 100.0
-    occurrence = [row[0] for row in PAPER_STEPS_PERCENT.values()]
-    low = [f"{name} {row[1]} %" for name, row in PAPER_STEPS_PERCENT.items() if row[1] <= 98]
-    motion, steps = float(np.mean(PAPER_MOTION_PERCENT)), float(np.mean(PAPER_DETECTED_PERCENT))
-    both = 0.5 * sum(PAPER_CONTROLLED_PERCENT[m][i] for i, m in enumerate(("texting", "swinging")))
-    lost = 0.06 * 600.0
-    return (
-        f"Rows of Table 1 that do not add up to 100 %: {', '.join(odd) or 'none'}. With the printed occurrence its "
-        f"diagonal is {weighted:.1f} % of all windows.",
-        "Table 2: Pdet + Pmd is 100 % in "
-        f"{sum(d + m == 100 for _, d, _, m in PAPER_STEPS_PERCENT.values())} of {len(PAPER_STEPS_PERCENT)} modes, and "
-        f"its occurrences add up to {sum(occurrence)} %, which is Table 1 without irregular motion "
-        f"({100 - PAPER_OCCURRENCE_PERCENT[2]} %). The text says higher than 98 % for every mode: not "
-        f"{', '.join(low)}.",
-        f"Table 4: the mean of the printed rows is {motion:.1f} % of modes (printed: {PAPER_MEANS_PERCENT[0]}) and "
-        f"{steps:.1f} % of steps (printed: {PAPER_MEANS_PERCENT[1]}). The same walks have {both:.0f} % in Table 3, "
-        "whose two modes are equally long.",
-        f"Section 8.1.1: 6 % of a walk of 10 minutes are {lost:.0f} s, {2 * lost:.0f} steps at two a second "
-        f"({lost:.0f} cycles, as printed) and {1.2 * lost:.1f} m of {1.2 * 600:.0f} m: 6.0 % of the distance, not 7.2 "
-        "%.",
-        'The ten people of section 8.2 are "five women and five women"; Table 4 has five men and five women.',
-    )
 
 
 if __name__ == "__main__":

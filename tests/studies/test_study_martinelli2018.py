@@ -7,7 +7,10 @@ import pytest
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values.contexts import CONTEXTS
 from tests.studies import martinelli2018
-from tests.studies.martinelli2018 import TABLE_III, TABLE_IV, TABLE_V, TABLE_VI, Size, printed_checks
+from tests.studies.measured import martinelli2018 as measured
+from tests.studies.measured.martinelli2018 import Size
+from tests.studies.printed import martinelli2018 as paper
+from tests.studies.printed.martinelli2018 import TABLE_III, TABLE_IV, TABLE_V, TABLE_VI, printed_checks
 from tests.studies.report import Study
 
 SMALL = Size(n_simulated=3, walked=0.3, n_windows=8, n_features=2, window_s=(1.0, 2.0))
@@ -123,7 +126,7 @@ def test_the_printed_table_v_gives_the_printed_table_iv() -> None:
 
 
 def test_the_printed_lengths_are_those_of_the_path_and_of_71_stairs() -> None:
-    assert sum(row[0] for row in TABLE_VI.values()) == pytest.approx(martinelli2018.PATH_M)
+    assert sum(row[0] for row in TABLE_VI.values()) == pytest.approx(paper.PATH_M)
     assert round(TABLE_VI["upstairs"][0] / 0.29) == round(TABLE_VI["downstairs"][0] / 0.43) == 71
 
 
@@ -136,12 +139,12 @@ def test_the_printed_errors_of_contexts_do_not_give_the_mean_error_of_wc() -> No
 
 def test_the_rows_of_the_printed_table_iii_add_up_and_its_diagonal_is_the_accuracy() -> None:
     np.testing.assert_allclose(TABLE_III.sum(axis=1), 100.0, atol=0.11)
-    assert np.diagonal(TABLE_III).mean() == pytest.approx(martinelli2018.ACCURACY, abs=0.05)
+    assert np.diagonal(TABLE_III).mean() == pytest.approx(paper.ACCURACY, abs=0.05)
 
 
 @pytest.mark.recordings
 def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(data_dir: Path) -> None:
-    walk = martinelli2018._put_together(data_dir, "s01")
+    walk = measured._put_together(data_dir, "s01")
     assert walk is not None and walk.truth.labels is not None
     labels = walk.truth.labels
     assert list(labels["context"][:3]) == ["stationary", "walking", "upstairs"]
@@ -150,4 +153,4 @@ def test_real_walks_are_put_together_with_one_gravity_and_a_label_for_each_part(
     mean = [force[(time_s >= a) & (time_s < b)].mean(axis=0) for a, b in zip(labels.start_s, labels.end_s, strict=True)]
     up = np.array([m / np.linalg.norm(m) for m in mean])
     np.testing.assert_allclose(up @ up[0], 1.0, atol=1e-6)
-    assert martinelli2018._put_together(data_dir, "s99") is None
+    assert measured._put_together(data_dir, "s99") is None

@@ -10,8 +10,11 @@ from pdr_filter.recording_run import track
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values.arrays import table
 from tests.studies import tian2016
+from tests.studies.measured import tian2016 as measured
+from tests.studies.measured.tian2016 import TRANS, Size
+from tests.studies.printed import tian2016 as paper
+from tests.studies.printed.tian2016 import PATH_M, TABLE_IX, TABLE_VI, TABLE_VII, TABLE_VIII, printed_checks
 from tests.studies.report import Study
-from tests.studies.tian2016 import PATH_M, TABLE_IX, TABLE_VI, TABLE_VII, TABLE_VIII, TRANS, Size, printed_checks
 
 SMALL = Size(n_people=2, n_transitions=5, n_walks=1)
 
@@ -122,7 +125,7 @@ def test_a_track_that_is_the_truth_has_no_error() -> None:
     n = len(time_s)
     perfect = replace(found, time_s=time_s, position_m=at_m, step_length_m=length_m)
     # the number of steps is that of their times
-    scores = tian2016._scores(walk, perfect)
+    scores = measured.scores_of(walk, perfect)
     assert perfect.n_steps == n
     assert scores.steps_percent == pytest.approx(100.0)
     assert scores.distance_percent == pytest.approx(100.0, abs=0.1)
@@ -130,14 +133,14 @@ def test_a_track_that_is_the_truth_has_no_error() -> None:
     assert scores.position_m < 0.1  # between the steps a track is straight in time, a person is not
 
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
-    turned = tian2016._scores(walk, replace(perfect, position_m=perfect.position_m @ turn.T))
+    turned = measured.scores_of(walk, replace(perfect, position_m=perfect.position_m @ turn.T))
     assert turned.position_m == pytest.approx(scores.position_m)
-    half = tian2016._scores(walk, replace(perfect, step_length_m=0.5 * length_m))
+    half = measured.scores_of(walk, replace(perfect, step_length_m=0.5 * length_m))
     assert half.distance_percent == pytest.approx(50.0, abs=0.1)
 
 
 def test_what_is_said_of_the_mode_becomes_transitions_with_the_mode_after_each() -> None:
-    said = tian2016._Carried(np.arange(7.0), ["HOLDING", TRANS, TRANS, "POCKET", "POCKET", TRANS, TRANS])
+    said = measured.Carried(np.arange(7.0), ["HOLDING", TRANS, TRANS, "POCKET", "POCKET", TRANS, TRANS])
     assert said.transitions() == [(1.0, "POCKET"), (5.0, TRANS)]
     assert said.within(3.5, 4.5) == ["POCKET", "POCKET"]  # what was said last holds on
     assert said.most(0.0, 6.0) == "POCKET"
@@ -145,9 +148,9 @@ def test_what_is_said_of_the_mode_becomes_transitions_with_the_mode_after_each()
 
 
 def test_the_printed_table_vi_is_of_32_38_and_28_transitions() -> None:
-    n_of = tian2016._denominators()
+    n_of = paper._denominators()
     assert n_of == (32, 38, 28)
-    assert sum(n_of) == tian2016.N_TRANSITIONS - 8
+    assert sum(n_of) == paper.N_TRANSITIONS - 8
     np.testing.assert_allclose(TABLE_VI.sum(axis=0), 100.0)
     for column, n in zip(TABLE_VI.T, n_of, strict=True):
         counts = column * n / 100
@@ -157,9 +160,9 @@ def test_the_printed_table_vi_is_of_32_38_and_28_transitions() -> None:
 
 def test_the_printed_averages_are_of_totals_where_errors_cancel() -> None:
     found = np.array([p.n_found / p.n_true for p in TABLE_IX])
-    assert 100 * found.mean() == pytest.approx(tian2016.STEPS_MULTI, abs=0.02)
-    assert 100 * (1 - np.abs(found - 1).mean()) < tian2016.STEPS_MULTI - 0.2
-    for columns, printed in ((TABLE_VIII, tian2016.DISTANCE_SINGLE), (TABLE_IX, tian2016.DISTANCE_MULTI)):
+    assert 100 * found.mean() == pytest.approx(paper.STEPS_MULTI, abs=0.02)
+    assert 100 * (1 - np.abs(found - 1).mean()) < paper.STEPS_MULTI - 0.2
+    for columns, printed in ((TABLE_VIII, paper.DISTANCE_SINGLE), (TABLE_IX, paper.DISTANCE_MULTI)):
         distance_m = np.array([p.distance_m for p in columns])
         assert 100 * distance_m.mean() / PATH_M == pytest.approx(printed, abs=0.006)
         assert 100 * (1 - np.abs(distance_m / PATH_M - 1).mean()) < printed
@@ -167,7 +170,7 @@ def test_the_printed_averages_are_of_totals_where_errors_cancel() -> None:
 
 def test_the_printed_position_accuracy_is_of_mean_errors_over_the_path() -> None:
     mean_m = np.mean([p.position_m for p in TABLE_IX])
-    assert 100 * (1 - mean_m / PATH_M) == pytest.approx(tian2016.POSITION_MULTI, abs=0.005)
+    assert 100 * (1 - mean_m / PATH_M) == pytest.approx(paper.POSITION_MULTI, abs=0.005)
 
 
 def test_printed_shares_of_steps_follow_from_the_counts() -> None:

@@ -12,6 +12,8 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.arrays import table
 from pdr_filter.values.samples import Samples
 from tests.studies import zhou2019 as zhou
+from tests.studies.measured import zhou2019 as measured
+from tests.studies.printed import zhou2019 as paper
 from tests.studies.report import Study
 
 
@@ -25,28 +27,28 @@ def small_study(data: Path) -> Study:
 @pytest.mark.parametrize("method", ["Levi and Judd", "BCTFD"])
 @pytest.mark.parametrize("behaviour", ["walking", "running"])
 def test_wrong_steps_of_tables_4_and_5_are_over_counted_and_missed_ones(method: str, behaviour: str) -> None:
-    for true, detected, over, missed, wrong, success in zhou.PAPER_STEPS[method][behaviour]:
+    for true, detected, over, missed, wrong, success in paper.PAPER_STEPS[method][behaviour]:
         assert detected == true + over - missed
         assert wrong == over + missed
         scores = StepScores(int(true), int(detected), int(true - missed))
-        assert zhou.success_percent(scores) == pytest.approx(100 * (1 - wrong / true))
-        assert 0 <= zhou.success_percent(scores) - success + 0.05 < 0.151  # rounded, or cut off
+        assert measured.success_percent(scores) == pytest.approx(100 * (1 - wrong / true))
+        assert 0 <= measured.success_percent(scores) - success + 0.05 < 0.151  # rounded, or cut off
 
 
 def test_three_success_rates_of_table_5_are_cut_off_and_none_of_table_4() -> None:
-    note = next(n for n in zhou.paper_notes() if "cut off" in n)
+    note = next(n for n in paper.paper_notes() if "cut off" in n)
     assert note.count("printed as") == 3
     assert "99.25 printed as 99.2" in note
 
 
 def test_the_four_persons_of_table_7_are_better_than_all_of_table_8_with_every_model_that_walks() -> None:
-    four = np.mean(zhou.PAPER_ERROR_M["walking"], axis=0) / zhou.WALKED_M * 100
-    assert (four < zhou.PAPER_ERROR_PERCENT["walking"]).all()
+    four = np.mean(paper.PAPER_ERROR_M["walking"], axis=0) / paper.WALKED_M * 100
+    assert (four < paper.PAPER_ERROR_PERCENT["walking"]).all()
     assert four[6] == pytest.approx(100 * (20.07 + 14.06 + 30.74 + 16.21) / 4800)
 
 
 def test_the_height_classes_have_all_205_persons() -> None:
-    assert sum(zhou.HEIGHT_CLASSES) == 205
+    assert sum(paper.HEIGHT_CLASSES) == 205
 
 
 # --- what ours are made of -------------------------------------------------------------------------------------------
@@ -66,7 +68,7 @@ def foot_on_a_line(n_strides: int, length_m: float, stride_s: float = 1.2) -> Re
 
 @pytest.mark.parametrize(("n", "length_m"), [(5, 0.8), (9, 1.4)])
 def test_strides_of_a_foot_are_its_moves_between_stances(n: int, length_m: float) -> None:
-    truth = zhou.foot_truth(foot_on_a_line(n, length_m))
+    truth = measured.foot_truth(foot_on_a_line(n, length_m))
     assert len(truth.stride_end_s) == n
     assert truth.way_m == pytest.approx(n * length_m, rel=0.02)
     np.testing.assert_allclose(np.diff(truth.stride_end_s), 1.2, atol=0.03)
@@ -77,7 +79,7 @@ def test_levi_and_judd_find_a_step_in_every_period_of_walkers_and_runners(freque
     time_s = np.arange(0.0, 40.0, 0.01)
     force = np.zeros((len(time_s), 3))
     force[:, 2] = 9.81 + 3.0 * np.sin(2 * np.pi * frequency_hz * time_s)
-    found = zhou.levi_judd_times_s(Recording("sway", Samples(time_s, force)), zhou.LEVI_JUDD_CARRIED)
+    found = measured.levi_judd_times_s(Recording("sway", Samples(time_s, force)), measured.LEVI_JUDD_CARRIED)
     assert len(found) == pytest.approx(40 * frequency_hz, abs=2)
     np.testing.assert_allclose(np.diff(found), 1 / frequency_hz, atol=0.03)
 
@@ -85,23 +87,23 @@ def test_levi_and_judd_find_a_step_in_every_period_of_walkers_and_runners(freque
 def test_parameters_of_exact_distances_are_found_again() -> None:
     rng = np.random.default_rng(0)
     sums = rng.uniform(50, 150, 40)[:, None] * np.column_stack([np.ones(40), rng.uniform(1.0, 3.0, 40)])
-    theta = zhou.fitted(sums, sums @ np.array([0.3, 0.2]))
+    theta = measured.fitted(sums, sums @ np.array([0.3, 0.2]))
     np.testing.assert_allclose(theta, [0.3, 0.2], atol=0.01)  # the prior is worth a hundredth
 
 
 def test_parameters_of_other_persons_do_not_know_the_person() -> None:
     walk = next(iter(simulated_walks(1)))
     others = [replace(walk, person="B", true_m=2 * walk.true_m), replace(walk, person="C", true_m=2 * walk.true_m)]
-    rest = zhou.without_the_person([walk, *others])
+    rest = measured.without_the_person([walk, *others])
     assert [w.person for w in rest(walk)] == ["B", "C"]
-    assert zhou.errors_percent([walk], "M6", rest) == pytest.approx(
-        zhou.errors_percent([replace(walk, true_m=7.0)], "M6", lambda _: others) * 7.0 / walk.true_m
+    assert measured.errors_percent([walk], "M6", rest) == pytest.approx(
+        measured.errors_percent([replace(walk, true_m=7.0)], "M6", lambda _: others) * 7.0 / walk.true_m
         + 100 * (7.0 / walk.true_m - 1.0)
     )
 
 
-def simulated_walks(n: int) -> list[zhou.Walk]:
-    found = [zhou.walk_of(zhou.followed(zhou.simulated(k, "walking", 15.0))) for k in range(1, n + 1)]
+def simulated_walks(n: int) -> list[measured.Walk]:
+    found = [measured.walk_of(measured.followed(measured.simulated(k, "walking", 15.0))) for k in range(1, n + 1)]
     return [w for w in found if w is not None]
 
 

@@ -16,16 +16,7 @@ from typer.testing import CliRunner
 
 import pdr_filter as pdr
 from pdr_filter.classifiers.model import ContextModel, load_model
-from pdr_filter.classifiers.transitions import (
-    UNKNOWN,
-    LabelledProbabilities,
-    Transitions,
-    count_transitions,
-    estimate_transitions,
-    fit_tempering,
-    load_transitions,
-    log_loss_by_person,
-)
+from pdr_filter.classifiers.transitions import Transitions, load_transitions
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording
@@ -34,7 +25,7 @@ from pdr_filter.simulate import Leg, simulate
 from pdr_filter.training import carrying as train_carrying
 from pdr_filter.training import contexts as training
 from pdr_filter.training import guo2018 as train_guo
-from pdr_filter.training.contexts import PLANS, fit_softmax, labelled_windows, model_without, train, train_one
+from pdr_filter.training.contexts import PLANS, labelled_windows, model_without
 from pdr_filter.training.evidence import (
     MIN_CHANGES,
     MIN_PEOPLE,
@@ -47,12 +38,23 @@ from pdr_filter.training.evidence import (
     shipped_model_without,
     train_evidence,
 )
+from pdr_filter.training.machines import fit_softmax
+from pdr_filter.training.protocol import train_one
+from pdr_filter.training.run import train
+from pdr_filter.training.sequences import (
+    UNKNOWN,
+    LabelledProbabilities,
+    count_transitions,
+    estimate_transitions,
+    fit_tempering,
+    log_loss_by_person,
+)
 from pdr_filter.values.arrays import table
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import Samples
 
 WALKING, UPSTAIRS, RUNNING = (CONTEXTS.index(c) for c in ("walking", "upstairs", "running"))
-DEFAULT = default().tracker
+DEFAULT = default().model
 
 
 def as_of(recording: Recording, dataset: str, person: str) -> Recording:
@@ -179,15 +181,16 @@ def test_a_model_without_people_is_that_of_all_others_and_a_strangers_model_is_t
 ) -> None:
     paths = written([as_of(walk, "motionsense", f"s{i}") for i, walk in enumerate(walks)], tmp_path)
     plan = replace(PLANS[0], machine_fit=fit_softmax, datasets=("motionsense",))
-    windows = labelled_windows(paths, feature_set=plan.feature_set)
+    windows = plan.of(labelled_windows(paths, feature_set=plan.feature_set))
+    rest = plan.of(labelled_windows(paths[1:], feature_set=plan.feature_set))
     with parallel_config(backend="threading"):
         model = train_one(plan, windows, lambda what, done: None)
-        others = train_one(plan, labelled_windows(paths[1:], feature_set=plan.feature_set), lambda what, done: None)
+        others = train_one(plan, rest, lambda what, done: None)
     assert model_without(model, plan, windows, ["mine/p0"]) is model
     without = model_without(model, plan, windows, ["motionsense/s0"])
     for name in ("training_prior", "feature_mean", "feature_scale"):
         np.testing.assert_array_equal(getattr(without, name), getattr(others, name))
-    features = plan.features(windows)[0]
+    features = windows.features[0]
     np.testing.assert_array_equal(without.predict(features), others.predict(features))
     assert without.familiarity is not None and model.familiarity is not None and others.familiarity is not None
     assert without.familiarity.limit == model.familiarity.limit
@@ -362,7 +365,7 @@ def rows(value: float) -> list[list[float]]:
         ("contexts", ["walking", "standing"], r"contexts are \['walking', 'standing'\], those of this version"),
         ("contexts", list(CONTEXTS)[::-1], "those of this version"),
         ("format_version", 2, "format_version is 2, this version reads 1"),
-        ("kind", "calibration", 'kind is not "transitions"'),
+        ("kind", "calibration", "its kind is 'calibration', not 'transitions'"),
         ("card", 3, "not iterable"),
     ],
 )
@@ -382,7 +385,7 @@ def test_a_file_that_is_missing_or_no_json_or_lacks_something_is_refused_with_it
     content = json.loads(path.read_text())
     for text in ("{", "[1]", '"transitions"', "\x00", json.dumps({k: v for k, v in content.items() if k != "counts"})):
         path.write_text(text)
-        with pytest.raises(ValueError, match=r"transitions\.json: not usable transitions: .*pdr-filter train"):
+        with pytest.raises(ValueError, match=r"transitions\.json: not usable as transitions: .*pdr-filter train"):
             load_transitions(path)
 
 
@@ -390,19 +393,19 @@ def test_a_configuration_takes_matrix_and_exponents_and_keeps_all_else(tmp_path:
     config = default()
     for given in (some(), some().save(tmp_path), str(tmp_path / "transitions.json")):
         changed = with_transitions(config, given)
-        np.testing.assert_array_equal(changed.tracker.transition_prob, some().transition_prob)
-        assert (changed.tracker.evidence_exponent, changed.tracker.prior_exponent) == (0.7, 0.1)
-        assert changed.sensing is config.sensing and changed.tracker.modes is config.tracker.modes
-        assert changed.tracker.noise == config.tracker.noise and changed.name == config.name
+        np.testing.assert_array_equal(changed.model.transition_prob, some().transition_prob)
+        assert (changed.model.evidence_exponent, changed.model.prior_exponent) == (0.7, 0.1)
+        assert changed.sensing is config.sensing and changed.model.modes is config.model.modes
+        assert changed.model.noise == config.model.noise and changed.name == config.name
 
 
 def test_transitions_follow_the_order_of_the_modes() -> None:
     config = default()
     order = [3, 1, 5, 0, 4, 2]
-    modes = tuple(config.tracker.modes[i] for i in order)
+    modes = tuple(config.model.modes[i] for i in order)
     matrix = estimate_transitions(np.arange(36.0).reshape(6, 6), context_transitions())
-    tracker = replace(config.tracker, modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
-    changed = with_transitions(replace(config, tracker=tracker), some(transition_prob=matrix)).tracker
+    config = config.with_model(modes=modes, transition_prob=context_transitions()[np.ix_(order, order)])
+    changed = with_transitions(config, some(transition_prob=matrix)).model
     for i, before in enumerate(modes):
         for j, after in enumerate(modes):
             expected = matrix[CONTEXTS.index(before.context), CONTEXTS.index(after.context)]
@@ -411,9 +414,9 @@ def test_transitions_follow_the_order_of_the_modes() -> None:
 
 def test_modes_that_are_not_the_contexts_each_once_are_refused() -> None:
     config = default()
-    two = replace(config.tracker, modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
+    two = config.with_model(modes=context_modes(DEFAULT.modes[1].step_length)[:2], transition_prob=np.eye(2))
     with pytest.raises(ValueError, match=r"'default' has modes of \['stationary', 'walking'\]"):
-        with_transitions(replace(config, tracker=two), some())
+        with_transitions(two, some())
 
 
 def test_with_the_default_transitions_the_track_is_the_same_and_with_others_its_contexts_are_not(
@@ -478,8 +481,8 @@ def test_train_estimates_from_the_data_sets_with_models_that_left_the_people_out
 def test_without_data_sets_or_sequences_there_is_nothing_to_train_on(tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="nothing to train on"):
         train(None, tmp_path)
-    with pytest.raises(ValueError, match="no recordings in it"):
-        train(None, tmp_path, sequences_dir=tmp_path)
+    with pytest.raises(ValueError, match="no recordings in the folder"):
+        train(None, tmp_path, sequences=[])
 
 
 def test_the_command_estimates_from_ones_own_recordings_and_track_uses_the_file(mine: Path, tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
-from pdr_filter.filter.tracking import StepUpdate
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, pose_problem, start_covariance

@@ -10,31 +10,10 @@ both it is an approximation, because the filter is (tests/offline/smoothing/test
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class ModeEstimates:
-    """Of each mode at one time."""
-
-    mean: FloatArray  # (M, n)
-    cov: FloatArray  # (M, n, n)
-    mode_prob: FloatArray  # (M,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Transition:
-    """From one time to the next, linearised: x = a_i + F_i (x_before - b_i) + noise of Q_i in mode i."""
-
-    transition_prob: FloatArray  # (M, M) from mode j to mode i
-    origin: FloatArray  # (M, n) b_i, about which mode i was linearised
-    predicted: FloatArray  # (M, n) a_i, where that leads
-    F: FloatArray  # (M, n, n)
-    Q: FloatArray  # (M, n, n)
+from pdr_filter.filter.imm import ModeEstimates, Transition
 
 
 def smooth_imm(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:

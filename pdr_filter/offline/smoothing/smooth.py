@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_filter.calibration import Calibration
 from pdr_filter.config import Config
+from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import (
     HEADING_OFFSET,
     LOG_SCALE,
@@ -25,20 +26,17 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length import StepLengthFit
-from pdr_filter.filter.tracking import TrackerState
 from pdr_filter.io.recording import Recording
+from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight
 from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
-from pdr_filter.recipes import default
-from pdr_filter.recording_run import watched_track
-from pdr_filter.sensing.front_end import Event, Gap
+from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.tracks import Track
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, table
 from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.step import Step
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -125,66 +123,49 @@ def smooth(
     anchor_interval_s : float
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
     """
+    config = config or default_config(recording)
     if calibration is not None:
-        config = calibration.config(config or default(recording.subject), recording.subject)
-    track, used, gap_before_s = _run_forward(recording, config)
-    modes, noise = used.tracker.modes, used.tracker.noise
+        config = calibration.config(config, recording.subject)
+    observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
+        return _from_hindsight(in_hindsight(recording, config), observed)
+    track = collected(recording, config, outputs(recording, config))
+    modes = config.model.modes
     if track.weighting == "imm":
-        prob = mode_prob_in_hindsight(track.mode_prob, used.tracker.transition_prob)
+        prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
         track = replace(track, mode_prob=read_only(prob))
     if calibration is not None:
         # how sure the parameters are is in the calibrated spread of the scale already
         modes = tuple(replace(m, step_length=_without_spread(m.step_length)) for m in modes)
-    observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     return smooth_track(
         track,
         modes,
-        noise,
+        config.model.noise,
         observed,
-        gap_before_s=gap_before_s,
         start_heading_std_rad=start_heading_std_rad,
         anchor_interval_s=anchor_interval_s,
     )
-
-
-def _run_forward(recording: Recording, config: Config | None) -> tuple[Track, Config, FloatArray]:
-    """The filter's track, the configuration used, and the time without samples before each step."""
-    gaps: list[tuple[int, float]] = []
-    n_steps = 0
-
-    def watch(_: TrackerState, event: Event) -> None:
-        nonlocal n_steps
-        if isinstance(event, Step):
-            n_steps += 1
-        elif isinstance(event, Gap):
-            gaps.append((n_steps, event.duration_s))
-
-    track, _, used = watched_track(recording, config, (), watch)
-    gap_before_s = np.zeros(track.n_steps)
-    for step, gap_s in gaps:
-        if step < track.n_steps:
-            gap_before_s[step] += gap_s
-    return track, used, gap_before_s
 
 
 def _without_spread(fit: StepLengthFit) -> StepLengthFit:
     return replace(fit, theta_cov=np.zeros_like(fit.theta_cov))
 
 
-def mode_prob_in_hindsight(mode_prob: FloatArray, transition_prob: FloatArray) -> FloatArray:
-    """Mode probabilities (K, M) given the steps after each step too, from those of the filter.
-
-    p_s,k(j) = mu_k(j) sum_i pi_ji p_s,k+1(i) / sum_j mu_k(j) pi_ji: the backward pass of a hidden Markov model, as in
-    `imm_smoother` without the positions. A step of a moment's "sideways" would turn the way by 90 degrees.
-    """
-    smoothed = mode_prob.copy()
-    for k in range(len(mode_prob) - 2, -1, -1):
-        reached = mode_prob[k] @ transition_prob
-        ratio = np.divide(smoothed[k + 1], reached, where=reached > 0, out=np.zeros_like(reached))
-        smoothed[k] = mode_prob[k] * (transition_prob @ ratio)
-        total = smoothed[k].sum()
-        smoothed[k] = smoothed[k] / total if total > 0 else mode_prob[k]
-    return smoothed
+def _from_hindsight(found: Hindsight, observed: Observations) -> Smoothed:
+    """Nothing was observed from elsewhere: what the recording itself says."""
+    variance = np.diagonal(found.cov, axis1=1, axis2=2)
+    return Smoothed(
+        track=found.track,
+        heading_offset_rad=read_only(wrap_angle(found.mean[:, HEADING_OFFSET])),
+        heading_offset_std_rad=read_only(np.sqrt(variance[:, HEADING_OFFSET])),
+        log_scale=read_only(found.mean[:, LOG_SCALE]),
+        log_scale_std=read_only(np.sqrt(variance[:, LOG_SCALE])),
+        start_position_m=read_only(np.zeros(2)),
+        start_position_cov_m2=read_only(np.zeros((2, 2))),
+        observations=_table(observed, np.zeros(0, dtype=bool)),
+        floor=_floors(found.track, observed.floor_changes),
+        notes=found.track.notes,
+    )
 
 
 def smooth_track(
@@ -193,7 +174,6 @@ def smooth_track(
     noise: MotionNoise,
     observed: Observations,
     *,
-    gap_before_s: FloatArray | None = None,
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 10.0,
 ) -> Smoothed:
@@ -207,8 +187,7 @@ def smooth_track(
     used = replace(observed, fixes=tuple(compress(observed.fixes, inside)))
     if track.n_steps == 0:
         return _without_steps(track, observed, used.fixes)
-    gaps = np.zeros(track.n_steps) if gap_before_s is None else gap_before_s
-    steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, gaps)
+    steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     offsets = heading_offsets(track, steps, modes, noise)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     centre = np.mean([f.position_m for f in used.fixes], axis=0) if used.fixes else np.zeros(2)

@@ -42,6 +42,11 @@ class WindowContext:
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
     has_gyroscope: bool = True  # that angular rate was measured all through the window
 
+    @property
+    def middle_s(self) -> float:
+        """Middle of the samples that it describes."""
+        return self.time_s - 1.0
+
 
 class ContextStage(Protocol):
     """A causal stage that says of each window what the person does and where the phone is.

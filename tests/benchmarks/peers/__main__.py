@@ -3,20 +3,16 @@
 from __future__ import annotations
 
 import os
-
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
-import argparse
 import platform
 import warnings
-from datetime import date
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 from threadpoolctl import threadpool_limits
 
-from .. import rvm_speed
+from tests.benchmarks import rvm_speed
+from tests.benchmarks.common import Tables, options
+
 from . import of_filterpy, of_mobgap, of_skdh, ours, tables, textbook
 from .harness import outcome
 
@@ -24,13 +20,10 @@ METHODS = (*ours.METHODS, *textbook.METHODS, *of_mobgap.METHODS, *of_skdh.METHOD
 PACKAGES = ("pdr_filter", "filterpy", "fastrvm", "mobgap", "scikit-digital-health", "pywavelets")
 ENVIRONMENT = ("numpy", "scipy", "scikit-learn", "pandas")
 QUESTIONS = {
-    "ubicomp13": (
-        ("Steps counted on video", tables.counts),
-        ("By placement of the phone, mean absolute error %", tables.counts_by_place),
-    ),
-    "oxford": (("Step times against foot switches", tables.step_times),),
-    "humolire": (("Distance and speed on straight legs", tables.legs),),
-    "tyrex": (("Distance and speed in a room of 5 m", tables.room),),
+    "ubicomp13": (("peers_counts", tables.counts), ("peers_places", tables.counts_by_place)),
+    "oxford": (("peers_step_times", tables.step_times),),
+    "humolire": (("peers_legs", tables.legs),),
+    "tyrex": (("peers_room", tables.room),),
 }
 
 
@@ -53,34 +46,34 @@ def processor() -> str:
     return f"{names[0] if names else platform.processor() or platform.machine()}, {os.cpu_count()} cores"
 
 
-def show(title: str, lines: tuple[str, ...]) -> None:
-    """A titled table."""
-    print(f"\n### {title}\n\n" + "\n".join(lines), flush=True)
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m tests.benchmarks.peers")
-    parser.add_argument("--data", type=Path, default=Path(__file__).resolve().parents[4] / "shared" / "data")
+    parser = options(__doc__)
     parser.add_argument("--sites", nargs="*", choices=QUESTIONS, default=list(QUESTIONS))
     parser.add_argument("--every", type=int, default=1, help="only every n-th recording, for all methods alike")
     arguments = parser.parse_args()
+    files = Tables("python -m tests.benchmarks.peers", None if arguments.every > 1 else Tables.of("", arguments).folder)
     warnings.simplefilter("ignore")
-    print(f"{date.today()}, Python {platform.python_version()}, {processor()}, one thread.")
-    print("Packages: " + ", ".join(installed(p) for p in PACKAGES) + ".")
-    print("With: " + ", ".join(installed(p) for p in ENVIRONMENT) + ".", flush=True)
-
-    show("The filter against filterpy's IMMEstimator", of_filterpy.table_lines())
-    print("\n### The relevance vector machine against fastrvm", flush=True)
+    files.write(
+        "peers_environment",
+        ["", ""],
+        [
+            ["machine", f"Python {platform.python_version()}, {processor()}, one thread"],
+            ["packages", ", ".join(installed(p) for p in PACKAGES)],
+            ["with", ", ".join(installed(p) for p in ENVIRONMENT)],
+        ],
+    )
+    files.write("peers_filter", *of_filterpy.filters())
     with threadpool_limits(limits=1):
-        rvm_speed.against_fastrvm()
+        rvm_speed.against_fastrvm(files)
 
     by_site = {}
     for site in arguments.sites:
         walks = tables.walks_of(arguments.data, site, arguments.every)
         by_site[site] = [outcome(method, walks) for method in METHODS]
-        for title, question in QUESTIONS[site]:
-            show(f"{title}: {site}, {len(walks)} walks", question(by_site[site]))
-    show("Times real time, one core, without reading and alignment", tables.throughput(by_site))
+        for name, question in QUESTIONS[site]:
+            files.write(name, *question(by_site[site]), f"{site}, {len(walks)} walks.")
+    if arguments.sites == list(QUESTIONS):
+        files.write("peers_speed", *tables.throughput(by_site), "Times real time, one core.")
 
 
 if __name__ == "__main__":

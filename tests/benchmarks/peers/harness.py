@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from .walks import Found, Method, Walk
 
+Table = tuple[list[str], list[list[str]]]
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -47,16 +49,14 @@ def outcome(method: Method, walks: Sequence[Walk]) -> Outcome:
         except Exception as error:  # whatever a package raises on real data is a result, and no reason to stop
             failures.append(f"{walk.recording.name}, {type(error).__name__}: {error}")
             continue
-        recorded_s += walk.end_s - walk.start_s if method.told else walk.recording.duration_s
+        recorded_s += walk.end_s - walk.start_s if method.walk_known else walk.recording.duration_s
     return Outcome(method, tuple(found), tuple(failures), "", recorded_s / spent_s if spent_s else float("nan"))
 
 
-def table(
-    columns: Sequence[str], outcomes: Sequence[Outcome], cells: Callable[[Outcome], Sequence[str]]
-) -> tuple[str, ...]:
-    """Lines of a table with a row for each method, those that could not run included."""
+def table(columns: Sequence[str], outcomes: Sequence[Outcome], cells: Callable[[Outcome], Sequence[str]]) -> Table:
+    """Columns and rows of a table with a row for each method, those that could not run included."""
     rows = []
     for o in outcomes:
         found = cells(o) if o.found else [o.missing or "failed on every walk", *[""] * (len(columns) - 1)]
-        rows.append("| " + " | ".join([o.title, *found]) + " |")
-    return ("| method | " + " | ".join(columns) + " |", "|---" * (len(columns) + 1) + "|", *rows)
+        rows.append([o.title, *found])
+    return ["method", *columns], rows

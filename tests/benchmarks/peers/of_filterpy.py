@@ -7,18 +7,19 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
+from .harness import Table
 from .walks import FloatArray
 
 N_STEPS, N_AT_ONCE = 300, 500
 
 
-def table_lines() -> tuple[str, ...]:
+def filters() -> Table:
     """Time of a step, and how far the estimates are from filterpy's."""
-    head = ("| filter | ms a step and pedestrian | times as fast | largest difference |", "|---|---|---|---|")
+    columns = ["filter", "ms a step and pedestrian", "times as fast", "largest difference"]
     try:
-        from .. import imm_speed
+        from tests.benchmarks import imm_speed
     except ImportError as error:
-        return (*head, f"| filterpy | not run: filterpy is not installed ({error}) | | |")
+        return columns, [["filterpy", f"not run: filterpy is not installed ({error})", "", ""]]
     fixes = np.cumsum(np.random.default_rng(0).normal(size=(N_STEPS, 2)), axis=0)
     oracle = imm_speed.of_filterpy()
 
@@ -40,7 +41,7 @@ def table_lines() -> tuple[str, ...]:
         return cycle
 
     reference, reference_s = _timed(theirs, fixes)
-    rows = [f"| filterpy, IMMEstimator | {1e3 * reference_s:.3f} | 1 | - |"]
+    rows = [["filterpy, IMMEstimator", f"{1e3 * reference_s:.3f}", "1", "-"]]
     for name, n in (
         ("pdr_filter.filter.imm, one pedestrian", None),
         (f"pdr_filter.filter.imm, {N_AT_ONCE} at once", N_AT_ONCE),
@@ -48,8 +49,8 @@ def table_lines() -> tuple[str, ...]:
         mean, step_s = _timed(ours(n), fixes)
         apart = max(np.abs(m - r).max() for m, r in zip(mean, reference, strict=True))
         step_s /= n or 1
-        rows.append(f"| {name} | {1e3 * step_s:.4f} | {reference_s / step_s:.0f} | {apart:.0e} |")
-    return (*head, *rows)
+        rows.append([name, f"{1e3 * step_s:.4f}", f"{reference_s / step_s:.0f}", f"{apart:.0e}"])
+    return columns, rows
 
 
 def _timed(cycle: Callable[[FloatArray], FloatArray], fixes: FloatArray) -> tuple[Sequence[FloatArray], float]:

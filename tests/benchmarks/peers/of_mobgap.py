@@ -1,7 +1,7 @@
 """mobgap (Mobilise-D): initial contacts, stride length, walking speed, and the pipeline for healthy people.
 
 Built and validated for a sensor fixed to the lower back. Everything is at its defaults; contacts are looked for inside
-the walk, which the detectors require to be told, or in the gait sequences that the pipeline finds by itself.
+the walk, which the detectors require, or in the gait sequences that the pipeline finds by itself.
 """
 
 from __future__ import annotations
@@ -93,7 +93,7 @@ def _pipeline() -> Run:
 
 METHODS = (
     *(
-        Method(f"mobgap, {n}", "mobgap", lambda n=n: _contacts(n), told=True)
+        Method(f"mobgap, {n}", "mobgap", lambda n=n: _contacts(n), walk_known=True)
         for n in ("IcdIonescu", "IcdShinImproved", "IcdHKLeeImproved")
     ),
     Method("mobgap, MobilisedPipelineHealthy", "mobgap", _pipeline),

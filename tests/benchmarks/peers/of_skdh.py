@@ -1,4 +1,4 @@
-"""scikit-digital-health: GaitLumbar, told the walk or behind its own classifier of gait.
+"""scikit-digital-health: GaitLumbar, with the walk known or behind its own classifier of gait.
 
 Built for a sensor on the lumbar spine. The vertical axis and the one ahead are given, not estimated; the rest is at its
 defaults. Both of its event methods are run.
@@ -31,18 +31,18 @@ def _bouts(time_s: FloatArray, force_g: FloatArray) -> FloatArray:
     return 2 * np.column_stack([bouts[f"Gait Bout {end} Index"] for end in ("Start", "Stop")])
 
 
-def _gait(events: str, told: bool) -> Run:
+def _gait(events: str, walk_known: bool) -> Run:
     from skdh.gait import GaitLumbar
 
     def run(walk: Walk) -> Found:
         gait = GaitLumbar(gait_event_method=events, day_window=None)
         force, rate = walk.body
-        part = walk.inside if told else slice(None)
+        part = walk.inside if walk_known else slice(None)
         time_s, force_g, rate = walk.time_s[part], force[part] / STANDARD_GRAVITY_MPS2, rate[part]
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")
             where = {"gait_pred": True}
-            if not told:
+            if not walk_known:
                 where = {"gait_bouts": _bouts(time_s, force_g)}
             result = gait.predict(
                 time=time_s,
@@ -65,8 +65,10 @@ def _gait(events: str, told: bool) -> Run:
 
 
 METHODS = (
-    Method("skdh, GaitLumbar, AP CWT", "scikit-digital-health", lambda: _gait("AP CWT", True), told=True),
-    Method("skdh, GaitLumbar, Vertical CWT", "scikit-digital-health", lambda: _gait("Vertical CWT", True), told=True),
+    Method("skdh, GaitLumbar, AP CWT", "scikit-digital-health", lambda: _gait("AP CWT", True), walk_known=True),
+    Method(
+        "skdh, GaitLumbar, Vertical CWT", "scikit-digital-health", lambda: _gait("Vertical CWT", True), walk_known=True
+    ),
     Method("skdh, own bouts, AP CWT", "scikit-digital-health", lambda: _gait("AP CWT", False)),
     Method("skdh, own bouts, Vertical CWT", "scikit-digital-health", lambda: _gait("Vertical CWT", False)),
 )

@@ -11,21 +11,22 @@ from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
 from pdr_filter import evaluate
+from tests.benchmarks.common import absolute_bias_spread, paths
 
-from .harness import Outcome, table
+from .harness import Outcome, Table, table
 from .walks import GRID_S, FloatArray, Found, Walk
 
 # Time around a walk in which a contact still belongs to it, and from which on it is false.
 EDGE_S, OUTSIDE_S = 0.3, 1.0
 # oxford: the first and last switch may be those of the second or the last step but one.
 SWITCH_EDGE_S = 0.6
-# A leg of which less is covered tells nothing about speed.
+# A leg of which less is covered says nothing about speed.
 LEAST_COVERED = 0.5
 WALKING = ("texting", "phoning", "swinging", "frontpocket", "backpocket")
 
 
 def walk_of(path: Path) -> Walk:
-    """A recording and its walk, as the truth of its site tells it."""
+    """A recording and its walk, as the truth of its site has it."""
     recording = pdr.read(path)
     truth = recording.truth
     match recording.meta["dataset"]:
@@ -42,10 +43,10 @@ def walk_of(path: Path) -> Walk:
 
 def walks_of(data: Path, site: str, every: int) -> list[Walk]:
     """Every n-th walk of a site; of tyrex those in which the person walks."""
-    paths = sorted((data / site).glob("*.zip"))
+    files = paths(data, site)
     if site == "tyrex":
-        paths = [p for p in paths if p.stem.endswith(WALKING)]
-    return [walk_of(p) for p in paths[::every]]
+        files = [p for p in files if p.stem.endswith(WALKING)]
+    return [walk_of(p) for p in files[::every]]
 
 
 def within(found: Found, walk: Walk, edge_s: float) -> FloatArray:
@@ -53,14 +54,8 @@ def within(found: Found, walk: Walk, edge_s: float) -> FloatArray:
     return found.step_s[(found.step_s >= walk.start_s - edge_s) & (found.step_s <= walk.end_s + edge_s)]
 
 
-def signed(errors: Sequence[float] | FloatArray, digits: int = 1) -> str:
-    """Mean absolute error, then bias and spread."""
-    e = np.asarray(errors, dtype=float)
-    return f"{np.abs(e).mean():.{digits}f} ({e.mean():+.{digits}f}, {e.std():.{digits}f})"
-
-
-def _told(o: Outcome) -> str:
-    return "yes" if o.method.told else "no"
+def _walk_known(o: Outcome) -> str:
+    return "yes" if o.method.walk_known else "no"
 
 
 def _count_error(walk: Walk, found: Found) -> float:
@@ -69,7 +64,7 @@ def _count_error(walk: Walk, found: Found) -> float:
     )
 
 
-def counts(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def counts(outcomes: Sequence[Outcome]) -> Table:
     """Steps of ubicomp13 against those counted on video."""
 
     def cells(o: Outcome) -> list[str]:
@@ -79,14 +74,14 @@ def counts(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
             before_s, after_s = walk.start_s - OUTSIDE_S, walk.end_s + OUTSIDE_S
             false += ((found.step_s < before_s) | (found.step_s > after_s)).sum()
             outside_s += max(0.0, before_s) + max(0.0, walk.recording.duration_s - after_s)
-        a_minute = "-" if o.method.told else f"{60 * false / outside_s:.1f}"
-        return [_told(o), signed(errors, 2), f"{np.abs(errors).max():.1f}", a_minute]
+        a_minute = "-" if o.method.walk_known else f"{60 * false / outside_s:.1f}"
+        return [_walk_known(o), absolute_bias_spread(errors), f"{np.abs(errors).max():.1f}", a_minute]
 
-    columns = ("told the walk", "count error %", "largest", "false steps a minute")
+    columns = ("walk known", "count error %", "largest", "false steps a minute")
     return table(columns, _finders(outcomes), cells)
 
 
-def counts_by_place(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def counts_by_place(outcomes: Sequence[Outcome]) -> Table:
     """Mean absolute count error of ubicomp13 by the placement of the phone."""
     places = sorted({place(walk) for o in outcomes for walk, _ in o.found})
 
@@ -104,7 +99,7 @@ def place(walk: Walk) -> str:
     return walk.recording.name.split("_", 3)[3]
 
 
-def step_times(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def step_times(outcomes: Sequence[Outcome]) -> Table:
     """Contacts of oxford against foot switches."""
 
     def cells(o: Outcome) -> list[str]:
@@ -116,9 +111,15 @@ def step_times(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
                 offset_s = evaluate.best_offset_s(true_s, found_s, tolerance_s)
                 rows[-1].append(evaluate.f1_score(true_s, found_s + offset_s, tolerance_s))
         error, wide, narrow = np.array(rows).T
-        return [_told(o), signed(error), f"{wide.mean():.3f}", f"{wide.min():.2f}", f"{narrow.mean():.3f}"]
+        return [
+            _walk_known(o),
+            absolute_bias_spread(error, 1),
+            f"{wide.mean():.3f}",
+            f"{wide.min():.2f}",
+            f"{narrow.mean():.3f}",
+        ]
 
-    columns = ("told the walk", "count error %", "F1 within 0.25 s", "lowest", "F1 within 0.1 s")
+    columns = ("walk known", "count error %", "F1 within 0.25 s", "lowest", "F1 within 0.1 s")
     return table(columns, _finders(outcomes), cells)
 
 
@@ -126,7 +127,7 @@ def _speeds(found: Found, start_s: float, end_s: float) -> FloatArray:
     return found.speeds(np.arange(start_s, end_s, GRID_S))
 
 
-def legs(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def legs(outcomes: Sequence[Outcome]) -> Table:
     """Distances and speeds of humolire on straight legs."""
 
     def cells(o: Outcome) -> list[str]:
@@ -146,16 +147,16 @@ def legs(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         factor = others[:, 1] / others[:, 0]
         scaled = [f * p for f, p in zip(factor, predicted, strict=True)]
         return [
-            _told(o),
-            signed(evaluate.percent_error(*sums.T)),
+            _walk_known(o),
+            absolute_bias_spread(evaluate.percent_error(*sums.T), 1),
             _rms_percent(predicted, true),
             _rms_percent(scaled, true),
-            f"{signed(speed_error, 2)}, {len(speed_error)}" if speed_error else "-",
+            f"{absolute_bias_spread(speed_error)}, {len(speed_error)}" if speed_error else "-",
             f"{100 * np.mean(covered):.0f}",
         ]
 
     columns = (
-        "told the walk",
+        "walk known",
         "distance of a walk's legs, error %",
         "of a leg, RMS %",
         "the same, one factor from the other walks",
@@ -170,7 +171,7 @@ def _rms_percent(predicted: Sequence[FloatArray], true: Sequence[FloatArray]) ->
     return f"{evaluate.distance_scores(error).rmse_percent:.1f}"
 
 
-def room(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
+def room(outcomes: Sequence[Outcome]) -> Table:
     """Distances and speeds of tyrex against motion capture."""
 
     def cells(o: Outcome) -> list[str]:
@@ -186,14 +187,14 @@ def room(outcomes: Sequence[Outcome]) -> tuple[str, ...]:
         every = [e for errors in distance.values() for e in errors]
         by_scenario = [" ".join(f"{e:+.0f}" for e in distance[s]) for s in WALKING]
         return [
-            _told(o),
-            signed(every),
+            _walk_known(o),
+            absolute_bias_spread(every, 1),
             *by_scenario,
             f"{np.nanmean(speed_error):.2f}",
             f"{100 * np.mean(covered):.0f}",
         ]
 
-    columns = ("told the walk", "distance error %", *WALKING, "speed, mean absolute error m/s", "time covered %")
+    columns = ("walk known", "distance error %", *WALKING, "speed, mean absolute error m/s", "time covered %")
     return table(columns, _speedometers(outcomes), cells)
 
 
@@ -218,7 +219,7 @@ def _speedometers(outcomes: Sequence[Outcome]) -> list[Outcome]:
     return [o for o in outcomes if not o.found or any(len(found.speed_mps) for _, found in o.found)]
 
 
-def throughput(by_site: Mapping[str, Sequence[Outcome]]) -> tuple[str, ...]:
+def throughput(by_site: Mapping[str, Sequence[Outcome]]) -> Table:
     """How many times faster than real time each method is, by site."""
     sites = list(by_site)
     speed = {(site, o.method.name): o.times_real_time for site, outcomes in by_site.items() for o in outcomes}

@@ -22,7 +22,7 @@ UNKNOWN_HEIGHT_M = 1.70
 GRID_S = 0.02
 # Acceleration along the way has the frequency of steps, that across it half of it: 1.2 Hz keeps the second out.
 STEP_BAND_HZ = (1.2, 3.0)
-# Ten steps tell an axis, and a corner is not smeared over more than that.
+# Ten steps show an axis, and a corner is not smeared over more than that.
 AXIS_STD_S = 1.5
 
 
@@ -69,7 +69,7 @@ class Walk:
     """A recording, when the person walks in it, and its samples in the axes of the body.
 
     Packages for a sensor on the lower back expect axes fixed to the trunk. A phone has none, so that they are given
-    the best that the whole recording tells: up from `vqf.offlineVQF`, which looks ahead, and the way ahead from the
+    the best that the whole recording gives: up from `vqf.offlineVQF`, which looks ahead, and the way ahead from the
     principal axis of the horizontal acceleration at the frequency of steps, its sign from our own walking direction.
     The work for that is not counted as theirs.
     """
@@ -148,7 +148,7 @@ class Method:
     name: str
     package: str  # as it is installed
     load: Callable[[], Run]  # imports the package
-    told: bool = False  # is told when the person walks, instead of finding out
+    walk_known: bool = False  # the interval of the walk is given
     own_steps: bool = True  # finds them otherwise than the methods before it
 
 

@@ -632,10 +632,10 @@ def test_damaged_files_are_refused_by_name(calibration: Calibration, tmp_path: P
     other = tmp_path / "other.json"
     other.write_text(path.read_text(encoding="utf-8"), encoding="utf-8")
     other.with_suffix(".npz").write_bytes(path.with_suffix(".npz").read_bytes()[:-100])
-    with pytest.raises(ValueError, match=r"other\.json: not a usable calibration: .*damaged"):
+    with pytest.raises(ValueError, match=r"other\.json: not usable as calibration: .*damaged"):
         load_calibration(other)
     path.write_text("{}", encoding="utf-8")
-    with pytest.raises(ValueError, match=r"me\.json: not a usable calibration: it is no calibration"):
+    with pytest.raises(ValueError, match=r"me\.json: not usable as calibration: its kind is None"):
         load_calibration(path)
 
 
@@ -651,9 +651,9 @@ def test_the_filter_walks_a_calibrated_length_with_its_uncertainty(walk: tuple[R
     assert any("step lengths of simulated: walking" in note for note in own.notes)
     stranger = found.config(pdr.recipes.default(), Subject(id="somebody"))
     known = found.config(pdr.recipes.default(), recording.subject)
-    assert known.tracker.noise.log_scale_std < 0.6 * stranger.tracker.noise.log_scale_std
+    assert known.model.noise.log_scale_std < 0.6 * stranger.model.noise.log_scale_std
     # contexts without segments keep their lengths
-    for before, after in zip(pdr.recipes.default().tracker.modes, known.tracker.modes, strict=True):
+    for before, after in zip(pdr.recipes.default().model.modes, known.model.modes, strict=True):
         assert (after.step_length is before.step_length) == (after.context != "walking")
 
 

@@ -119,7 +119,7 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
     walk = simulate([Leg("walking", distance_m=60.0)], seed=2)
     config = default()
     online = pdr.OnlineFilter(config)
-    smoother = FixedLagSmoother(config.tracker.modes, config.tracker.noise, lag_s=10.0)
+    smoother = FixedLagSmoother(config.model.modes, config.model.noise, lag_s=10.0)
     truth = walk.truth.position
     times = np.arange(3.0, float(truth.time_s[-1]), 4.0)
     places = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])

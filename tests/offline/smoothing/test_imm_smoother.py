@@ -9,7 +9,8 @@ from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
 from pdr_filter.filter import imm
-from pdr_filter.offline.smoothing.imm_smoother import ModeEstimates, Transition, smooth_imm
+from pdr_filter.filter.imm import ModeEstimates, Transition
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 
 H = np.array([[1.0, 0.0]])
 R = np.array([[0.5]])

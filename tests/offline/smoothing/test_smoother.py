@@ -9,9 +9,10 @@ from scipy.optimize import approx_fprime
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
+from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
-from pdr_filter.offline.smoothing.imm_smoother import ModeEstimates, Transition, smooth_imm
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,

@@ -21,7 +21,8 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate.people import MODES, simulated_person
-from pdr_filter.training.guo2018 import DATASETS, kappa, recordings, train_guo, walk_threshold
+from pdr_filter.training.guo2018 import DATASETS, kappa, train_guo, walk_threshold
+from pdr_filter.training.protocol import recordings_of
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 
 STAGE = PoseContext()
@@ -231,7 +232,7 @@ def test_a_small_training_writes_a_model_with_a_card_of_people_left_out(tmp_path
         name = f"{dataset}_{subject}"
         (tmp_path / dataset).mkdir(exist_ok=True)
         write_recording(replace(recording, name=name, meta={**meta, "name": name}), tmp_path / dataset / f"{name}.zip")
-    paths = [*recordings(tmp_path), tmp_path / "elsewhere" / "elsewhere_e.zip"]
+    paths = [*recordings_of(tmp_path, DATASETS), tmp_path / "elsewhere" / "elsewhere_e.zip"]
     told: list[float] = []
     card = train_guo(paths, tmp_path / "models", lambda _, done: told.append(done), n_simulated=1)
     assert told == sorted(told) and told[-1] == pytest.approx(1.0)

@@ -278,10 +278,10 @@ def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingDi
 
 def test_a_stage_that_reckons_with_another_drift_than_the_filter_is_refused() -> None:
     config = default()
-    assert config.sensing.heading.drift is config.tracker.noise.heading_drift
+    assert config.sensing.heading.drift is config.model.noise.heading_drift
     other = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.02))
     with pytest.raises(ValueError, match="give one HeadingDrift to both"):
-        replace(config, tracker=replace(config.tracker, noise=other))
+        config.with_model(noise=other)
 
 
 def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_and_variance() -> None:

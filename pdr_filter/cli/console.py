@@ -1,0 +1,164 @@
+"""What the commands print where: tables on stdout, progress, notes and errors on stderr; and how they end."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Generator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeVar
+
+import typer
+from rich.console import Console
+from rich.markup import escape
+from rich.table import Table
+
+if TYPE_CHECKING:
+    from pdr_filter.tracks import Track
+
+SOME_FAILED, UNUSABLE = 1, 2
+
+T = TypeVar("T")
+
+
+def stderr() -> Console:
+    """Console of the messages; made when used, so that a redirected stderr is respected."""
+    return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def message(error: Exception) -> str:
+    """An error's words, or its kind if it has none; lines that are a file to copy stay lines."""
+    lines = [line.rstrip() for line in str(error).splitlines() if line.strip()]
+    return "\n".join(lines) or type(error).__name__
+
+
+def say_error(words: str) -> None:
+    """One line on stderr."""
+    stderr().print(f"[bold red]error:[/] {escape(words)}")
+
+
+def say_written(folder: Path | None) -> None:
+    """Where files were written, if any were."""
+    if folder is not None:
+        stderr().print(f"files written to {escape(str(folder))}")
+
+
+@contextmanager
+def one_line_errors() -> Generator[None]:
+    """What cannot be used ends the command with one line that says why."""
+    try:
+        yield
+    except (ValueError, OSError) as error:
+        say_error(message(error))
+        raise typer.Exit(UNUSABLE) from None
+
+
+@contextmanager
+def progress(what: str) -> Generator[Callable[..., None]]:
+    """A bar on stderr while it runs, if somebody watches; yields a function of the fraction done (and of what)."""
+    from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeElapsedColumn
+
+    columns = (TextColumn("{task.description}"), BarColumn(), TaskProgressColumn(), TimeElapsedColumn())
+    console = Console(stderr=True)
+    with Progress(*columns, console=console, transient=True, disable=not console.is_terminal) as bar:
+        task = bar.add_task(escape(what), total=1.0)
+
+        def show(fraction: float, description: str | None = None) -> None:
+            bar.update(task, completed=fraction, description=escape(description or what))
+
+        yield show
+
+
+def each(
+    files: Sequence[Path], work: Callable[[Path, Callable[[float], None]], T], as_json: bool = False
+) -> tuple[list[T], dict[Path, str]]:
+    """Results of the files that can be used, and why the others cannot, which stderr says, or a JSON object."""
+    results: list[T] = []
+    failed: dict[Path, str] = {}
+    with progress("reading") as show:
+        for i, file in enumerate(files):
+
+            def show_part(fraction: float, i: int = i, file: Path = file) -> None:
+                show((i + fraction) / len(files), file.name)
+
+            show_part(0.0)
+            try:
+                results.append(work(file, show_part))
+            except (ValueError, OSError) as error:
+                failed[file] = message(error)
+                if as_json:
+                    print_json({"name": file.stem, "error": failed[file]})
+    for reason in failed.values():
+        say_error(reason)
+    return results, failed
+
+
+def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
+    """End with the code of what failed; of one file its reason has been said."""
+    if not failed:
+        return
+    if n_files == 1:
+        raise typer.Exit(UNUSABLE)
+    stderr().print(f"{len(failed)} of {n_files} files failed: {escape(', '.join(map(str, failed)))}")
+    raise typer.Exit(SOME_FAILED)
+
+
+def print_json(value: Mapping[str, Any]) -> None:
+    """One object on one line."""
+    typer.echo(json.dumps(value, allow_nan=False))
+
+
+def print_notes(result: Track, console: Console | None = None) -> None:
+    """The notes of a track, a line each; on stdout if no console is given."""
+    for note in result.notes:
+        (console or Console(highlight=False, soft_wrap=True)).print(f"{escape(result.name)}: {escape(note)}")
+
+
+def new_table(*columns: str) -> Table:
+    """A table with words in the first column and numbers, right-aligned, in the others."""
+    from rich import box
+
+    table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
+    for i, column in enumerate(columns):
+        table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
+    return table
+
+
+def print_table(table: Table) -> None:
+    """Print a table as wide as it needs where nobody watches: a pipe has no width."""
+    console = Console(highlight=False)
+    if not console.is_terminal:
+        console = Console(highlight=False, width=max(console.width, 160))
+    console.print(table)
+
+
+def in_m(value: float, spec: str = ".1f") -> str:
+    """A length."""
+    return f"{value:{spec}} m"
+
+
+def print_tracks(tracks: Sequence[Track]) -> None:
+    """A row for each track, their notes below."""
+    table = new_table("recording", "steps", "distance", "end east", "end north", "duration")
+    table.add_column("contexts")
+    for result in tracks:
+        summary = result.summary()
+        seconds: dict[str, float] = summary["contexts"]
+        table.add_row(
+            escape(result.name),
+            str(result.n_steps),
+            in_m(result.distance_m),
+            in_m(summary["end_east_m"]),
+            in_m(summary["end_north_m"]),
+            f"{result.duration_s:.1f} s",
+            ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+        )
+    print_table(table)
+    for result in tracks:
+        print_notes(result)
+
+
+def write_track(result: Track, folder: Path, name: str) -> None:
+    """The table and the picture of a track."""
+    result.to_csv(folder / f"{name}.csv")
+    result.plot(folder / f"{name}.png")

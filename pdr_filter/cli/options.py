@@ -1,0 +1,45 @@
+"""Options that commands share, and groups of options: a parameter that is a dataclass is an option for each field."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from typing import Annotated, Any, get_type_hints
+
+import typer
+
+Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings: zip files or folders.")]
+Format = Annotated[
+    str | None, typer.Option("--format", help="Format of the files, if it is not to be found by their content.")
+]
+AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
+CalibrationFile = Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")]
+Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
+Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
+
+
+def in_groups(command: Callable[..., None]) -> Callable[..., None]:
+    """The command as typer takes it, which knows no groups: fields of dataclasses as options, in place of these."""
+    groups: dict[str, Any] = {}
+    parameters: list[inspect.Parameter] = []
+    for parameter in inspect.signature(command, eval_str=True).parameters.values():
+        if is_dataclass(group := parameter.annotation):
+            groups[parameter.name] = group
+            hints = get_type_hints(group, include_extras=True)
+            parameters += [
+                parameter.replace(name=f.name, annotation=hints[f.name], default=f.default) for f in fields(group)
+            ]
+        else:
+            parameters.append(parameter)
+
+    def run(**values: Any) -> None:
+        for name, group in groups.items():
+            values[name] = group(**{f.name: values.pop(f.name) for f in fields(group)})
+        command(**values)
+
+    run.__name__, run.__doc__ = command.__name__, command.__doc__
+    run.__annotations__ = {p.name: p.annotation for p in parameters}
+    run.__signature__ = inspect.Signature(parameters)  # type: ignore[attr-defined]
+    return run

@@ -1,0 +1,66 @@
+"""`pdr-filter simulate` and `pdr-filter demo`: a walk that nobody walked, as a recording, and what comes of it."""
+
+from __future__ import annotations
+
+import math
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+from rich.console import Console
+
+from pdr_filter.cli import console
+
+if TYPE_CHECKING:
+    from pdr_filter.io.recording import Recording
+
+
+class CarryingMode(StrEnum):
+    """Where the simulated phone is."""
+
+    TEXTING = "texting"
+    POCKET = "pocket"
+    SWINGING = "swinging"
+    CALLING = "calling"
+
+
+def simulate(
+    out: Annotated[Path, typer.Option(help="Zip file, or a folder if it has no suffix.")] = Path("simulated_walk.zip"),
+    seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same walk.")] = 0,
+    carrying_mode: Annotated[
+        CarryingMode | None,
+        typer.Option(help="Walk round a block with the phone there; without it, the demonstration walk."),
+    ] = None,
+) -> None:
+    """Write a simulated walk with exact truth as a recording."""
+    import pdr_filter as pdr
+    from pdr_filter.io.own_format import write_recording
+
+    with console.one_line_errors():
+        walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode.value, seed)
+        path = write_recording(walk, out)
+    typer.echo(path)
+
+
+def demo(
+    file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A recording; else a simulated walk.")] = None,
+    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo_output"),
+) -> None:
+    """Track a walk, draw it and say what came out."""
+    from pdr_filter.cli.demo import run_demo
+
+    with console.one_line_errors(), console.progress("tracking") as show:
+        result = run_demo(file, out, show)
+    result.print(Console(highlight=False))
+
+
+def _block_walk(carrying_mode: str, seed: int) -> Recording:
+    """A walk round a block of 40 m by 25 m."""
+    from pdr_filter import simulate
+
+    legs = [simulate.Leg("stationary", duration_s=5.0), simulate.Leg("walking", distance_m=40.0)]
+    for distance_m in (25.0, 40.0, 25.0):
+        legs.append(simulate.Leg("walking", distance_m=distance_m, turn_rad=math.pi / 2))
+    legs.append(simulate.Leg("stationary", duration_s=5.0))
+    return simulate.simulate(legs, carrying_mode=carrying_mode, seed=seed, name=f"simulated_{carrying_mode}")

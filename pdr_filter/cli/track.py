@@ -1,0 +1,226 @@
+"""`pdr-filter track`: recordings to tracks, one by one or many into one table."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pdr_filter.cli import console
+from pdr_filter.cli.options import AsJson, CalibrationFile, Files, Folder, Format, Scheduler
+
+if TYPE_CHECKING:
+    from pdr_filter.config import Config
+    from pdr_filter.io.recording import Recording
+    from pdr_filter.tracks import Track
+
+
+class Weighting(StrEnum):
+    """How context probabilities become step lengths."""
+
+    HC = "hc"
+    WC = "wc"
+    IMM = "imm"
+
+
+@dataclass(frozen=True, slots=True)
+class Method:
+    """How a track is made."""
+
+    recipe: Annotated[str, typer.Option(help="Name of a recipe, such as default or martinelli2018.")] = "default"
+    weighting: Annotated[
+        Weighting | None, typer.Option(help="How contexts become step lengths; the recipe's own if not given.")
+    ] = None
+    model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None
+    calibration: CalibrationFile = None
+    transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None
+
+    @property
+    def weighting_name(self) -> str | None:
+        """As `pdr_filter.track` takes it."""
+        return None if self.weighting is None else self.weighting.value
+
+    def changes(self) -> Callable[[Config], Config]:
+        """What model and transitions change of a recipe; what cannot be used is refused before a file is read."""
+        from pdr_filter import recipes
+        from pdr_filter.classifiers.model import load_model
+        from pdr_filter.classifiers.transitions import load_transitions
+
+        recipes.check_name(self.recipe)
+        model = None if self.model is None else load_model(self.model)
+        learnt = None if self.transitions is None else load_transitions(self.transitions)
+
+        def changed(config: Config) -> Config:
+            if model is not None:
+                config = recipes.with_context_model(config, model)
+            return config if learnt is None else recipes.with_transitions(config, learnt)
+
+        return changed
+
+
+@dataclass(frozen=True, slots=True)
+class Source:
+    """What a file does not say of itself."""
+
+    file_format: Format = None
+    height_m: Annotated[
+        float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m, if not recorded.")
+    ] = None
+
+    def read(self, file: Path) -> Recording:
+        """The recording, of a person of that height."""
+        import pdr_filter as pdr
+
+        recording = pdr.read(file, self.file_format)
+        return recording if self.height_m is None else recording.of_height(self.height_m)
+
+
+@dataclass(frozen=True, slots=True)
+class Output:
+    """Files that are written."""
+
+    out: Folder = None
+    origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Start in degrees: also NAME.geojson.")] = None
+    report: Annotated[bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")] = False
+    parquet: Annotated[bool, typer.Option("--parquet", help="Also NAME.parquet, or the table of many so.")] = False
+
+    @property
+    def table(self) -> Path:
+        """Of many recordings."""
+        return (self.out or Path()) / ("tracks.parquet" if self.parquet else "tracks.csv")
+
+    def check(self) -> None:
+        """ValueError for options that cannot be used, before a file is read."""
+        from pdr_filter.io.writers import pandas_for_parquet
+
+        if _origin(self.origin) is not None and self.out is None:
+            raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
+        if self.parquet:
+            if self.out is None:
+                raise ValueError("--parquet writes a file for each track, so it needs --out DIR")
+            pandas_for_parquet(self.out)
+
+    def write(self, result: Track, recording: Recording, name: str) -> None:
+        """The files of one track."""
+        if self.out is not None:
+            console.write_track(result, self.out, name)
+            start = _origin(self.origin)
+            if start is not None:
+                result.to_geojson(self.out / f"{name}.geojson", start)
+            if self.parquet:
+                result.to_parquet(self.out / f"{name}.parquet")
+        if self.report:
+            from pdr_filter.report.html import write_report
+
+            write_report(result, (self.out or Path()) / f"{name}.html", recording)
+
+
+@dataclass(frozen=True, slots=True)
+class Workers:
+    """Where many recordings are tracked."""
+
+    jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None
+    scheduler: Scheduler = None
+
+    def make_one_table(self, files: Sequence[Path]) -> bool:
+        """Whether it is one table that is asked for: workers are, or there is a folder of recordings."""
+        from pdr_filter.io.folders import recordings_in
+
+        is_asked_for = self.jobs is not None or self.scheduler is not None
+        return is_asked_for or any(f.is_dir() and recordings_in(f) != [f] for f in files)
+
+
+def track(
+    files: Files, method: Method, source: Source, output: Output, workers: Workers, as_json: AsJson = False
+) -> None:
+    """Track recordings: steps, distance, end point and contexts of each.
+
+    A folder of recordings, --jobs or --scheduler make one table, tracks.csv in the folder of --out: it grows as
+    recordings finish, and a run that was broken off goes on from it.
+    """
+    import pdr_filter as pdr
+
+    with console.one_line_errors():
+        if workers.make_one_table(files):
+            if any((method.model, method.transitions, output.origin, output.report, as_json)):
+                raise ValueError(
+                    "many recordings make one table: leave out --model, --transitions, --origin, --report and --json"
+                )
+            _track_many(files, method, source, output.table, workers)
+            return
+        output.check()
+        changes = method.changes()
+    written: set[str] = set()
+
+    def track_one(file: Path, progress: Callable[[float], None]) -> Track:
+        recording = source.read(file)
+        config = changes(pdr.recipes.for_recording(method.recipe, recording))
+        result = pdr.track(recording, config, method.weighting_name, progress=progress, calibration=method.calibration)
+        output.write(result, recording, _unused(result.name, written))
+        if as_json:
+            console.print_json(result.summary())
+            console.print_notes(result, console.stderr())
+        return result
+
+    tracks, failed = console.each(files, track_one, as_json)
+    if tracks and not as_json:
+        console.print_tracks(tracks)
+        console.say_written(output.out)
+    console.exit_if_failed(failed, len(files))
+
+
+def _track_many(files: Sequence[Path], method: Method, source: Source, table: Path, workers: Workers) -> None:
+    from pdr_filter import batch
+
+    with console.progress("tracking") as show:
+
+        def show_progress(p: batch.Progress) -> None:
+            left = "" if p.left_s is None else f", {p.left_s:.0f} s left"
+            show(p.fraction, f"{p.n_done}/{p.n}, {p.n_failed} failed{left}")
+
+        try:
+            rows = batch.track(
+                files,
+                method.recipe,
+                method.weighting_name,
+                out=table,
+                jobs=workers.jobs or 1,
+                scheduler=workers.scheduler,
+                progress=show_progress,
+                file_format=source.file_format,
+                height_m=source.height_m,
+                calibration=method.calibration,
+            )
+        except RuntimeError as error:  # a cluster that is gone
+            raise ValueError(console.message(error)) from error
+    failed = {Path(row.path): row.reason for row in rows if row.failed}
+    for path, reason in failed.items():
+        console.say_error(f"{path}: {reason}")
+    typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
+    console.exit_if_failed(failed, len(rows))
+
+
+def _origin(text: str | None) -> tuple[float, float] | None:
+    """Latitude and longitude in degrees from LAT,LON."""
+    if text is None:
+        return None
+    try:
+        lat_deg, lon_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"--origin must be LAT,LON in degrees, such as 51.4779,-0.0015, got {text!r}") from None
+    if not (-90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
+        raise ValueError(f"--origin must be LAT,LON, -90..90 and -180..180 degrees, got {text!r}; exchanged?")
+    return lat_deg, lon_deg
+
+
+def _unused(name: str, written: set[str]) -> str:
+    """The name for the files of a track: a second recording of the same name gets a number."""
+    unused = name
+    while unused in written:
+        unused = f"{name}_{len(written) + 1}"
+    written.add(unused)
+    return unused

@@ -1,0 +1,167 @@
+"""What a fix of position, heading or speed, or a standstill, does to what a filter knows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.filter.alignment import Alignment, PairedPoint, align
+from pdr_filter.filter.imm import ImmArithmetic
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
+from pdr_filter.filter.pedestrian import (
+    TRAIL_HEADING,
+    TRAIL_POSITION,
+    TRAIL_STEPS,
+    TRAIL_TIME,
+    PedestrianState,
+    in_other_frame,
+    present_position,
+    shared_cov,
+)
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.fixes import Fix, FixOutcome, HeadingFix, PositionFix, SpeedFix, Standstill
+
+MAX_STANDSTILLS = 16
+_Result = tuple[PedestrianState, FixOutcome, float]
+
+
+def use_fix(
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
+) -> tuple[PedestrianState, FixOutcome, float]:
+    """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
+
+    A fix that no filter can explain, or that is older than the remembered steps, is rejected. Where the frame of the
+    fixes is not known, the first position fixes wait until they show where the track is and which way is north.
+
+    Parameters
+    ----------
+    model, arithmetic
+        Gates and noise, and how the filters are updated.
+    state : PedestrianState
+        Of F filters.
+    offset_rad : (F,)
+        The filters' own walking heading less the heading that the body faces.
+    fix : PositionFix, HeadingFix, SpeedFix or Standstill
+    """
+    if isinstance(fix, Standstill):
+        standstills = (*state.standstills, (fix.time_s, fix.end_s))[-MAX_STANDSTILLS:]
+        return replace(state, standstills=standstills), "used", np.nan
+    if isinstance(fix, SpeedFix):
+        return _on_speed(model, arithmetic, state, fix)
+    then = _place_at(state, fix.time_s)
+    if then is None:
+        return state, "rejected", np.inf
+    if isinstance(fix, HeadingFix):
+        return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
+    if not state.frame.is_joined:
+        return _on_first_positions(state, fix, then[:2])
+    return _on_position(model, arithmetic, state, fix, then[:2])
+
+
+def _on_position(
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+) -> _Result:
+    """The fix is compared with where the track was at the fix's own time, and corrects the present by it.
+
+    An approximation: the heading's part in what was walked since is not corrected again.
+    """
+    since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
+    # what was walked since is known as well as a person's step length is
+    R = fix.cov_m2 + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
+    cov = state.cov.copy()
+    cov[:, :2, :2] += shared_cov(state)
+    updated = arithmetic.update(state.mean, cov, fix.position_m + since_m, np.eye(2, N_STATES), R)
+    state, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
+    if outcome == "used":
+        state = replace(state, shared_m=np.zeros_like(state.shared_m))
+    return state, outcome, nis
+
+
+def _on_heading(
+    model: PedestrianModel,
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    offset_rad: FloatArray,
+    fix: HeadingFix,
+    device_heading_rad: float,
+) -> _Result:
+    """Z = device heading then + heading offset + the filter's own; where no north is known yet, it defines it."""
+    if len(state.trail) == 0:
+        return state, "nothing to compare", np.nan
+    innovation = fix.walking_heading_rad - device_heading_rad - state.mean[:, HEADING_OFFSET]
+    innovation = wrap_angle(innovation - offset_rad)
+    if not (state.frame.is_joined or state.frame.knows_north):
+        angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
+        turn = Alignment(angle_rad, fix.std_rad**2, np.zeros(2), np.zeros(2), 0.0, state.n_final)
+        state = in_other_frame(state, turn)
+        return replace(state, frame=replace(state.frame, knows_north=True)), "used", np.nan
+    return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, fix.std_rad**2)
+
+
+def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
+    """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
+    if state.speed is None or state.speed.smoothed_mps <= 0:
+        return state, "nothing to compare", np.nan
+    v = state.speed.smoothed_mps
+    variance = (fix.std_mps / v) ** 2 + state.speed.level_var_m2ps2 / v**2
+    innovation = np.full(len(state.mean), np.log(fix.speed_mps / v))
+    return _on_state(model, arithmetic, state, LOG_SCALE, innovation, variance)
+
+
+def _on_state(
+    model: PedestrianModel,
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    index: int,
+    innovation: FloatArray,
+    variance: float,
+) -> _Result:
+    """State after a measurement of one of its entries, whose innovation (F,) is another one for each filter."""
+    z = state.mean[:, index] + innovation
+    H, R = np.eye(N_STATES)[[index]], np.array([[variance]])
+    each = [arithmetic.update(state.mean[[k]], state.cov[[k]], z[[k]], H, R) for k in range(len(z))]
+    mean, cov, log_likelihood, nis = (np.concatenate([result[i] for result in each]) for i in range(4))
+    return _gated(arithmetic, state, (mean, cov, log_likelihood, nis), model.scalar_gate_nis)
+
+
+def _gated(
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
+    gate_nis: float,
+) -> _Result:
+    """State after an update, or without it if no filter explains the measurement."""
+    mean, cov, log_likelihood, nis = updated
+    best_nis = float(nis.min())
+    if not best_nis <= gate_nis:
+        return state, "rejected", best_nis
+    before_m, _ = present_position(state)
+    prob = arithmetic.update_mode_prob(state.prob, log_likelihood)
+    state = replace(state, mean=mean, cov=cov, prob=prob)
+    trail = state.trail.copy()
+    trail[:, TRAIL_POSITION] += present_position(state)[0] - before_m
+    return replace(state, trail=trail), "used", best_nis
+
+
+def _on_first_positions(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> _Result:
+    """State with one more fix to align with, or aligned."""
+    pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)))
+    frame = state.frame.with_pair(pair)
+    alignment = align(frame.pairs, state.n_final)
+    if alignment is None:
+        return replace(state, frame=frame), "waiting", np.nan
+    state = in_other_frame(state, alignment)
+    return replace(state, frame=replace(frame, is_joined=True, pairs=(), alignment=alignment)), "used", np.nan
+
+
+def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
+    """East, north and device heading (3,) at a time; None if the time is no longer remembered."""
+    trail = state.trail
+    if len(trail) == 0:
+        return np.zeros(3)
+    if time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS:
+        return None
+    return np.array([np.interp(time_s, trail[:, TRAIL_TIME], trail[:, k]) for k in range(1, TRAIL_HEADING + 1)])

@@ -1,0 +1,158 @@
+"""Steps and context windows in, track rows out: one Kalman filter for each mode, mixed by probability."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.filter.fixes import use_fix
+from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, bound_heading_variance, linearise
+from pdr_filter.filter.pedestrian import (
+    PedestrianState,
+    StepUpdate,
+    Walked,
+    elapsed_s,
+    initial_state,
+    is_known_to_stand,
+    learned_heading,
+    position_cov,
+    shared_cov,
+    with_first_heading,
+    with_gap,
+    with_step,
+)
+from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
+from pdr_filter.filter.tracker import Passage, TrackerOutput
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.fixes import Fix, FixOutcome
+from pdr_filter.values.step import Step
+
+# Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
+# of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
+_STANDSTILL_LOG_EVIDENCE = 12.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ImmState:
+    """Estimates of all modes, and the windows that are their evidence."""
+
+    pedestrian: PedestrianState
+    windows: RecentWindows
+    used: WindowContext | None  # the last one that was used as evidence
+    n_unused: int  # windows since that one, gaps not counted
+
+
+@dataclass(frozen=True, eq=False)
+class ImmTracker:
+    """The interacting multiple model over the modes of a model; each step is reported once, when it is known.
+
+    Parameters
+    ----------
+    model : PedestrianModel
+        Modes, transitions, noise, evidence.
+    arithmetic : ImmArithmetic
+        `NumpyImm()`, or `imm_filterpy.FilterpyImm()`: the same track from filterpy's classes, many times slower.
+    """
+
+    model: PedestrianModel
+    arithmetic: ImmArithmetic = field(default_factory=NumpyImm)
+
+    weighting = "imm"
+    # A step is final when it is known: windows that come later are evidence for later steps.
+    waits_for_windows = 0
+
+    def init(self) -> ImmState:
+        """State at the origin; modes as probable as the transitions make them in the long run."""
+        return ImmState(initial_state(self.model, self.model.long_run_mode_prob), (), None, 0)
+
+    def on_window(self, state: ImmState, window: WindowContext) -> tuple[ImmState, TrackerOutput]:
+        """New state; a window makes no step known."""
+        windows = with_window(state.windows, window)
+        n_unused = state.n_unused + (windows is not state.windows)
+        return replace(state, windows=windows, n_unused=n_unused), TrackerOutput()
+
+    def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, TrackerOutput]:
+        """New state and the update of this step: mix, predict every mode, weigh by evidence, combine."""
+        model, imm = self.model, self.arithmetic
+        pedestrian = with_first_heading(state.pedestrian, step)
+        known, known_cov = learned_heading(pedestrian, step)
+        mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
+        length_m, var_m2, parameter_std_m = model.lengths(step)
+        mean, F, Q = linearise(
+            mixed, step, length_m, model.residual_var_m2, model.directions, model.noise, elapsed_s(pedestrian, step)
+        )
+        cov = bound_heading_variance(F @ mixed_cov @ F.transpose(0, 2, 1) + Q)
+        window = window_before(state.windows, step.time_s)
+        n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
+        is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
+        evidence = model.step_log_odds_stationary * model.stands
+        if window is not None and is_new:
+            evidence = evidence + model.evidence.of(window, state.used, state.n_unused - n_later)
+        if is_known_to_stand(pedestrian, step):
+            evidence = evidence - _STANDSTILL_LOG_EVIDENCE * model.moves
+        prob = imm.update_mode_prob(prob, evidence)
+        x, P = imm.combine(mean, cov, prob)
+        # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
+        scale = np.exp(mixed[:, LOG_SCALE])  # the person's at this step, before it is forgotten a little
+        walked = Walked(
+            length_m=float(prob @ (length_m * scale)),
+            length_var_m2=max(float(prob @ (var_m2 + length_m**2)) - float(prob @ length_m) ** 2, 0.0),
+            heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET] + model.mean_heading_offset_rad(prob)),
+            parameter_std_m=prob * parameter_std_m * scale,
+            own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
+        )
+        after = with_step(replace(pedestrian, mean=mean, cov=cov, prob=prob), step, walked, (x, P))
+        assert after.speed is not None
+        update = StepUpdate(
+            index=pedestrian.n_final,
+            step=step,
+            is_final=True,
+            position_m=read_only(x[:2]),
+            position_cov_m2=position_cov(P, after),
+            step_length_m=walked.length_m,
+            walking_heading_rad=walked.heading_rad,
+            speed=after.speed,
+            context_prob=read_only(window.prob if window else self._latest_context(state, prob)),
+            mode_prob=read_only(prob),
+            gap_before_s=pedestrian.gap_s,
+        )
+        passage = Passage(
+            ModeEstimates(known, known_cov, pedestrian.prob),
+            Transition(model.transition_prob, mixed, mean, F, Q),
+            shared_cov(after),
+            is_step=True,
+        )
+        state = replace(state, pedestrian=after)
+        if is_new:
+            state = replace(state, used=window, n_unused=n_later)
+        return state, TrackerOutput((update,), (passage,))
+
+    def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, TrackerOutput]:
+        """New state after a time without samples: windows start afresh, positions and headings are less known."""
+        before = state.pedestrian
+        after = with_gap(before, gap_s, self.model.noise)
+        stay = np.broadcast_to(np.eye(before.mean.shape[1]), before.cov.shape)
+        passage = Passage(
+            ModeEstimates(before.mean, before.cov, before.prob),
+            Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, after.cov - before.cov),
+            shared_cov(after),
+            is_step=False,
+        )
+        return replace(state, pedestrian=after, windows=()), TrackerOutput(passages=(passage,))
+
+    def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
+        """New state after a fix, what became of it, and its normalised innovation squared; see `fixes.use_fix`."""
+        offset_rad = self.model.directions.heading_offset_rad
+        pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
+        return replace(state, pedestrian=pedestrian), outcome, nis
+
+    def finish(self, state: ImmState) -> tuple[ImmState, TrackerOutput]:
+        """New state when no further window will come: no step waits."""
+        return state, TrackerOutput()
+
+    def _latest_context(self, state: ImmState, mode_prob: FloatArray) -> FloatArray:
+        return state.windows[-1].prob if state.windows else self.model.context_prob(mode_prob)

@@ -1,0 +1,159 @@
+"""What a filter believes of pedestrians: modes, how one follows another, noise, evidence, and which fixes it takes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.filter import imm
+from pdr_filter.filter.alignment import START_FRAME, Frame
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise
+from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.filter.weighting import ModeEvidence
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.step import Step
+
+
+@dataclass(frozen=True, eq=False)
+class PedestrianModel:
+    """Modes with their transitions, noise and evidence; what both trackers filter with.
+
+    Parameters
+    ----------
+    modes : tuple of Mode
+        Motion models; `WeightedTracker` needs exactly one for each context.
+    transition_prob : (M, M)
+        Probability from mode i to mode j between two steps; rows sum to one.
+    evidence_exponent : float
+        Tempering of the evidence of one window. Hop over window length (0.5) would let no second of overlapping windows
+        count twice; with 1 the mode probabilities of people left out are nearer to the truth (docs/benchmarks.md).
+    prior_exponent : float
+        How far the classifier's training prior is divided out. With all of it other people's flat walking is classified
+        as stairs, with none of it their stairs as walking (docs/benchmarks.md).
+    evidence_floor : float
+        Probability below which a context is not pushed by one window.
+    step_log_odds_stationary : float
+        Log evidence of a detected step for a mode that stands still against one that moves. Handling a phone makes
+        about 16 false detections a minute, walking 110 true ones: log(16 / 110).
+    noise : MotionNoise
+        Of the slow states.
+    fix_gate_nis : float
+        Fixes with a larger normalised innovation squared in every mode are rejected: chi-square with two degrees
+        of freedom keeps 99.9 % of good ones below 13.8.
+    scalar_gate_nis : float
+        The same for headings and speeds, one degree of freedom.
+    frame : Frame
+        Where fixes are: `START_FRAME`, that of the track, which starts at the origin; or `UNKNOWN_FRAME`, another one
+        whose origin and north are not known to the track before some fixes have shown them.
+    """
+
+    modes: tuple[Mode, ...]
+    transition_prob: FloatArray
+    evidence_exponent: float = 1.0
+    prior_exponent: float = 0.2
+    evidence_floor: float = 0.01
+    step_log_odds_stationary: float = -1.9
+    noise: MotionNoise = field(default_factory=MotionNoise)
+    fix_gate_nis: float = 13.8
+    scalar_gate_nis: float = 10.8
+    frame: Frame = START_FRAME
+
+    def __post_init__(self) -> None:
+        if not self.modes:
+            raise ValueError("modes must hold one mode at least, got none")
+        for name in ("evidence_exponent", "prior_exponent", "fix_gate_nis", "scalar_gate_nis"):
+            if not getattr(self, name) >= 0:
+                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
+        if not 0 <= self.evidence_floor < 1:
+            raise ValueError(f"evidence_floor must be at least 0 and below 1, got {self.evidence_floor}")
+        if not np.isfinite(self.step_log_odds_stationary):
+            raise ValueError(f"step_log_odds_stationary must be finite, got {self.step_log_odds_stationary}")
+        names = [m.name for m in self.modes]
+        if len(set(names)) < len(names):
+            raise ValueError(f"mode names must be distinct, got {names}")
+        imm.check_transition_prob(self.transition_prob, len(self.modes))
+
+    def check_one_mode_for_each_context(self) -> None:
+        """ValueError unless the modes are the contexts, each once."""
+        contexts = [m.context for m in self.modes]
+        if sorted(contexts) != sorted(CONTEXTS):
+            raise ValueError(
+                f'weightings "hc" and "wc" need exactly one mode for each of {CONTEXTS}, got {contexts}; '
+                'use weighting="imm" for other modes'
+            )
+
+    @cached_property
+    def directions(self) -> Directions:
+        """Of all modes."""
+        return Directions.of(self.modes)
+
+    @cached_property
+    def moves(self) -> FloatArray:
+        """1 for the modes in which a step leads somewhere, (M,)."""
+        return np.array([float(m.moves) for m in self.modes])
+
+    @cached_property
+    def stands(self) -> FloatArray:
+        """1 for the stationary modes, (M,): without irregular ones, which have steps as often as walking has."""
+        return np.array([float(m.context == "stationary") for m in self.modes])
+
+    @cached_property
+    def context_index(self) -> list[int]:
+        """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
+        return [CONTEXTS.index(m.context) for m in self.modes]
+
+    @cached_property
+    def residual_var_m2(self) -> FloatArray:
+        """Variance of the length of a step of each mode about its model, (M,)."""
+        return np.array([m.step_length.residual_std_m**2 for m in self.modes])
+
+    @cached_property
+    def evidence(self) -> ModeEvidence:
+        """What windows say for the modes."""
+        return ModeEvidence(
+            tuple(m.context for m in self.modes),
+            tuple(m.carrying_mode for m in self.modes),
+            self.evidence_exponent,
+            self.prior_exponent,
+            self.evidence_floor,
+        )
+
+    @cached_property
+    def _lengths(self) -> StepLengths:
+        return StepLengths(tuple(m.step_length for m in self.modes))
+
+    @cached_property
+    def _offset_vectors(self) -> FloatArray:
+        offset_rad = self.directions.heading_offset_rad
+        return np.column_stack([np.sin(offset_rad), np.cos(offset_rad)])
+
+    @cached_property
+    def long_run_mode_prob(self) -> FloatArray:
+        """Mode probabilities (M,) to which the transitions lead, from an even start.
+
+        From an even start because a chain that cannot mix keeps what it started with.
+        """
+        return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
+
+    def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """Lengths, their variances, and the standard deviations due to the parameters alone, (M,) each.
+
+        Modes that move nobody have length zero.
+        """
+        length_m, var_m2 = self._lengths.predict(step)
+        parameter_var_m2 = self.moves * np.maximum(var_m2 - self.residual_var_m2, 0.0)
+        return self.moves * length_m, self.residual_var_m2 + parameter_var_m2, np.sqrt(parameter_var_m2)
+
+    def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
+        """The modes' own heading offset, averaged as vectors."""
+        sine, cosine = mode_prob @ self._offset_vectors
+        return float(np.arctan2(sine, cosine)) if sine * sine + cosine * cosine > 1e-18 else 0.0
+
+    def context_prob(self, mode_prob: FloatArray) -> FloatArray:
+        """Context probabilities (C,) that mode probabilities imply: summed over the modes of each context."""
+        prob = [sum(p for m, p in zip(self.modes, mode_prob, strict=True) if m.context == c) for c in CONTEXTS]
+        total = sum(prob)  # less than one beside irregular modes
+        return np.array(prob) / total if total > 0 else np.full(len(CONTEXTS), 1 / len(CONTEXTS))

@@ -1,0 +1,209 @@
+"""What a filter knows of a pedestrian, and how steps, gaps and a change of frame alter it: shared by both trackers."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.filter import imm
+from pdr_filter.filter.alignment import Alignment, Frame, moved
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.motion import (
+    EAST,
+    HEADING_OFFSET,
+    LOG_SCALE,
+    NORTH,
+    MotionNoise,
+    expect_first_direction,
+    grow_over_gap,
+    initial_estimate,
+    learn_heading,
+    second_order_errors,
+)
+from pdr_filter.filter.speed import WalkingSpeed, after_step
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.step import Step
+
+# Final steps that are remembered for late fixes: half a minute of walking.
+TRAIL_STEPS = 64
+# Columns of the trail.
+TRAIL_TIME, TRAIL_HEADING = 0, 3
+TRAIL_POSITION = slice(1, 3)
+# Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
+_ALONG, _ACROSS, _PARAMETERS = 0, 1, slice(2, None)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StepUpdate:
+    """The track after one step.
+
+    With `hc` and `wc` a step is first reported provisionally and again, with the same `index`, when the context window
+    that follows it is known; `imm` reports each step once.
+    """
+
+    index: int  # number of the step in the track, from 0
+    step: Step
+    is_final: bool
+    position_m: FloatArray  # (2,) east, north
+    position_cov_m2: FloatArray  # (2, 2)
+    step_length_m: float
+    walking_heading_rad: float  # clockwise, not wrapped
+    speed: WalkingSpeed
+    context_prob: FloatArray  # (C,)
+    mode_prob: FloatArray  # (M,)
+    gap_before_s: float  # time without samples since the step before
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PedestrianState:
+    """Estimates of F filters (one for each mode with `imm`, one alone with `hc` and `wc`) and what goes with them."""
+
+    mean: FloatArray  # (F, 4)
+    cov: FloatArray  # (F, 4, 4)
+    prob: FloatArray  # (F,) of each filter
+    shared_m: FloatArray  # (2 + M, 2) sums of the errors that steps share and no state has, see `with_step`
+    last_step_s: float  # contact of the last final step; NaN before the first
+    gap_s: float  # time without samples since then
+    speed: WalkingSpeed | None  # after the last final step; None before the first of a segment
+    first_heading_rad: float  # heading offset that counts as zero: the first that was known
+    first_heading_s: float  # contact of the step that it was known from; infinite before
+    trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
+    frame: Frame  # whether positions are in the frame of the fixes yet
+    standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
+    n_final: int  # steps
+
+
+def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
+    """State at the origin, of as many filters as probabilities (F,) are given."""
+    mean, cov = initial_estimate(model.noise)
+    return PedestrianState(
+        mean=np.tile(mean, (len(prob), 1)),
+        cov=np.tile(cov, (len(prob), 1, 1)),
+        prob=prob,
+        shared_m=np.zeros((2 + len(model.modes), 2)),
+        last_step_s=np.nan,
+        gap_s=0.0,
+        speed=None,
+        first_heading_rad=0.0,
+        first_heading_s=np.inf,
+        trail=np.empty((0, 4)),
+        frame=model.frame,
+        standstills=(),
+        n_final=0,
+    )
+
+
+def with_first_heading(state: PedestrianState, step: Step) -> PedestrianState:
+    """State whose frame has the first walking heading that samples show as its zero, if it has none yet."""
+    if not (np.isinf(state.first_heading_s) and np.isfinite(step.walking_direction_std_rad)):
+        return state
+    first_rad = float(wrap_angle(step.walking_direction_rad - step.device_heading_rad))
+    cov = expect_first_direction(state.cov, step.walking_direction_std_rad)
+    return replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s, cov=cov)
+
+
+def learned_heading(state: PedestrianState, step: Step) -> tuple[FloatArray, FloatArray]:
+    """Means and covariances with the walking heading of a step; that of the first one is in the frame already."""
+    if step.time_s <= state.first_heading_s:
+        step = replace(step, walking_direction_std_rad=np.inf)
+    return learn_heading(state.mean, state.cov, step, state.first_heading_rad)
+
+
+def elapsed_s(state: PedestrianState, step: Step) -> float:
+    """Time since the step before, or the step's own duration for the first of a segment."""
+    return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
+
+
+def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
+    """Whether the person is known to have stood at a step's contact."""
+    return any(begin_s <= step.time_s <= end_s for begin_s, end_s in state.standstills)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Walked:
+    """One step as a tracker weighted it."""
+
+    length_m: float
+    length_var_m2: float  # without the person's scale
+    heading_rad: float
+    parameter_std_m: FloatArray  # (M,) due to the parameters of each mode's length model, weighted by its probability
+    own_heading_rad: FloatArray  # (M,) in which each mode walked
+
+
+def with_step(
+    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray]
+) -> PedestrianState:
+    """State whose means and covariances have the step already, with all else that a step changes.
+
+    `combined` is the combined mean (4,) and covariance (4, 4) after the step. The errors that all steps share add up as
+    vectors, not as variances (`shared_m`): what the linear covariance does not know along and across the step, of
+    length and direction given (`motion.second_order_errors`); and for each mode the error due to the parameters of its
+    length model, in the mode's own direction. The parameters are off once for a person: drawn again at each step, as if
+    they were noise, a run of 300 steps would be ten times too sure.
+    """
+    x, P = combined
+    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
+    sine, cosine = np.sin(walked.heading_rad), np.cos(walked.heading_rad)
+    shared_m = state.shared_m.copy()
+    shared_m[_ALONG] += walked.length_m * along * np.array([sine, cosine])
+    shared_m[_ACROSS] += walked.length_m * across * np.array([cosine, -sine])
+    own = np.column_stack([np.sin(walked.own_heading_rad), np.cos(walked.own_heading_rad)])
+    shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * own
+    # a pause before the step starts the smoothed speed afresh
+    is_pause = np.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
+    before = None if is_pause else state.speed
+    log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
+    place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
+    return replace(
+        state,
+        shared_m=shared_m,
+        speed=after_step(before, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var),
+        last_step_s=step.time_s,
+        gap_s=0.0,
+        trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],
+        n_final=state.n_final + 1,
+    )
+
+
+def with_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
+    """State after a time without samples: positions and headings are less known.
+
+    The gap's own growth stands for the time since the last step.
+    """
+    cov = grow_over_gap(state.cov, gap_s, noise)
+    return replace(state, cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
+
+
+def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
+    """State in another frame."""
+    mean, cov = moved(state.mean, state.cov, alignment)
+    trail = state.trail.copy()
+    trail[:, TRAIL_POSITION] = alignment.positions(state.trail[:, TRAIL_POSITION])
+    return replace(
+        state,
+        mean=mean,
+        cov=cov,
+        trail=trail,
+        first_heading_rad=state.first_heading_rad - alignment.angle_rad,
+        shared_m=state.shared_m @ alignment.rotation.T,
+        frame=state.frame.moved(alignment),
+    )
+
+
+def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
+    """Position (2,) and covariance (2, 2) of the final estimate."""
+    x, P = imm.combine(state.mean, state.cov, state.prob)
+    return x[[EAST, NORTH]], position_cov(P, state)
+
+
+def position_cov(P: FloatArray, state: PedestrianState) -> FloatArray:
+    """Covariance (2, 2) of a position with linear covariance P (4, 4) and the errors that all steps share."""
+    cov = P[:2, :2] + shared_cov(state)
+    return read_only(0.5 * (cov + cov.T))
+
+
+def shared_cov(state: PedestrianState) -> FloatArray:
+    """What the errors that all steps share add to the position's covariance, (2, 2)."""
+    return state.shared_m.T @ state.shared_m

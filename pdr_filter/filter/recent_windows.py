@@ -1,0 +1,34 @@
+"""The last context windows, as a tracker remembers them, and which of them belongs to a step."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_filter.sensing.contexts.stage import WindowContext
+
+# A gate may hold the first steps of a bout for some seconds.
+WINDOW_MEMORY_S = 12.0
+
+RecentWindows = tuple[WindowContext, ...]  # of one segment, oldest first
+
+
+def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
+    """The windows with one more; one whose probabilities are not numbers says nothing and is left out."""
+    if not np.isfinite(window.prob).all():
+        return windows
+    return (*(w for w in windows if w.time_s > window.time_s - WINDOW_MEMORY_S), window)
+
+
+def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
+    """The last window whose middle is not after a time: later ones belong to later steps."""
+    return next((w for w in reversed(windows) if w.middle_s <= time_s), None)
+
+
+def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None:
+    """The first window that ends at or after a time, if it is known: the one in which the time is new."""
+    return next((w for w in windows if w.time_s >= time_s), None)
+
+
+def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
+    """The first window whose middle is at or after a time, if it is known: the last word on that time."""
+    return next((w for w in windows if w.middle_s >= time_s), None)

@@ -1,0 +1,84 @@
+"""The interface of a tracker: steps, context windows, gaps and fixes in, track rows out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from pdr_filter.filter.imm import ModeEstimates, Transition
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.fixes import Fix, FixOutcome
+from pdr_filter.values.step import Step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Passage:
+    """How one step or gap led the modes on: what a smoother needs."""
+
+    before: ModeEstimates  # with all that is known until then, the walking heading of the step included
+    transition: Transition
+    shared_cov_m2: FloatArray  # (2, 2) after it, of the errors that all steps share
+    is_step: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class TrackerOutput:
+    """What one event brought."""
+
+    updates: tuple[StepUpdate, ...] = ()
+    passages: tuple[Passage, ...] = ()
+
+
+class TrackerState(Protocol):
+    """What every tracker's state has."""
+
+    @property
+    def pedestrian(self) -> PedestrianState:
+        """Estimates after the last final step."""
+        ...
+
+
+class Tracker(Protocol):
+    """One pure function for each kind of event; the state is the tracker's own."""
+
+    @property
+    def model(self) -> PedestrianModel:
+        """Modes, transitions, noise and evidence."""
+        ...
+
+    @property
+    def weighting(self) -> str:
+        """Its short name: "imm", "wc" or "hc"."""
+        ...
+
+    @property
+    def waits_for_windows(self) -> int:
+        """How many windows must follow before a step is final."""
+        ...
+
+    def init(self) -> Any:
+        """State at the origin."""
+        ...
+
+    def on_window(self, state: Any, window: WindowContext) -> tuple[Any, TrackerOutput]:
+        """New state after a context window, and the steps that it made final."""
+        ...
+
+    def on_step(self, state: Any, step: Step) -> tuple[Any, TrackerOutput]:
+        """New state after a step, and the updates of this one and of those that it made final."""
+        ...
+
+    def on_gap(self, state: Any, gap_s: float) -> tuple[Any, TrackerOutput]:
+        """New state after a time without samples."""
+        ...
+
+    def on_fix(self, state: Any, fix: Fix) -> tuple[Any, FixOutcome, float]:
+        """New state after a fix, what became of it, and its normalised innovation squared."""
+        ...
+
+    def finish(self, state: Any) -> tuple[Any, TrackerOutput]:
+        """New state when nothing more will come."""
+        ...

@@ -1,0 +1,198 @@
+"""Steps and context windows in, track rows out: one filter whose step length weighs those of the contexts.
+
+The step length is the highest context's or the probability-weighted one, each step weighted by the two windows that
+contain it: the provisional and the final distance of Martinelli et al. 2018, Algorithms 1 and 2.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.filter.fixes import use_fix
+from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, bound_heading_variance, linearise
+from pdr_filter.filter.pedestrian import (
+    PedestrianState,
+    StepUpdate,
+    Walked,
+    elapsed_s,
+    initial_state,
+    is_known_to_stand,
+    learned_heading,
+    position_cov,
+    shared_cov,
+    with_first_heading,
+    with_gap,
+    with_step,
+)
+from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, window_after, window_around, with_window
+from pdr_filter.filter.tracker import Passage, TrackerOutput
+from pdr_filter.filter.weighting import HC, context_weights
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.fixes import Fix, FixOutcome
+from pdr_filter.values.step import Step
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WeightedState:
+    """The estimate after the last final step, and the steps that wait for their windows."""
+
+    pedestrian: PedestrianState
+    windows: RecentWindows
+    mode_prob: FloatArray  # (M,) weights of the last final step
+    pending: tuple[Step, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class WeightedTracker:
+    """One filter over the weighted step lengths of the contexts: highest or weighted context.
+
+    Parameters
+    ----------
+    model : PedestrianModel
+        With exactly one mode for each context.
+    threshold : float
+        Second-highest over highest probability from which contexts are weighted (Algorithm 2: 0.8); `weighting.HC`
+        (infinity) takes the highest without exception.
+    """
+
+    model: PedestrianModel
+    threshold: float = 0.8
+
+    # A step is final when the window is known whose middle is at or after its contact.
+    waits_for_windows = 2
+
+    def __post_init__(self) -> None:
+        if not self.threshold >= 0:
+            raise ValueError(f"threshold must be 0 or more, got {self.threshold}")
+        self.model.check_one_mode_for_each_context()
+
+    @property
+    def weighting(self) -> str:
+        """Its short name: "hc" or "wc"."""
+        return "hc" if self.threshold == HC else "wc"
+
+    def init(self) -> WeightedState:
+        """State at the origin."""
+        return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
+
+    def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, TrackerOutput]:
+        """New state, and the steps that this window made final."""
+        return self._settle(replace(state, windows=with_window(state.windows, window)), force=False)
+
+    def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, TrackerOutput]:
+        """New state, the steps that became final, and this one with what is known of it now."""
+        pedestrian = with_first_heading(state.pedestrian, step)
+        state = replace(state, pedestrian=pedestrian, pending=(*state.pending, step))
+        state, final = self._settle(state, force=False)
+        ahead, provisional = state, final.updates
+        while ahead.pending:
+            ahead, update, _ = self._weighted_step(ahead, is_final=False)
+            provisional = (*final.updates, update)
+        return state, replace(final, updates=provisional)
+
+    def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, TrackerOutput]:
+        """New state after a time without samples: waiting steps are final, windows start afresh."""
+        state, output = self._settle(state, force=True)
+        before = state.pedestrian
+        after = with_gap(before, gap_s, self.model.noise)
+        passage = Passage(
+            ModeEstimates(before.mean, before.cov, before.prob),
+            Transition(np.ones((1, 1)), before.mean, before.mean, np.eye(4)[None], after.cov - before.cov),
+            shared_cov(after),
+            is_step=False,
+        )
+        state = replace(state, pedestrian=after, windows=())
+        return state, replace(output, passages=(*output.passages, passage))
+
+    def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
+        """New state after a fix, what became of it, and its normalised innovation squared; see `fixes.use_fix`."""
+        pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
+        return replace(state, pedestrian=pedestrian), outcome, nis
+
+    def finish(self, state: WeightedState) -> tuple[WeightedState, TrackerOutput]:
+        """New state with every waiting step final: no further window will come."""
+        return self._settle(state, force=True)
+
+    def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, TrackerOutput]:
+        """Make steps final, in order, whose last window is known (or all, if no further window will come)."""
+        output = TrackerOutput()
+        while state.pending:
+            step = state.pending[0]
+            # where windows do not come, steps wait no longer than windows are remembered
+            waits = state.pending[-1].time_s - step.time_s <= WINDOW_MEMORY_S
+            if window_after(state.windows, step.time_s) is None and waits and not force:
+                break
+            state, update, passage = self._weighted_step(state, is_final=True)
+            output = TrackerOutput((*output.updates, update), (*output.passages, passage))
+        return state, output
+
+    def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate, Passage]:
+        """The first waiting step with the mean of its provisional and final weights: (d + pd) / 2 of the algorithms."""
+        model, step = self.model, state.pending[0]
+        provisional = self._prob_of(state, window_around(state.windows, step.time_s))
+        final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
+        weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
+        weights = weights[model.context_index]
+        before = state.pedestrian
+        if is_known_to_stand(before, step):
+            weights = 1.0 - model.moves
+        length_m, var_m2, parameter_std_m = model.lengths(step)
+        mean_length_m = float(weights @ length_m)
+        mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
+        own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
+        directions = model.directions.weighted(weights)
+        known, known_cov = learned_heading(before, step)
+        mean, F, Q = linearise(
+            known,
+            step,
+            np.array([mean_length_m]),
+            np.array([own_var_m2]),
+            directions,
+            model.noise,
+            elapsed_s(before, step),
+        )
+        cov = bound_heading_variance(F @ known_cov @ F.swapaxes(-1, -2) + Q)
+        scale = float(np.exp(known[0, LOG_SCALE]))
+        heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
+        walked = Walked(
+            length_m=mean_length_m * scale,
+            length_var_m2=mixture_var_m2,
+            heading_rad=heading_rad,
+            parameter_std_m=weights * parameter_std_m * scale,
+            own_heading_rad=np.full(len(model.modes), heading_rad),
+        )
+        after = with_step(replace(before, mean=mean, cov=cov), step, walked, (mean[0], cov[0]))
+        assert after.speed is not None
+        update = StepUpdate(
+            index=before.n_final,
+            step=step,
+            is_final=is_final,
+            position_m=read_only(mean[0, :2]),
+            position_cov_m2=position_cov(cov[0], after),
+            step_length_m=walked.length_m,
+            walking_heading_rad=heading_rad,
+            speed=after.speed,
+            context_prob=read_only(0.5 * (provisional + final)),
+            mode_prob=read_only(weights),
+            gap_before_s=before.gap_s,
+        )
+        passage = Passage(
+            ModeEstimates(known, known_cov, before.prob),
+            Transition(np.ones((1, 1)), known, mean, F, Q),
+            shared_cov(after),
+            is_step=True,
+        )
+        mode_prob = weights if is_final else state.mode_prob
+        state = replace(state, pedestrian=after, pending=state.pending[1:], mode_prob=mode_prob)
+        return state, update, passage
+
+    def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
+        """Context probabilities (C,) of a window; without it of the latest; else those so far."""
+        if window is None and not state.windows:
+            return self.model.context_prob(state.mode_prob)
+        return (window or state.windows[-1]).prob

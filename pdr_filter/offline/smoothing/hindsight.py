@@ -1,0 +1,95 @@
+"""The track of a whole recording in hindsight: the filter forwards, the IMM smoother backwards."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.config import Config
+from pdr_filter.filter import imm
+from pdr_filter.filter.imm import ModeEstimates
+from pdr_filter.filter.tracker import Passage
+from pdr_filter.filtering import Output, State
+from pdr_filter.io.recording import Recording
+from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
+from pdr_filter.recording_run import collected, default_config, outputs
+from pdr_filter.tracks import Track
+from pdr_filter.values.angles import wrap_angle
+from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.fixes import Fix
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hindsight:
+    """A track whose rows have what the whole recording says of their steps, and the states behind it."""
+
+    track: Track
+    mean: FloatArray  # (K, 4) after each step, see `pdr_filter.filter.motion`
+    cov: FloatArray  # (K, 4, 4)
+
+
+def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Hindsight:
+    """The track of `pdr_filter.track`, every row with what the whole recording says of its step.
+
+    Positions, covariances and mode probabilities are smoothed; step lengths and headings are those between smoothed
+    positions. To the smoothed covariance comes what all steps since the last fix share (`PedestrianState.shared_m`), as
+    the filter knew it: a fix that comes later would make that smaller, so that before a fix it is on the safe side.
+
+    Parameters
+    ----------
+    recording : Recording
+        From `read`.
+    config : Config, optional
+        A recipe; the default recipe if not given. With the weightings "hc" and "wc", one filter, this is the
+        Rauch-Tung-Striebel smoother, and mode probabilities stay as they are.
+    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
+        In the frame of the track. A late one is used when it came, as by the filter.
+    """
+    config = config or default_config(recording)
+    if not config.model.frame.is_joined:
+        raise ValueError(
+            "hindsight by the IMM smoother works in the frame of the start, got a configuration in the world frame: "
+            "pdr_filter.smooth takes fixes in any frame"
+        )
+    passages: list[Passage] = []
+    last: list[ModeEstimates] = []
+
+    def kept() -> Iterator[tuple[State, Output]]:
+        for state, output in outputs(recording, config, fixes):
+            passages.extend(output.passages)
+            known = state.tracker.pedestrian
+            last[:] = [ModeEstimates(known.mean, known.cov, known.prob)]
+            yield state, output
+
+    track = collected(recording, config, kept())
+    if track.n_steps == 0:
+        return Hindsight(track, np.zeros((0, 4)), np.zeros((0, 4, 4)))
+    smoothed = smooth_imm([*(p.before for p in passages), *last], [p.transition for p in passages])
+    return _with_hindsight(track, smoothed, passages)
+
+
+def _with_hindsight(track: Track, smoothed: Sequence[ModeEstimates], passages: Sequence[Passage]) -> Hindsight:
+    combined = [imm.combine(e.mean, e.cov, e.mode_prob) for e in smoothed]
+    mean, cov = np.stack([x for x, _ in combined]), np.stack([P for _, P in combined])
+    is_step = np.array([p.is_step for p in passages])
+    shared_cov_m2 = np.stack([p.shared_cov_m2 for p in passages])[is_step]
+    position = mean[:, :2]
+    after = 1 + np.flatnonzero(is_step)  # the estimate after each step; the one before it is where the step began
+    displacement = position[after] - position[after - 1]
+    length = np.hypot(*displacement.T)
+    # a step that led nowhere has no direction of its own
+    heading = np.where(length > 0.01, np.arctan2(displacement[:, 0], displacement[:, 1]), track.walking_heading_rad)
+    has_modes = len(smoothed[0].mode_prob) == track.mode_prob.shape[1]
+    mode_prob = np.stack([e.mode_prob for e in smoothed])[after] if has_modes else track.mode_prob
+    track = replace(
+        track,
+        position_m=read_only(position[after] - position[0]),
+        position_cov_m2=read_only(cov[after, :2, :2] + shared_cov_m2),
+        step_length_m=read_only(length),
+        walking_heading_rad=read_only(wrap_angle(heading)),
+        step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
+        mode_prob=read_only(mode_prob),
+    )
+    return Hindsight(track, read_only(mean[after]), read_only(cov[after]))

@@ -1,0 +1,29 @@
+"""The colours that all pictures share: figures, pages, those of the documentation and of the studies.
+
+Those of the contexts were chosen by search over the usual colour-blind safe palettes: any two differ by 18 or more in
+CIE Lab for normal sight and for the three dichromacies.
+"""
+
+from __future__ import annotations
+
+from pdr_filter.values.contexts import CONTEXTS
+
+GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = (
+    "#D0D0D0",
+    "#0072B2",
+    "#CC6600",
+    "#44AA99",
+    "#EECC66",
+    "#882255",
+)
+INK = "#222222"  # words, outlines, the truth
+FAINT = "#777777"  # remarks, what others are compared with
+GRID = "#E6E6E6"
+WRONG = "#AA0000"  # what was rejected, what is odd
+ELLIPSE = "#556677"  # outline and fill, with these opacities
+ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
+
+
+def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:
+    """Colour of each context, as #rrggbb."""
+    return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(contexts)}

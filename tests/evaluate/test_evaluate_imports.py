@@ -1,0 +1,34 @@
+"""Metrics are functions on arrays: what runs the filter for a comparison is in one module."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+import pytest
+
+import pdr_filter
+
+PACKAGE = Path(pdr_filter.__file__).resolve().parent
+
+
+def rooms_of(path: Path) -> set[str]:
+    """Rooms of the package that a module imports from, in functions too."""
+    modules = [n.module or "" for n in ast.walk(ast.parse(path.read_text())) if isinstance(n, ast.ImportFrom)]
+    return {module.split(".")[1] for module in modules if module.startswith("pdr_filter.")}
+
+
+@pytest.mark.parametrize(
+    ("room", "below", "apart"),
+    [
+        ("evaluate", {"values", "io", "classifiers"}, {"runs.py", "__init__.py"}),
+        ("simulate", {"values", "io"}, set()),
+        ("report", {"values", "io"}, set()),
+    ],
+)
+def test_a_room_imports_only_from_the_rooms_below_that_it_needs(room: str, below: set[str], apart: set[str]) -> None:
+    paths = {path.name: path for path in (PACKAGE / room).glob("*.py")}
+    assert len(paths) > len(apart) + 3
+    assert {name: found for name, path in paths.items() if (found := rooms_of(path) - below - {room})}.keys() == (
+        apart - {"__init__.py"}
+    )

@@ -1,0 +1,110 @@
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.offline.smoothing.hindsight import in_hindsight
+from pdr_filter.simulate import Leg, demo_walk, simulate
+from pdr_filter.values.fixes import PositionFix
+
+
+def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
+    """A noisy fix every ten seconds."""
+    truth = walk.truth.position
+    assert truth is not None
+    rng = np.random.default_rng(seed)
+    times = np.arange(10.0, float(truth.time_s[-1]), 10.0)
+    places = np.column_stack([np.interp(times, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
+    noise = rng.normal(scale=std_m, size=places.shape)
+    return [PositionFix(float(t), p, std_m**2 * np.eye(2)) for t, p in zip(times, places + noise, strict=True)]
+
+
+def errors_m(walk: pdr.Recording, track: pdr.Track) -> np.ndarray:
+    truth = walk.truth.position
+    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
+    return np.linalg.norm(track.position_m - at, axis=1)
+
+
+def with_gap(samples: pdr.Samples) -> pdr.Samples:
+    """Without four seconds in the middle."""
+    keep = (samples.time_s < 20.0) | (samples.time_s > 24.0)
+    return pdr.Samples(samples.time_s[keep], samples.values[keep])
+
+
+def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter() -> None:
+    walks = [
+        simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=s)
+        for s in range(6)
+    ]
+    squares = {"filter": 0.0, "smoother": 0.0}
+    for seed, walk in enumerate(walks):
+        fixes = fixes_of(walk, seed)
+        forward, smoothed = pdr.track(walk, fixes=fixes), in_hindsight(walk, fixes=fixes).track
+        squares["filter"] += np.square(errors_m(walk, forward)).mean()
+        squares["smoother"] += np.square(errors_m(walk, smoothed)).mean()
+        spread = [np.trace(t.position_cov_m2, axis1=1, axis2=2)[:-1].mean() for t in (forward, smoothed)]
+        assert spread[1] < spread[0]
+    assert squares["smoother"] < 0.7 * squares["filter"]
+
+
+def test_without_fixes_the_end_of_the_track_is_that_of_the_filter() -> None:
+    walk = demo_walk()
+    forward, smoothed = pdr.track(walk), in_hindsight(walk).track
+    np.testing.assert_allclose(smoothed.position_m[-1], forward.position_m[-1], atol=1e-9)
+    np.testing.assert_allclose(smoothed.mode_prob[-1], forward.mode_prob[-1], atol=1e-12)
+    assert smoothed.n_steps == forward.n_steps
+
+
+def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
+    walk = simulate([Leg("walking", distance_m=25.0), Leg("running", distance_m=40.0)], carrying_mode="pocket", seed=3)
+    change_s = float(walk.truth.labels.start_s[1])
+    running = pdr.CONTEXTS.index("running")
+    delay_s = []
+    for track in (pdr.track(walk), in_hindsight(walk).track):
+        runs = track.mode_prob[:, running] > 0.5
+        delay_s.append(float(track.time_s[runs][0]) - change_s)
+    assert abs(delay_s[1]) < abs(delay_s[0])
+
+
+def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
+    walk = simulate([Leg("walking", distance_m=60.0)], seed=1)
+    assert walk.gyroscope is not None
+    cut = replace(walk, accelerometer=with_gap(walk.accelerometer), gyroscope=with_gap(walk.gyroscope))
+    fixes = fixes_of(walk)
+    smoothed = in_hindsight(cut, fixes=fixes).track
+    assert np.isfinite(smoothed.position_m).all()
+    assert np.isfinite(smoothed.position_cov_m2).all()
+    assert (np.linalg.eigvalsh(smoothed.position_cov_m2) > 0).all()
+    after = smoothed.time_s > 26.0
+    assert errors_m(walk, smoothed)[after].mean() < 3.0
+
+
+def test_a_recording_without_steps_stays_without() -> None:
+    still = simulate([Leg("stationary", duration_s=5.0)])
+    assert in_hindsight(still).track.n_steps == 0
+
+
+def test_with_a_weighted_step_length_hindsight_is_that_of_one_filter() -> None:
+    config = pdr.recipes.default().with_weighting("wc")
+    walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=2)
+    fixes = fixes_of(walk)
+    forward, smoothed = pdr.track(walk, config, fixes=fixes), in_hindsight(walk, config, fixes).track
+    np.testing.assert_array_equal(smoothed.mode_prob, forward.mode_prob)
+    assert np.trace(smoothed.position_cov_m2.mean(axis=0)) < np.trace(forward.position_cov_m2.mean(axis=0))
+    assert np.square(errors_m(walk, smoothed)).mean() < np.square(errors_m(walk, forward)).mean()
+
+
+def test_smooth_without_observations_is_hindsight() -> None:
+    walk = demo_walk()
+    smoothed, found = pdr.smooth(walk), in_hindsight(walk)
+    np.testing.assert_array_equal(smoothed.track.position_m, found.track.position_m)
+    np.testing.assert_array_equal(smoothed.log_scale, found.mean[:, 3])
+    assert len(smoothed.observations) == 0
+
+
+def test_a_track_in_a_world_frame_is_refused() -> None:
+    with pytest.raises(ValueError, match="in the frame of the start"):
+        in_hindsight(demo_walk(), pdr.recipes.default().in_world_frame())

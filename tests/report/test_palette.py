@@ -1,0 +1,29 @@
+"""The colours of all pictures stand in one place."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from pdr_filter.report import palette
+
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def test_the_colours_of_figures_pages_notebooks_and_studies_stand_in_the_palette_alone() -> None:
+    files = [*ROOT.glob("pdr_filter/report/*.py"), *ROOT.glob("pdr_filter/cli/*.py"), *ROOT.glob("notebooks/*.ipynb")]
+    files += [*ROOT.glob("docs/images/*.py"), *ROOT.glob("tests/studies/*.py")]
+    again = [
+        f"{file.name}: {colour}"
+        for file in files
+        if file.name != "palette.py"
+        for colour in (*palette.COLOURS, palette.INK, palette.ELLIPSE)
+        if colour.lower() in source(file)
+    ]
+    assert len(files) > 20
+    assert not again
+
+
+def source(file: Path) -> str:
+    """Text in lower case; of a notebook without its stored pictures, which have colours of their own."""
+    text = file.read_text(encoding="utf-8").lower()
+    return "\n".join(line for line in text.splitlines() if '"image/' not in line and len(line) < 1000)

@@ -1,0 +1,195 @@
+"""What is measured here for the tables of Susi et al. 2013."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from scipy.signal import butter, sosfiltfilt
+
+from pdr_filter.config import Config
+from pdr_filter.evaluate.steps import StepScores, step_scores
+from pdr_filter.io.recording import Recording
+from pdr_filter.recipes import for_recording
+from pdr_filter.recording_run import sensed_events
+from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.step import Step
+from tests.studies.data import counted_walk, even_way, people_left_out, place_of, recordings, with_subject
+from tests.studies.report import by_count
+
+# --- what the recipes say -------------------------------------------------------------------------------------------
+
+MODES = ("swinging", "arm at rest", "irregular", "static")
+_WINDOW_S, _EDGE_S, _TOLERANCE_S = 2.56, 0.3, 0.25
+_STATIONARY = CONTEXTS.index("stationary")
+_SWINGING = CARRYING_MODES.index("swinging")
+
+
+def mode_of(window: WindowContext) -> int:
+    """Motion mode that a window says, into `MODES`: irregular, else static, else whether the arm swings."""
+    if window.irregular_prob > 0.5:
+        return MODES.index("irregular")
+    if window.prob[_STATIONARY] > 0.5:
+        return MODES.index("static")
+    return MODES.index("swinging" if int(window.carrying_prob.argmax()) == _SWINGING else "arm at rest")
+
+
+@dataclass(frozen=True, eq=False)
+class Sensed:
+    """Ends and modes of windows, and contacts, of one recipe."""
+
+    window_s: FloatArray  # (W,)
+    mode: IntArray  # (W,) into MODES
+    step_s: FloatArray  # (K,)
+
+    def modes_within(self, start_s: float, end_s: float) -> IntArray:
+        """Modes of the windows that lie wholly inside."""
+        return self.mode[(self.window_s - _WINDOW_S >= start_s) & (self.window_s <= end_s)]
+
+    def steps_within(self, start_s: float, end_s: float) -> FloatArray:
+        """Contacts inside, or so soon before or after that they may belong to it."""
+        return self.step_s[(self.step_s >= start_s - _EDGE_S) & (self.step_s <= end_s + _EDGE_S)]
+
+
+def sensed(recording: Recording, config: Config) -> Sensed:
+    """Windows and steps of a recording."""
+    events = list(sensed_events(config.sensing, recording))
+    windows = [e for e in events if isinstance(e, WindowContext)]
+    return Sensed(
+        np.array([w.time_s for w in windows]),
+        np.array([mode_of(w) for w in windows], dtype=np.int64),
+        np.sort([e.time_s for e in events if isinstance(e, Step)]),
+    )
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A time in which somebody did one thing, with what both recipes say of it."""
+
+    source: str
+    person: str
+    activity: str  # of ACTIVITIES
+    carrying: str  # row of Table 2; empty where there are no steps to be found
+    ours: IntArray  # (W,) into MODES
+    default: IntArray
+    steps: StepScores | None
+    default_steps: StepScores | None
+
+
+def _scores(true_s: FloatArray | int, found_s: FloatArray) -> StepScores:
+    """By times, or where only their number is known by counts, of which over-counted and missed ones cancel."""
+    if isinstance(true_s, int):
+        return by_count(true_s, len(found_s))
+    return step_scores(true_s, found_s, _TOLERANCE_S)
+
+
+def _both(recording: Recording) -> tuple[Sensed, Sensed]:
+    ours, default = (sensed(recording, for_recording(name, recording)) for name in ("susi2013", "default"))
+    return ours, default
+
+
+def _stretch(
+    recording: Recording, activity: str, carrying: str, part: tuple[float, float], true_s: FloatArray | int | None
+) -> Stretch:
+    ours, default = _both(recording)
+    return _said(recording, ours, default, activity, carrying, [part], true_s)
+
+
+def _said(
+    recording: Recording,
+    ours: Sensed,
+    default: Sensed,
+    activity: str,
+    carrying: str,
+    parts: Sequence[tuple[float, float]],
+    true_s: FloatArray | int | None,
+) -> Stretch:
+    steps = [None if true_s is None else _scores(true_s, s.steps_within(*parts[0])) for s in (ours, default)]
+    return Stretch(
+        str(recording.meta.get("dataset")),
+        str(recording.subject.id or recording.name),
+        activity,
+        carrying,
+        np.concatenate([ours.modes_within(*part) for part in parts]),
+        np.concatenate([default.modes_within(*part) for part in parts]),
+        *steps,
+    )
+
+
+# --- recordings -----------------------------------------------------------------------------------------------------
+
+# Places of ubicomp13 that the modes of the paper know, and their row of Table 2; handbags are of persons 1 and 5 only.
+_PLACES = {"hand_held": "texting", "handheld_using": "texting", "backpack": "bag"}
+# Handling further from the walk than this is none of it.
+_APART_S = 1.0
+_OXFORD = {"inhand": "texting", "purse": "bag", "swingingarm": "swinging"}
+
+
+def walks_and_handling(data: Path) -> Iterator[Stretch]:
+    """Walks of persons 7 to 13 of ubicomp13, steps counted on video, and what they do with the phone outside."""
+    for recording in people_left_out(data, _PLACES):
+        start_s, end_s, n_true = counted_walk(recording)
+        ours, default = _both(recording)
+        walk, around = [(start_s, end_s)], [(-np.inf, start_s - _APART_S), (end_s + _APART_S, np.inf)]
+        yield _said(recording, ours, default, "texting/phoning/bag", _PLACES[place_of(recording)], walk, n_true)
+        yield _said(recording, ours, default, "irregular", "", around, None)
+
+
+def foot_switches(data: Path) -> Iterator[Stretch]:
+    """Walks of oxford in the hand, the purse and the swinging hand; it has no gyroscope."""
+    for place, carrying in _OXFORD.items():
+        for recording in recordings(data, "oxford", f"*_{place}_*.zip"):
+            steps = recording.truth.steps
+            if steps is not None:
+                true_s = np.asarray(steps.time_s, dtype=float)
+                activity = "swinging" if carrying == "swinging" else "texting/phoning/bag"
+                yield _stretch(recording, activity, carrying, (float(true_s[0]), float(true_s[-1])), true_s)
+
+
+def swinging_in_motion_capture(data: Path) -> Iterator[Stretch]:
+    """The swinging walk of tyrex that nothing was chosen on; steps are the turns of its arm."""
+    for recording in recordings(data, "tyrex", "*_dist_swinging.zip"):
+        labels = recording.truth.labels
+        if labels is not None and len(labels):
+            part = (float(labels.start_s[0]), float(labels.end_s[0]))
+            turns_s = arm_turns_s(recording)
+            turns_s = turns_s[(turns_s >= part[0]) & (turns_s <= part[1])]
+            yield _stretch(recording, "swinging", "swinging", part, turns_s)
+
+
+def arm_turns_s(recording: Recording) -> FloatArray:
+    """Times at which the hand overtakes the body or falls behind, twice in each cycle of the arm, by motion capture.
+
+    Zero crossings of the hand's horizontal velocity less that of the body (its 0.3 Hz low-pass), along the latter.
+    """
+    time_s, path = even_way(recording, 0.01)
+    velocity, body = (
+        np.asarray(sosfiltfilt(butter(order, hz, fs=100, output="sos"), np.gradient(path, 0.01, axis=0), axis=0))
+        for order, hz in ((3, 3.5), (2, 0.3))
+    )
+    ahead = ((velocity - body) * body).sum(axis=1)
+    return time_s[np.flatnonzero(np.diff(np.sign(ahead)) != 0)]
+
+
+N_SIMULATED, SIMULATED_M = 10, 120.0
+_CARRYING = {"texting": "texting", "swinging": "swinging", "phoning": "calling"}
+
+
+def controlled(n_people: int, way_m: float) -> Iterator[Stretch]:
+    """Simulated people who walk a way with two corners, texting, swinging and phoning."""
+    for number in range(1, n_people + 1):
+        for carrying, mode in _CARRYING.items():
+            legs = [Leg("stationary", duration_s=3.0), Leg("walking", distance_m=way_m / 3)]
+            legs += [Leg("walking", distance_m=way_m / 3, turn_rad=turn) for turn in (0.5 * np.pi, -0.5 * np.pi)]
+            recording = simulate(legs, Gait.random(2013 + number), mode, seed=number, name=f"S{number}")
+            recording = with_subject(recording, id=f"S{number}")
+            segments, steps = recording.truth.segments, recording.truth.steps
+            assert segments is not None and steps is not None  # of every simulated recording
+            part = (float(segments.start_s[1]), float(segments.end_s[-1]))
+            activity = "swinging" if carrying == "swinging" else "texting/phoning/bag"
+            yield _stretch(recording, activity, carrying, part, np.asarray(steps.time_s, dtype=float))

@@ -1,0 +1,340 @@
+"""What is measured here for the tables of Zhou et al. 2019."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.signal import find_peaks, firwin
+
+from pdr_filter.config import Config
+from pdr_filter.evaluate.distance import percent_error
+from pdr_filter.evaluate.steps import StepScores, best_offset_s, step_scores
+from pdr_filter.evaluate.tracks import moved_m
+from pdr_filter.filter.step_length import (
+    FrequencyStepLength,
+    FrequencyVarianceStepLength,
+    KimStepLength,
+    LinearStepLengthModel,
+    MagnitudeRangeStepLength,
+    PeriodPeakStepLength,
+    TianStepLength,
+    ZhouWalkingStepLength,
+)
+from pdr_filter.io.recording import Recording
+from pdr_filter.offline.calibration.segments import Segment, segments_of, step_contexts
+from pdr_filter.papers.zhou2019.steps import CARRIED, FOOT, EventSearch, ReferenceLineStepDetector, dominant_period_s
+from pdr_filter.recipes import for_recording
+from pdr_filter.recording_run import detect_steps
+from pdr_filter.recording_run import track as track_of
+from pdr_filter.sensing.conditioning import Conditioner, merge_streams
+from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.tracks import Track
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values.step import Step
+from tests.studies.data import HEIGHT_M, steps_of, with_subject
+from tests.studies.report import NAN, by_count
+
+# --- steps ----------------------------------------------------------------------------------------------------------
+
+# A foot that moves slower stands; the constants of a stance are those with which the detector's trials were counted.
+_STANCE_MPS, _MIN_STANCE_S, _MIN_STRIDE_S, _MIN_STRIDE_M = 0.35, 0.06, 0.12, 0.1
+# Faster than this on average a trial of pyshoe is run: walkers of the paper reach 2 m/s in the open, those in the room
+# 1.5 m/s, and the one trial that is known to run has 1.8 m/s.
+_RUN_MPS = 1.65
+# Steps of the walk's edges belong to it if they are this close (counts on video begin and end with a foot in the air).
+_EDGE_S = 0.3
+_RATE_HZ = 100.0
+# Levi and Judd: the one band of walking for all, spectra of 4 s, peaks at least 0.6 of a period apart (as in the
+# detector, whose constants those of their method are) and as high as its smallest maximum. Their frequencies reach to
+# those of runners.
+_MIN_PERIOD_PART, _SPECTRUM_S, _LOW_PASS_TAPS = 0.6, 4.0, 51
+LEVI_JUDD_FOOT, LEVI_JUDD_CARRIED = (
+    replace(d.walking, max_frequency_hz=d.running.max_frequency_hz) for d in (FOOT, CARRIED)
+)
+
+
+def levi_judd_times_s(recording: Recording, search: EventSearch) -> FloatArray:
+    """Steps (strides on a foot) as peaks, one to a period of the dominant frequency of the spectrum; ascending (K,).
+
+    What Zhou et al. say of Levi and Judd's patent (US 5583776): a fast Fourier transform gives the frequency, which is
+    used to detect peaks; one frequency band for walking and running. Over the whole recording, not causal.
+    """
+    _, blocks = Conditioner(_RATE_HZ).step(Conditioner(_RATE_HZ).init(), merge_streams(recording))
+    found: list[FloatArray] = []
+    taps = np.asarray(firwin(_LOW_PASS_TAPS, search.cutoff_hz, window="hamming", fs=_RATE_HZ), dtype=float)
+    n = round(_SPECTRUM_S * _RATE_HZ)
+    last_s = -np.inf
+    for block in blocks:
+        magnitude = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
+        a = np.convolve(np.pad(magnitude, len(taps) // 2, mode="edge"), taps, mode="valid")
+        for start in range(0, len(a), n):
+            window = slice(start, start + n)
+            period_s = dominant_period_s(a[window], search, _RATE_HZ)
+            if period_s is None:
+                continue
+            gap_s = _MIN_PERIOD_PART * period_s
+            peaks, _ = find_peaks(a[window], height=search.min_maximum_mps2, distance=max(gap_s * _RATE_HZ, 1.0))
+            time_s = block.time_s[window][peaks]
+            time_s = time_s[time_s - last_s >= gap_s]  # one hump is not two where two windows meet
+            found.append(time_s)
+            last_s = float(time_s[-1]) if len(time_s) else last_s
+    return np.concatenate(found) if found else np.empty(0)
+
+
+@dataclass(frozen=True, eq=False)
+class FootTruth:
+    """What motion capture sees of a foot: when strides ended, and how far the foot went from stance to stance."""
+
+    stride_end_s: FloatArray  # (N,)
+    way_m: float
+    speed_mps: float  # while it strides
+
+
+def foot_truth(recording: Recording) -> FootTruth:
+    """Strides of the foot of a pyshoe recording: moves of more than 0.1 m between stances."""
+    position = recording.truth.position
+    if position is None:
+        raise ValueError(f"{recording.name}: no truth_position.csv, which the strides of a foot are read from")
+    place = np.column_stack([position.east_m, position.north_m, position.up_m])
+    seen = np.concatenate([[True], (np.diff(place, axis=0) != 0).any(axis=1)])  # a lost marker stays to the last digit
+    grid_s = np.arange(position.time_s[0], position.time_s[-1], 1.0 / _RATE_HZ)
+    at = [np.interp(grid_s, position.time_s[seen], p) for p in place[seen].T]
+    smooth = np.column_stack([np.convolve(np.pad(p, 4, mode="edge"), np.hanning(9) / 4, "valid") for p in at])
+    speed = np.linalg.norm(np.gradient(smooth, 1.0 / _RATE_HZ, axis=0), axis=1)
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], speed > _STANCE_MPS, [0]]).astype(int))).reshape(-1, 2)
+    moves: list[tuple[int, int]] = []
+    for start, end in edges.tolist():
+        if moves and start - moves[-1][1] < _MIN_STANCE_S * _RATE_HZ:  # too short for a stance
+            start = moves.pop()[0]
+        moves.append((start, end))
+    # from the mean place of one stance to that of the next: a move is seen only where it is faster than a stance
+    stances = zip([0, *(b for _, b in moves)], [*(a for a, _ in moves), len(smooth)], strict=True)
+    places = np.array(
+        [smooth[min(start, len(smooth) - 1) : max(end, start + 1)].mean(axis=0) for start, end in stances]
+    )
+    lengths = np.linalg.norm(np.diff(places, axis=0), axis=1).tolist()
+    strides = [
+        (a, b, length)
+        for (a, b), length in zip(moves, lengths, strict=True)
+        if length >= _MIN_STRIDE_M and b - a >= _MIN_STRIDE_S * _RATE_HZ
+    ]
+    end_s = grid_s[np.array([min(b, len(grid_s) - 1) for _, b, _ in strides], dtype=np.int64)]
+    way_m = float(sum(length for *_, length in strides))
+    duration_s = float(end_s[-1] - grid_s[strides[0][0]]) if strides else 0.0
+    return FootTruth(end_s, way_m, way_m / duration_s if duration_s else 0.0)
+
+
+@dataclass(frozen=True)
+class Counted:
+    """Steps of one walk by the two methods and by the default recipe."""
+
+    source: str
+    behaviour: str
+    person: str
+    levi_judd: StepScores
+    ours: StepScores
+    default: StepScores | None
+
+
+def success_percent(scores: StepScores) -> float:
+    """100 (1 - (over-counted + missed) / true): both kinds are wrong steps, as in Tables 4 and 5."""
+    wrong = (scores.n_found - scores.n_matched) + (scores.n_true - scores.n_matched)
+    return 100.0 * (1.0 - wrong / scores.n_true)
+
+
+def _matched(true_s: FloatArray, found_s: FloatArray) -> StepScores:
+    """Matches within half of the usual interval, a constant offset of the method's event taken off."""
+    half_s = 0.5 * float(np.median(np.diff(true_s)))
+    offset_s = best_offset_s(true_s, found_s, half_s, np.linspace(-2.0 * half_s, 2.0 * half_s, 41))
+    return step_scores(true_s, found_s + offset_s, half_s)
+
+
+def _events(detector: ReferenceLineStepDetector, config: Config) -> Config:
+    """The recipe with one step for each event, which is a stride on a foot."""
+    return replace(config, sensing=replace(config.sensing, steps=replace(detector, steps_per_event=1)))
+
+
+def counted_on_foot(recording: Recording) -> Counted:
+    truth = foot_truth(recording)
+    config = _events(FOOT, for_recording("zhou2019", recording))
+    behaviour = "running" if truth.speed_mps > _RUN_MPS else "walking"
+    ours = np.asarray(detect_steps(recording, config).time_s, dtype=float)
+    theirs = levi_judd_times_s(recording, LEVI_JUDD_FOOT)
+    levi_judd, bctfd = (_matched(truth.stride_end_s, found) for found in (theirs, ours))
+    return Counted("pyshoe", behaviour, recording.name, levi_judd, bctfd, None)
+
+
+@dataclass(frozen=True, eq=False)
+class Followed:
+    """A recording of a carried phone with what the recipes make of it."""
+
+    recording: Recording
+    levi_judd_s: FloatArray
+    zhou: Track
+    default: Track
+
+    def counted(self, source: str, behaviour: str) -> Counted:
+        """Steps against those of the truth: by their times, or by counts alone where only these are known."""
+        steps, segments = self.recording.truth.steps, self.recording.truth.segments
+        if steps is not None:
+            true_s = np.asarray(steps.time_s, dtype=float)
+            start_s, end_s, n_true = float(true_s[0]), float(true_s[-1]), len(true_s)
+        elif segments is not None:
+            true_s = None
+            start_s, end_s, n_true = (segments[0][name] for name in ("start_s", "end_s", "n_steps"))
+        else:
+            raise ValueError(f"{self.recording.name}: neither truth_steps.csv nor truth_segments.csv")
+        found = [
+            time_s[(time_s >= start_s - _EDGE_S) & (time_s <= end_s + _EDGE_S)]
+            for time_s in (self.levi_judd_s, self.zhou.time_s, self.default.time_s)
+        ]
+        scores = [by_count(int(n_true), len(f)) if true_s is None else _matched(true_s, f) for f in found]
+        return Counted(source, behaviour, str(self.recording.subject.id or self.recording.name), *scores)
+
+
+def followed(recording: Recording) -> Followed:
+    """Both recipes and Levi and Judd's method on a recording."""
+    zhou = track_of(recording, for_recording("zhou2019", recording))
+    return Followed(recording, levi_judd_times_s(recording, LEVI_JUDD_CARRIED), zhou, track_of(recording))
+
+
+# --- distances ------------------------------------------------------------------------------------------------------
+
+# By the height of the person, which only M5 uses.
+_LINEAR: Mapping[str, Callable[[float], LinearStepLengthModel]] = {
+    "M1": lambda height_m: FrequencyStepLength(),
+    "M2": lambda height_m: FrequencyVarianceStepLength(),
+    "M3": lambda height_m: PeriodPeakStepLength(),
+    "M4": lambda height_m: MagnitudeRangeStepLength(),
+    "M5": TianStepLength,
+    "M6": lambda height_m: KimStepLength(),
+    "M7": lambda height_m: ZhouWalkingStepLength(),
+}
+MODELS = tuple(_LINEAR)
+_RUNNING = CONTEXTS.index("running")
+# Prior of each term of an average step, m: it decides between terms that are the same over few cadences, as 1, 1 / f
+# and 1 / sqrt(f) of M7 do. A walk is taken to be known to 5 %, as persons differ.
+_TERM_STD_M, _WALK_STD = 0.7, 0.05
+
+
+@dataclass(frozen=True, eq=False)
+class Walk:
+    """Steps of a stretch of known length."""
+
+    person: str
+    true_m: float
+    steps: tuple[Step, ...]
+    part: FloatArray  # (n,) of each step that is inside
+    is_running: tuple[bool, ...]  # (n,) as the behaviours were recognised
+    height_m: float | None
+    default_m: float  # distance of the default recipe; NaN where it does not apply
+
+    def sums(self, model: str) -> FloatArray:
+        """Sum of the regressors (p,): distance = sums @ theta. M7 has one more, of its running half."""
+        walking, running = _LINEAR[model](self.height_m or HEIGHT_M), KimStepLength()
+        has_two = model == "M7"
+        n = walking.n_params
+        total = np.zeros(n + (running.n_params if has_two else 0))
+        for step, part, runs in zip(self.steps, self.part, self.is_running, strict=True):
+            if has_two and runs:
+                total[n:] += part * running.regressors(step)
+            else:
+                total[:n] += part * walking.regressors(step)
+        return total
+
+
+def fitted(sums: FloatArray, true_m: FloatArray) -> FloatArray:
+    """Parameters (p,) of distances (N,) = sums (N, p) @ theta: least squares of relative errors, with a weak prior.
+
+    The first term of a step is 0.7 +- 0.7 m on average, all others 0 +- 0.7 m.
+    """
+    # about so many steps; a term that no step has, like the running half of M7, is left at the prior
+    per_step = np.abs(sums / np.maximum(true_m / _TERM_STD_M, 1.0)[:, None]).mean(axis=0)
+    weight = np.where(per_step > 0, per_step, 1.0) / _TERM_STD_M
+    matrix = np.vstack([sums / (_WALK_STD * true_m[:, None]), np.diag(weight)])
+    wanted = np.concatenate([np.full(len(sums), 1.0 / _WALK_STD), np.arange(sums.shape[1]) == 0])
+    return np.asarray(np.linalg.lstsq(matrix, wanted, rcond=None)[0], dtype=float)
+
+
+def errors_percent(walks: Sequence[Walk], model: str, rest: Callable[[Walk], Sequence[Walk]]) -> FloatArray:
+    """Error of each walk (N,) with parameters of `rest(walk)`, walks that it is not among."""
+    needed = {id(w): w for walk in walks for w in (walk, *rest(walk))}
+    sums = {key: w.sums(model) for key, w in needed.items()}
+    found: list[float] = []
+    for walk in walks:
+        others = rest(walk)
+        theta = fitted(np.array([sums[id(w)] for w in others]), np.array([w.true_m for w in others]))
+        found.append(float(percent_error(sums[id(walk)] @ theta, walk.true_m)))
+    return np.array(found)
+
+
+def without_the_person(walks: Sequence[Walk]) -> Callable[[Walk], Sequence[Walk]]:
+    """All walks of other persons."""
+    return lambda walk: [w for w in walks if w.person != walk.person]
+
+
+def without_the_walk(walks: Sequence[Walk]) -> Callable[[Walk], Sequence[Walk]]:
+    """All walks but this one."""
+    return lambda walk: [w for w in walks if w is not walk]
+
+
+def walk_of(found: Followed) -> Walk | None:
+    """All stretches of known length of a recording as one walk; None if there is none with steps.
+
+    Where landmarks mark the stretch, a step counts by its part along it, as the steps' own directions have it: people
+    do not walk straight lines.
+    """
+    recording = found.recording
+    segments = [s for s in segments_of(recording, found.zhou)[0] if s.inside.sum() >= 4]
+    if not segments:
+        return None
+    start_s, end_s = [s.start_s for s in segments], [s.end_s for s in segments]
+    default_m = float(moved_m(found.default.time_s, found.default.position_m, start_s, end_s).sum())
+    return Walk(
+        person=str(recording.subject.id or recording.meta.get("dataset")),
+        true_m=sum(s.distance_m for s in segments),
+        steps=tuple(step for s in segments for step in s.steps),
+        part=np.concatenate([s.inside * _along(s) for s in segments]),
+        is_running=tuple(bool(p.argmax() == _RUNNING) for s in segments for p in s.context_prob),
+        height_m=recording.subject.height_m,
+        default_m=default_m,
+    )
+
+
+def _along(segment: Segment) -> FloatArray:
+    """Part of each step along the way from end to end, (n,)."""
+    if segment.heading_rad is None:
+        return np.ones(len(segment.steps))
+    vector = segment.inside * np.exp(1j * segment.heading_rad)
+    return np.cos(segment.heading_rad - np.angle(vector.sum()))
+
+
+def foot_walk(recording: Recording) -> Walk:
+    """A trial of pyshoe: two steps for each stride of the foot."""
+    track = track_of(recording, for_recording("zhou2019", recording))
+    steps = steps_of(track)
+    runs = tuple(bool(p.argmax() == _RUNNING) for p in step_contexts(track))
+    return Walk(recording.name, foot_truth(recording).way_m, steps, np.ones(len(steps)), runs, None, NAN)
+
+
+# --- simulated people -----------------------------------------------------------------------------------------------
+
+N_SIMULATED = 6
+SIMULATED_M = 400.0  # one lap of the paper's stadium
+_STRAIGHT_M = 100.0
+
+
+def simulated(person: int, behaviour: str, distance_m: float) -> Recording:
+    """Somebody with the phone in a front pocket who walks or runs straights at changing cadence."""
+    legs = [Leg("stationary", duration_s=5.0)]
+    for k in range(max(round(distance_m / _STRAIGHT_M), 1)):
+        factor, turn_rad = (0.9, 1.0, 1.1)[k % 3], -np.pi / 2 if k else 0.0
+        legs.append(Leg(behaviour, distance_m=min(_STRAIGHT_M, distance_m), frequency_factor=factor, turn_rad=turn_rad))
+    name = f"simulated_{behaviour}_{person}"
+    recording = simulate(legs, Gait.random(2019 + person), "pocket", seed=person, name=name)
+    return with_subject(recording, id=f"S{person}")
