@@ -327,7 +327,7 @@ def for_recording(name: str, recording: Recording) -> Config:
     """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
     if name not in RECIPES:
         raise ValueError(f"no recipe {name!r}; there are {', '.join(sorted(RECIPES))}")
-    if name == "zhou2019" and "foot" in str(recording.meta.get("placement", "")).lower():
+    if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
 

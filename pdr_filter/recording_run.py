@@ -245,7 +245,7 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
 
 def _fit_notes(recording: Recording, config: Config, updates: Sequence[StepUpdate]) -> list[str]:
     notes: list[str] = []
-    if not config.on_foot and "foot" in str(recording.meta.get("placement", "")).lower():
+    if not config.on_foot and recording.is_on_foot:
         notes.append("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")
     if not updates:
         notes.append("no steps found: dead reckoning does not apply here")

@@ -14,10 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pymap3d
 
-from pdr_filter import __version__
+from pdr_filter.io import limits
 from pdr_filter.values.angles import yaw_from_heading
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.version import __version__
 
 _NORTH = (
     "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "
@@ -26,7 +27,6 @@ _NORTH = (
 _FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
 FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
 GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
-MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
 
 
 def write_csv(track: TrackRows, path: str | Path) -> Path:
@@ -146,7 +146,7 @@ def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], e
         Unix time of the recording's time zero, seconds; with 0 the walk is in January 1970.
     """
     times_s = _vertex_times(track)
-    if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= MAX_EPOCH_S):
+    if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
         raise ValueError(f"epoch_s must be the unix time of time zero in seconds, 1970 to 9999, got {epoch_s}")
     root = ElementTree.Element("gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns=GPX_NAMESPACE)
     line = ElementTree.SubElement(root, "trk")

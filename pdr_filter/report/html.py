@@ -15,8 +15,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io.describe import ReadingReport, reading_report
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import ReadingReport, reading_report
 from pdr_filter.report import trust
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.track_rows import TrackRows
@@ -200,7 +200,7 @@ def _reading(recording: Recording, report: ReadingReport, already_told: set[str]
     rows = "".join(
         f"<tr><td>{_text(s.name)}</td><td>{s.n_samples:,}</td>"
         f"<td>{_or_dash(s.requested_hz, '.1f')}</td>"
-        f"<td{_odd(s.is_slow)}>{_or_dash(s.delivered_hz, '.1f')}</td>"
+        f"<td{_odd(s.is_slow)}>{_or_dash(s.mean_rate_hz, '.1f')}</td>"
         f"<td{_odd(s.n_gaps > 0)}>{s.n_gaps}</td><td>{_or_dash(s.longest_gap_s if s.n_gaps else None, '.2f')}</td>"
         f"<td{_odd(s.n_duplicates > 0)}>{s.n_duplicates}</td><td{_odd(s.n_backward > 0)}>{s.n_backward}</td></tr>"
         for s in report.streams

@@ -11,9 +11,9 @@ from app_files import a_walk, assert_same_streams, assert_same_track, core_motio
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.io.core_motion import quaternion_of
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = on_one_clock(a_walk(50.0))
@@ -103,4 +103,5 @@ def test_gravity_in_mps2_is_refused(tmp_path: Path) -> None:
 
 def test_missing_columns_are_refused_with_those_found(tmp_path: Path) -> None:
     message = refusal(file_with(tmp_path / "w.csv", TEXT.replace("userAcceleration.z", "other", 1)))
-    assert "userAcceleration.z once each (found: " in message
+    assert "no column 'userAcceleration.z' (found: " in message
+    assert "userAcceleration.z once each" in message

@@ -12,10 +12,10 @@ import pytest
 from app_files import a_walk, on_one_clock, with_level_attitude
 from mutations import FORMS, SOURCES, file_of
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import FORMATS, read
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 ROOT = Path(__file__).parents[2]
@@ -133,11 +133,11 @@ def test_the_report_says_what_it_was_and_how_fast(tmp_path: Path, form: str) -> 
     stream = report.streams[0]
     assert (stream.name, stream.n_samples) == ("accelerometer", len(kept))
     if form == "core_motion":  # without a time column nothing can be missing
-        assert (stream.n_gaps, stream.n_duplicates, stream.delivered_hz) == (0, 0, pytest.approx(50.0))
+        assert (stream.n_gaps, stream.n_duplicates, stream.mean_rate_hz) == (0, 0, pytest.approx(50.0))
     else:
         assert (stream.n_gaps, stream.n_duplicates, stream.n_backward) == (1, 1, 0)
         assert stream.longest_gap_s == pytest.approx(0.52, abs=2e-3)
-        assert stream.delivered_hz == pytest.approx((len(kept) - 1) / recording.accelerometer.time_s[-1], rel=1e-3)
+        assert stream.mean_rate_hz == pytest.approx((len(kept) - 1) / recording.accelerometer.time_s[-1], rel=1e-3)
 
 
 # ---------------------------------------------------------------- a test for each trap
@@ -154,7 +154,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (OWN, "test_specific_force_in_wrong_units_is_refused"),
         (LOGGER, "test_g_units_where_mps2_are_documented_are_refused"),
         (PHYPHOX, "test_values_in_g_under_a_header_of_mps2_are_refused"),
-        (GENERIC, "test_units_that_are_told_wrong_are_refused"),
+        (GENERIC, "test_units_that_are_given_wrong_are_refused"),
     ],
     ("all", "the specific force points down in the phone's own attitude"): [
         (HERE, "test_a_sign_that_the_attitude_of_the_phone_contradicts_is_refused"),
@@ -261,7 +261,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("RoNIN", "quaternions wxyz in `synced`, xyzw in `raw`"): [
         (RONIN, "test_a_quaternion_of_the_other_order_is_refused")
     ],
-    ("any CSV", "units and sign as told, and only so"): [
+    ("any CSV", "units and sign as given, and only so"): [
         (GENERIC, "test_a_walk_comes_back_in_si_units"),
         (GENERIC, "test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown"),
     ],

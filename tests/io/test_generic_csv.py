@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from app_files import GENERIC_MAPPING, T0_NS, a_walk, assert_same_streams, assert_same_track, generic_text, on_one_clock
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 
 WALK = on_one_clock(a_walk())
 TEXT = generic_text(WALK)
@@ -88,13 +88,13 @@ def test_sensors_of_different_rates_leave_fields_empty(tmp_path: Path) -> None:
     np.testing.assert_allclose(recording.gyroscope.values, WALK.gyroscope.values[1::2], atol=1e-12)
 
 
-def test_decimal_commas_are_read_if_told(tmp_path: Path) -> None:
+def test_decimal_commas_are_read_if_the_mapping_says_so(tmp_path: Path) -> None:
     mapping = '[file]\nseparator = ";"\ndecimal = ","\n' + GENERIC_MAPPING
     recording = read(mapped(tmp_path, TEXT.replace(".", ","), mapping))
     assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-8)
 
 
-def test_units_that_are_told_wrong_are_refused(tmp_path: Path) -> None:
+def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
     assert "looks like g units" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"g"', '"m/s2"')))
     assert (
         "looks like deg/s" in refusal(mapped(tmp_path, mapping=GENERIC_MAPPING.replace('"deg/s"', '"rad/s"'))) or True

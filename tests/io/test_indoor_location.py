@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from app_files import T0_MS, a_walk, assert_same_streams, assert_same_track, indoor_location_text, with_level_attitude
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import Samples
 
 WALK = with_level_attitude(a_walk())

@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-import pdr_filter.io.archive as archive
+from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
@@ -425,7 +425,7 @@ def test_a_zip_bomb_is_refused_before_it_is_unpacked(tmp_path: Path) -> None:
 
 
 def test_a_member_beyond_the_bound_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(archive, "MAX_MEMBER_BYTES", 1000)
+    monkeypatch.setattr(limits, "MAX_MEMBER_BYTES", 1000)
     assert "more than 1000" in refusal(zip_with(tmp_path / "w.zip", good_members()))
     assert "more than 1000" in refusal(folder_with(tmp_path / "w"))
 

@@ -16,9 +16,9 @@ from app_files import (
     write_zip,
 )
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()
@@ -97,7 +97,7 @@ def test_columns_called_x_y_z_belong_to_the_sensor_of_the_file(tmp_path: Path) -
     assert_same_streams(read(write_zip(tmp_path / "w.zip", files)), WALK, ALL, time_s=1e-7, rtol=1e-8)
 
 
-def test_a_file_called_like_one_of_the_own_format_is_told_by_its_header(tmp_path: Path) -> None:
+def test_a_file_called_like_one_of_the_own_format_is_recognised_by_its_header(tmp_path: Path) -> None:
     files = {"accelerometer.csv": phyphox_files(WALK)["Accelerometer.csv"]}
     assert_same_streams(read(write_zip(tmp_path / "w.zip", files)), WALK, "accelerometer", time_s=1e-7, rtol=1e-8)
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from app_files import a_walk, metadata, sensor_logger_files, write_folder
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import Samples
 
 

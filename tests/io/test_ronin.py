@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 from app_files import a_walk, assert_same_streams, assert_same_track, on_one_clock, with_level_attitude
 
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 
 WALK = with_level_attitude(on_one_clock(a_walk(200.0)))
 SCALE, BIAS, GYRO_BIAS = np.array([1.01, 0.99, 1.0]), np.array([0.1, -0.2, 0.05]), np.array([0.01, -0.02, 0.03])

@@ -23,12 +23,11 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io import archive
-from pdr_filter.io.describe import describe
+from pdr_filter.io import limits
+from pdr_filter.io.describe import describe, reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = with_level_attitude(a_walk())
@@ -187,7 +186,7 @@ def test_half_the_requested_rate_is_reported(tmp_path: Path) -> None:
     recording = read(write_folder(tmp_path / "w", files))
     stream = reading_report(recording).streams[0]
     assert stream.requested_hz == 200
-    assert stream.delivered_hz == pytest.approx(100, rel=0.01)
+    assert stream.mean_rate_hz == pytest.approx(100, rel=0.01)
     assert "accelerometer: 200.0 Hz requested, 100.0 Hz delivered" in describe(recording).notes
 
 
@@ -334,7 +333,7 @@ def test_json_larger_than_a_block_loses_no_object_where_it_is_cut(
 ) -> None:
     text = sensor_logger_json(sensor_logger_files(WALK))
     expected = of_json(tmp_path / "w.json", text)
-    monkeypatch.setattr(archive, "BLOCK_BYTES", 10_007)
+    monkeypatch.setattr(limits, "BLOCK_BYTES", 10_007)
     found = read(tmp_path / "w.json")
     for name, samples in expected.streams.items():
         np.testing.assert_array_equal(found.streams[name].time_s, samples.time_s)

@@ -243,7 +243,7 @@ def _assemble(
     without = [c for c in models if c != "stationary" and CONTEXTS.index(c) not in set(sums.context.tolist())]
     if without:
         remarks.append(f"no segments of {', '.join(without)}: the filter keeps the lengths that it had")
-    from pdr_filter import __version__
+    from pdr_filter.values.version import __version__
 
     return Calibration(
         models=dict(models),
