@@ -9,7 +9,15 @@ from time import process_time as time_of_processor
 
 import numpy as np
 import pytest
-from app_files import a_walk, phyphox_files, sensor_logger_files, sensor_logger_json, write_folder, write_zip
+from app_files import (
+    a_walk,
+    phyphox_files,
+    refusal,
+    sensor_logger_files,
+    sensor_logger_json,
+    write_folder,
+    write_zip,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
@@ -44,12 +52,6 @@ def recording_or_refusal(path: Path, format: str | None) -> None:
     else:
         assert faults_of_recording(recording, format) == []
     assert files_in(path.parent) == before
-
-
-def refusal(path: Path, format: str | None = None) -> str:
-    with pytest.raises(RecordingError) as caught:
-        read(path, format)
-    return str(caught.value)
 
 
 # ---------------------------------------------------------------- formats are found by content
