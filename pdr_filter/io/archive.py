@@ -92,8 +92,9 @@ class Members:
         rest = b""
         for part in self.pieces(name):
             block = rest + part
-            if b"\n" not in block and b"\r" in block[:-1]:  # line ends of old Macintosh programs
-                block = block.replace(b"\r", b"\n")
+            if b"\r" in block:
+                last = b"\r" if block.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                block = block.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
             cut = block.rfind(b"\n") + 1
             block, rest = block[:cut], block[cut:]
             if len(rest) > limits.MAX_LINE_BYTES:
@@ -101,10 +102,9 @@ class Members:
                     f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
                 )
             if block:
-                yield block.replace(b"\r\n", b"\n").replace(b"\r", b"\n") if b"\r" in block else block
-        rest = rest.replace(b"\r", b"\n")
-        cut = rest.rfind(b"\n") + 1
-        yield from filter(None, (rest[:cut], rest[cut:]))
+                yield block
+        if rest:
+            yield rest.replace(b"\r", b"\n")
 
     def _parts(self, name: str, size: int) -> Iterator[bytes]:
         """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""

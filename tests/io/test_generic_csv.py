@@ -68,6 +68,15 @@ def test_nanoseconds_keep_their_last_digit(tmp_path: Path) -> None:
     )
 
 
+def test_time_zero_is_the_first_sample_that_has_a_time(tmp_path: Path) -> None:
+    header, first, *rows = TEXT.splitlines()
+    for i, unknown in enumerate(("", "inf", "1e300")):
+        text = "\n".join([header, ";".join([unknown, *first.split(";")[1:]]), *rows]) + "\n"
+        recording = read(mapped(tmp_path / str(i), text))
+        assert recording.accelerometer.time_s[0] == 0
+        assert len(recording.accelerometer) == len(WALK.accelerometer) - 1
+
+
 def test_rows_at_a_fixed_rate_need_no_time_column(tmp_path: Path) -> None:
     mapping = GENERIC_MAPPING.replace('column = "t"\nunit = "ms"', "rate_hz = 100")
     recording = read(mapped(tmp_path, mapping=mapping))

@@ -56,6 +56,12 @@ def test_uncalibrated_values_and_unknown_types_are_ignored(tmp_path: Path) -> No
     assert any("lines of other types ignored" in line for line in reading_report(recording).found)
 
 
+def test_a_byte_order_mark_changes_nothing(tmp_path: Path) -> None:
+    plain, marked = (read(write_text(tmp_path / "w.txt", mark + TEXT)) for mark in ("", "\ufeff"))
+    assert marked.meta == plain.meta
+    assert_same_streams(marked, WALK, ALL, time_s=1.01e-3)
+
+
 def test_a_walk_without_accelerometer_is_refused(tmp_path: Path) -> None:
     text = "".join(line for line in TEXT.splitlines(keepends=True) if "\tTYPE_ACCELEROMETER\t" not in line)
     assert "no TYPE_ACCELEROMETER lines" in refusal(write_text(tmp_path / "w.txt", text))

@@ -224,7 +224,7 @@ def test_infinite_and_absurd_values_are_unknown(tmp_path: Path, value: str) -> N
     lines[7] = f"0.06,{value},0,9.8"
     recording, notes = noted(folder_with(tmp_path / "w", accelerometer="\n".join(lines) + "\n"))
     assert np.isnan(recording.accelerometer.values[6, 0])
-    assert "1 infinite or absurdly large" in notes
+    assert notes == "accelerometer.csv: 1 infinite or absurdly large values taken as unknown"
 
 
 def test_rows_without_a_time_are_left_out(tmp_path: Path) -> None:
@@ -573,11 +573,16 @@ def test_the_placement_is_known_from_the_meta_data(meta: dict[str, object], plac
     assert (recording.placement, recording.is_on_foot) == (placement, is_on_foot)
 
 
-@pytest.mark.parametrize("end", ["", "\n"])
-def test_line_ends_of_any_system_give_the_same_rows(tmp_path: Path, end: str) -> None:
+@pytest.mark.parametrize("block_bytes", [7, 100, 4_000_000])
+@pytest.mark.parametrize("is_ended", [True, False])
+def test_line_ends_of_any_system_give_the_same_rows(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, block_bytes: int, is_ended: bool
+) -> None:
+    monkeypatch.setattr(limits, "BLOCK_BYTES", block_bytes)
+    monkeypatch.setattr(limits, "MAX_LINE_BYTES", 200)
     expected = read(folder_with(tmp_path / "a")).accelerometer
     for i, line_end in enumerate(("\r", "\r\n", "\n\r")):
-        text = accelerometer_csv().rstrip().replace("\n", line_end) + end
+        text = accelerometer_csv().rstrip().replace("\n", line_end) + (line_end if is_ended else "")
         found = read(folder_with(tmp_path / str(i), accelerometer=text))
         np.testing.assert_array_equal(found.accelerometer.values, expected.values)
         assert found.notes == ()
@@ -599,10 +604,13 @@ def test_a_table_larger_than_a_block_loses_no_row_where_it_is_cut(
 def test_a_fault_in_a_later_block_is_named_by_its_line_in_the_file(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(limits, "BLOCK_BYTES", 101)
     lines = accelerometer_csv().splitlines()
     lines[149] = "1.48,0.1,abc,9.8"
-    assert "line 150, column y: 'abc'" in refusal(folder_with(tmp_path / "w", accelerometer="\n".join(lines) + "\n"))
+    for line_end in ("\n", "\r\n"):
+        for block_bytes in (1, 101):  # of one byte, so that a piece ends between the two of a line end
+            monkeypatch.setattr(limits, "BLOCK_BYTES", block_bytes)
+            path = folder_with(tmp_path / "w", accelerometer=line_end.join(lines) + line_end)
+            assert "line 150, column y: 'abc'" in refusal(path)
     lines[149] = "1.48,0.1,\udce9,9.8"
     data = ("\n".join(lines) + "\n").encode("utf-8", "surrogateescape")
     assert "line 150: not UTF-8 text (byte 0xe9)" in refusal(folder_with(tmp_path / "v", accelerometer=data))
