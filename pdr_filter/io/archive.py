@@ -17,19 +17,9 @@ from pdr_filter.io.errors import RecordingError
 
 # zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
 SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# What zipfile raises, beside BadZipFile, for a file whose bytes were changed.
-_ZIP_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    OSError,
-    OverflowError,
-    LookupError,
-    ValueError,
-)
+# What zipfile raises for a file whose bytes were changed.
+_PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 
 
 class Members:

@@ -7,7 +7,7 @@ Layout after the header that the app writes into each log:
 - The sensor's time is right for integration; the app's jitters, but is common to all types. So a stream keeps its
   sensor's intervals and is moved as a whole to the app's clock.
 - `POSI;Timestamp(s);Counter;Latitude(degrees);Longitude(degrees);floor ID;Building ID` is on the app's clock.
-- Some logs declare m/s^2 and hold g. The median tells; such a log is refused unless a TOML file beside it says
+- Some logs declare m/s^2 and hold g. The median shows it; such a log is refused unless a TOML file beside it says
   `accelerometer_unit = "g"`.
 - AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.
 """

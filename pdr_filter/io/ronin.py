@@ -26,6 +26,8 @@ from pdr_filter.values.arrays import FloatArray
 
 RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
+# hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these.
+HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
 # Data set and number of its columns.
 ARRAYS = {
     "accelerometer": ("synced/acce", 3),
@@ -94,17 +96,7 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
             arrays = {key: _array(data, name, n, file, notes) for key, (name, n) in ARRAYS.items()}
     except RecordingError:
         raise
-    # hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these
-    except (
-        OSError,
-        RuntimeError,
-        KeyError,
-        ValueError,
-        TypeError,
-        MemoryError,
-        OverflowError,
-        AttributeError,
-    ) as error:
+    except HDF5_ERRORS as error:
         raise RecordingError(f"{file}: a damaged hdf5 file ({str(error)[:120]}); copy it again") from error
     return time_s, {key: values for key, values in arrays.items() if values is not None}
 

@@ -61,7 +61,7 @@ def recording_or_refusal(path: Path, format: str | None) -> None:
 def test_the_format_is_found_by_content_whatever_the_name(tmp_path: Path, form: str) -> None:
     path = good(form, tmp_path / "x")
     assert detect(path) == form.partition(":")[0]
-    if form != "generic_csv":  # which is told by the file beside it
+    if form != "generic_csv":  # which the file beside it makes known
         renamed = path.rename(path.with_name("recording.bin"))
         assert detect(renamed) == form.partition(":")[0]
         assert len(read(renamed).accelerometer) > 0
