@@ -337,7 +337,7 @@ def _height_note(height_m: float | None, assumed_m: float) -> tuple[Note, ...]:
 def for_recording(name: str, recording: Recording) -> Config:
     """The recipe of that name for the person and the placement of a recording; ValueError if there is none."""
     check_name(name)
-    if name == "zhou2019" and "foot" in str(recording.meta.get("placement", "")).lower():
+    if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
 

@@ -234,6 +234,6 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
 
 
 def _placement_notes(recording: Recording, config: Config) -> list[Note]:
-    if config.on_foot or "foot" not in str(recording.meta.get("placement", "")).lower():
+    if config.on_foot or not recording.is_on_foot:
         return []
     return [Note("placement", "worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")]

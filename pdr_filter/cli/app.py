@@ -9,7 +9,6 @@ from typing import Annotated
 
 import typer
 
-from pdr_filter import __version__
 from pdr_filter.cli.calibrate import calibrate, smooth
 from pdr_filter.cli.compare import compare
 from pdr_filter.cli.info import info
@@ -17,6 +16,7 @@ from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.simulate import demo, simulate
 from pdr_filter.cli.track import track
 from pdr_filter.cli.train import train
+from pdr_filter.values.version import __version__
 
 app = typer.Typer(
     name="pdr-filter",

@@ -1,68 +1,25 @@
-"""Files of one recording, from a zip file or a folder, read within bounds whatever the file claims."""
+"""Files of one recording, from a zip file, a folder or one file, read within bounds whatever the file claims."""
 
 from __future__ import annotations
 
+import json
 import struct
+import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterable, Iterator
+from collections.abc import Generator, Iterator
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from typing import Any, cast
 
+from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
 
-# A day of 400 Hz samples in three sensors is 1.3 GB of text each. More than this is a mistake or an attack.
-MAX_MEMBER_BYTES = 2 * 1024**3
-# Sensor text compresses 2 to 5 times, and constant columns at most 100 times; deflate can reach 1000 with zeros.
-MAX_COMPRESSION_RATIO = 200
-RATIO_CHECKED_ABOVE_BYTES = 64 * 1024**2
 # zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
 SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
-# Files are parsed in blocks of this size, so that the text of a recording never is in memory as a whole.
-BLOCK_BYTES = 4 * 1024**2
-# Rows of sensor data have some hundred bytes, and one line of a header some thousand.
-MAX_LINE_BYTES = 1024**2
-# A recording has tens of files; listing a million members of a hostile zip is refused.
-MAX_MEMBERS = 10_000
-# What zipfile raises, beside BadZipFile, for a file whose bytes were changed.
-_ZIP_ERRORS = (
-    zipfile.BadZipFile,
-    zlib.error,
-    struct.error,
-    EOFError,
-    NotImplementedError,
-    RuntimeError,
-    OSError,
-    OverflowError,
-    LookupError,
-    ValueError,
-)
-
-
-def read_members(path: Path, wanted: Iterable[str], required: str) -> dict[str, bytes]:
-    """Contents of the wanted files that exist beside the required one, by file name.
-
-    Parameters
-    ----------
-    path : Path
-        A zip file, whose files may sit in a folder inside it, or a folder.
-    wanted : iterable of str
-        File names, without folder; others are left alone.
-    required : str
-        The file that makes it a recording; RecordingError if there is none.
-    """
-    try:
-        if path.is_dir():
-            return _read_folder(path, wanted, required)
-        if not path.exists():
-            raise RecordingError(f"{path}: no such file or folder; check the path")
-        if not path.is_file():
-            raise RecordingError(f"{path}: neither a file nor a folder; give a zip file or a folder")
-        if path.stat().st_size == 0:
-            raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
-    except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
-    return _read_zip(path, wanted, required)
+# What zipfile raises for a file whose bytes were changed.
+_PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
+_ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 
 
 class Members:
@@ -74,94 +31,94 @@ class Members:
         What was opened.
     names : tuple of str
         Paths inside it, with forward slashes, sorted.
+    is_container : bool
+        Whether it is a zip or a folder, not one file.
     """
 
-    def __init__(self, path: Path, archive: zipfile.ZipFile | None) -> None:
+    def __init__(self, path: Path, archive: zipfile.ZipFile | None = None) -> None:
         self.path = path
+        self.is_container = archive is not None or path.is_dir()
         self._archive = archive
-        self._infos: dict[str, zipfile.ZipInfo] = {}
-        self._files: dict[str, Path] = {}
-        if archive is not None:
-            if len(archive.infolist()) > MAX_MEMBERS:
-                raise RecordingError(f"{path}: more than {MAX_MEMBERS} files in the zip; pack one recording alone")
-            self._infos = {str(name): info for name, info in _members_by_name(path, archive).items()}
-        elif path.is_dir():
-            self._files = _files_below(path)
-        else:
-            self._files = {path.name: path}
-        self.names = tuple(sorted(self._infos or self._files))
+        self._infos = {} if archive is None else _infos_by_name(path, archive)
+        self._files = _files_below(path) if path.is_dir() else {path.name: path}
+        self.names = tuple(sorted(self._files if archive is None else self._infos))
 
     def where(self, name: str) -> str:
         """How messages call a member."""
         return f"{self.path}" if self.path.name == name else f"{self.path}: {name}"
 
-    def size(self, name: str) -> int:
-        """Bytes of a member after unpacking, as the zip says."""
-        return self._infos[name].file_size if self._archive is not None else self._files[name].stat().st_size
+    def only_text(self) -> str:
+        """The one file that can be a log or a table: the path itself, or the only text in a zip or folder."""
+        names = [name for name in self.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(self.names)
+        if len(names) != 1:
+            raise RecordingError(f"{self.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
+        return names[0]
 
-    def content(self, name: str, most: int = MAX_LINE_BYTES) -> bytes:
+    def content(self, name: str, most: int = limits.MAX_SETTINGS_BYTES) -> bytes:
         """The first `most` bytes of a member."""
-        parts: list[bytes] = []
-        for part in self._parts(name, min(most, BLOCK_BYTES)):
-            parts.append(part)
-            most -= len(part)
-            if most <= 0:
+        content = b""
+        for part in self._parts(name, min(most, limits.BLOCK_BYTES)):
+            content += part
+            if len(content) >= most:
                 break
-        return b"".join(parts)
+        return content[:most]
 
     def pieces(self, name: str) -> Iterator[bytes]:
         """The bytes of a member in pieces that end anywhere; without byte order mark, UTF-16 is refused."""
-        for i, part in enumerate(self._parts(name, BLOCK_BYTES)):
-            if i == 0:
-                refuse_two_byte_text(part, self.where(name))
+        for i, part in enumerate(self._parts(name, limits.BLOCK_BYTES)):
+            # UTF-16 and UTF-32, with or without byte order mark, and binary files have zero bytes
+            if i == 0 and (part.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\x00" in part[:4096]):
+                raise RecordingError(
+                    f"{self.where(name)}: not UTF-8 text but UTF-16 or a binary file; save it as UTF-8"
+                )
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """The text of a member in blocks that end with a line; the last one may not, where the file does not.
+        """The text of a member in blocks that end with a line feed.
 
-        Line ends become a line feed and a byte order mark is dropped. UTF-16 and other texts with zero bytes are
-        refused, and so are lines without end.
+        A last line without one is a block of its own. Line ends become a line feed and a byte order mark is dropped.
+        UTF-16 and other texts with zero bytes are refused, and so are lines without end.
         """
         rest = b""
         for part in self.pieces(name):
             block = rest + part
-            if b"\n" not in block and b"\r" in block[:-1]:  # line ends of old Macintosh programs
-                block = block.replace(b"\r", b"\n")
+            if b"\r" in block:
+                last = b"\r" if block.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                block = block.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
             cut = block.rfind(b"\n") + 1
             block, rest = block[:cut], block[cut:]
-            if len(rest) > MAX_LINE_BYTES:
+            if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
-                    f"{self.where(name)}: a line of more than {MAX_LINE_BYTES} bytes; this is no table"
+                    f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
                 )
             if block:
-                yield block.replace(b"\r\n", b"\n") if b"\r" in block else block
+                yield block
         if rest:
             yield rest.replace(b"\r", b"\n")
 
     def _parts(self, name: str, size: int) -> Iterator[bytes]:
+        """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""
+        where = self.where(name)
         try:
             if self._archive is None:
-                if self.size(name) > MAX_MEMBER_BYTES:
+                n_bytes = self._files[name].stat().st_size
+                if n_bytes > limits.MAX_MEMBER_BYTES:
                     raise RecordingError(
-                        f"{self.where(name)}: {self.size(name)} bytes, more than {MAX_MEMBER_BYTES}; cut the recording"
+                        f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording"
                     )
-                with self._files[name].open("rb") as file:
-                    while part := file.read(size):
-                        yield part
-                return
-            info = self._infos[name]
-            _check_member(self.where(name), info)
-            with self._archive.open(info) as member:
-                while part := member.read(size):  # unpacks no more than this at once; checks the CRC at the end
+                opened = self._files[name].open("rb")
+            else:
+                _check_claims(where, self._infos[name])
+                opened = self._archive.open(self._infos[name])
+            with opened as file:
+                while part := file.read(size):
                     yield part
         except RecordingError:
             raise
         except OSError as error:
-            raise RecordingError(f"{self.where(name)}: cannot be read ({error.strerror or error})") from error
+            raise RecordingError(f"{where}: cannot be read ({error.strerror or error})") from error
         except _ZIP_ERRORS as error:
-            raise RecordingError(
-                f"{self.where(name)}: damaged ({error}); copy or export the recording again"
-            ) from error
+            raise RecordingError(f"{where}: damaged ({error}); copy or export the recording again") from error
 
 
 @contextmanager
@@ -170,38 +127,47 @@ def open_members(path: Path) -> Generator[Members]:
     try:
         if not path.exists():
             raise RecordingError(f"{path}: no such file or folder; check the path")
-        if not path.is_dir() and not path.is_file():
+        if path.is_dir():
+            yield Members(path)
+            return
+        if not path.is_file():
             raise RecordingError(f"{path}: neither a file nor a folder; give a zip file or a folder")
-        if path.is_file() and path.stat().st_size == 0:
+        if path.stat().st_size == 0:
             raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
-        if path.is_file() and _begins_like_zip(path):
-            try:
-                archive = zipfile.ZipFile(path)
-            except _ZIP_ERRORS as error:
-                raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
-            with archive:
-                try:
-                    members = Members(path, archive)
-                except RecordingError:
-                    raise
-                except _ZIP_ERRORS as error:
-                    raise RecordingError(f"{path}: a damaged zip file ({error}); copy it again") from error
-                yield members
-        else:
-            yield Members(path, None)
+        with path.open("rb") as file:
+            begins_like_zip = file.read(2) == b"PK"
+        if not begins_like_zip:
+            yield Members(path)
+            return
+        try:
+            archive = zipfile.ZipFile(path)
+        except _ZIP_ERRORS as error:
+            raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
+        with archive:
+            yield Members(path, archive)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
 
 
-def refuse_two_byte_text(head: bytes, where: str) -> None:
-    """Refuse UTF-16 and UTF-32, with or without byte order mark, and binary files: all have zero bytes."""
-    if head.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\x00" in head[:4096]:
-        raise RecordingError(f"{where}: not UTF-8 text but UTF-16 or a binary file; save it as UTF-8")
+def json_object(content: bytes, where: str) -> dict[str, Any]:
+    """The object that a small JSON file holds."""
+    try:
+        value: Any = json.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{where}: not JSON ({error}); correct it or leave the file out") from error
+    if not isinstance(value, dict):
+        raise RecordingError(f"{where}: holds {str(value)[:40]!r}; it must be one object in braces, like {{}}")
+    return cast("dict[str, Any]", value)
 
 
-def _begins_like_zip(path: Path) -> bool:
-    with path.open("rb") as file:
-        return file.read(2) == b"PK"
+def read_toml(path: Path) -> dict[str, Any]:
+    """The content of a small TOML file."""
+    try:
+        if path.stat().st_size > limits.MAX_TOML_BYTES:
+            raise ValueError(f"more than {limits.MAX_TOML_BYTES} bytes")
+        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
+    except (ValueError, OSError, RecursionError) as error:
+        raise RecordingError(f"{path}: not TOML ({error}); correct it or take it away") from error
 
 
 def _files_below(path: Path) -> dict[str, Path]:
@@ -212,93 +178,42 @@ def _files_below(path: Path) -> dict[str, Path]:
             for entry in folder.iterdir():
                 if entry.is_file():
                     found[entry.relative_to(path).as_posix()] = entry
-                if len(found) > MAX_MEMBERS:
-                    raise RecordingError(f"{path}: more than {MAX_MEMBERS} files; give the folder of one recording")
+                if len(found) > limits.MAX_MEMBERS:
+                    raise RecordingError(
+                        f"{path}: more than {limits.MAX_MEMBERS} files; give the folder of one recording"
+                    )
     return found
 
 
-def _read_folder(path: Path, wanted: Iterable[str], required: str) -> dict[str, bytes]:
-    found = sorted(entry.name for entry in path.iterdir())
-    if required not in found:
-        raise RecordingError(_not_a_recording(path, required, found))
-    contents: dict[str, bytes] = {}
-    for name in wanted:
-        if name in found:
-            size = (path / name).stat().st_size
-            if size > MAX_MEMBER_BYTES:
-                raise RecordingError(f"{path / name}: {size} bytes, more than {MAX_MEMBER_BYTES}; cut the recording")
-            contents[name] = (path / name).read_bytes()
-    return contents
-
-
-def _read_zip(path: Path, wanted: Iterable[str], required: str) -> dict[str, bytes]:
-    try:
-        with zipfile.ZipFile(path) as archive:
-            members = _members_by_name(path, archive)
-            folder = _folder_of(path, members, required)
-            return {
-                name: _read_member(path, archive, members[folder / name]) for name in wanted if folder / name in members
-            }
-    except RecordingError:
-        raise
-    except _ZIP_ERRORS as error:
-        raise RecordingError(
-            f"{path}: not a zip file, or a damaged one ({error}); give an intact zip file, "
-            f"or the folder that holds {required}"
-        ) from error
-
-
-def _members_by_name(path: Path, archive: zipfile.ZipFile) -> dict[PurePosixPath, zipfile.ZipInfo]:
-    members: dict[PurePosixPath, zipfile.ZipInfo] = {}
+def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
+    """Files in a zip by path inside it, whatever system packed it; a path that leads out of it is refused."""
+    if len(archive.infolist()) > limits.MAX_MEMBERS:
+        raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
+    found: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         name = PurePosixPath(info.filename.replace("\\", "/"))  # some Windows tools write backslashes
         if name.is_absolute() or ".." in name.parts or (name.parts[:1] and name.parts[0].endswith(":")):
             raise RecordingError(f"{path}: member {info.filename!r} points outside the zip; pack it again without it")
-        if info.is_dir() or "__MACOSX" in name.parts:
+        if not info.filename or info.is_dir() or "__MACOSX" in name.parts:
             continue
-        if name in members:
+        if str(name) in found:
             raise RecordingError(f"{path}: {name} is in the zip twice; pack it again with one of them")
-        members[name] = info
-    return members
+        found[str(name)] = info
+    return found
 
 
-def _folder_of(path: Path, members: Iterable[PurePosixPath], required: str) -> PurePosixPath:
-    names = list(members)
-    folders = [name.parent for name in names if name.name == required]
-    if not folders:
-        raise RecordingError(_not_a_recording(path, required, sorted(map(str, names))))
-    if len(folders) > 1:
-        raise RecordingError(
-            f"{path}: holds {len(folders)} recordings ({', '.join(map(str, folders[:3]))}); make one zip of each"
-        )
-    return folders[0]
-
-
-def _check_member(where: str, info: zipfile.ZipInfo) -> None:
+def _check_claims(where: str, info: zipfile.ZipInfo) -> None:
     if info.flag_bits & 0x1:
         raise RecordingError(f"{where} is encrypted; unpack it with its password and pack it again without one")
     if info.compress_type not in SUPPORTED_COMPRESSION:
         raise RecordingError(f"{where} uses zip compression method {info.compress_type}; pack it again with deflate")
+    if info.file_size > limits.MAX_MEMBER_BYTES:
+        raise RecordingError(
+            f"{where} claims {info.file_size} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording"
+        )
     ratio = info.file_size / max(info.compress_size, 1)
-    if info.file_size > MAX_MEMBER_BYTES:
-        raise RecordingError(f"{where} claims {info.file_size} bytes, more than {MAX_MEMBER_BYTES}; cut the recording")
-    if info.file_size > RATIO_CHECKED_ABOVE_BYTES and ratio > MAX_COMPRESSION_RATIO:
+    if info.file_size > limits.RATIO_CHECKED_ABOVE_BYTES and ratio > limits.MAX_COMPRESSION_RATIO:
         raise RecordingError(
             f"{where} claims to unpack to {info.file_size} bytes, {ratio:.0f} times its size: no sensor data is like "
             "that; unpack it yourself and give the folder, if you trust it"
         )
-
-
-def _read_member(path: Path, archive: zipfile.ZipFile, info: zipfile.ZipInfo) -> bytes:
-    where = f"{path}: {info.filename}"
-    _check_member(where, info)
-    with archive.open(info) as member:
-        content = member.read(info.file_size + 1)  # zipfile unpacks at most this much, and then checks the CRC
-    if len(content) != info.file_size:
-        raise RecordingError(f"{where} is cut off or longer than the zip says; copy the zip again")
-    return content
-
-
-def _not_a_recording(path: Path, required: str, found: list[str]) -> str:
-    listed = ", ".join(found[:8]) + (f" and {len(found) - 8} more" if len(found) > 8 else "")
-    return f"{path}: no recording, because it has no {required} (found: {listed or 'nothing'}); add that file"

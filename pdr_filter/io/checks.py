@@ -1,6 +1,6 @@
 """Checks that every reader makes before it hands a recording over: what cannot be right is refused, never mended.
 
-Real files with the wrong unit, sign or clock look healthy; these are the tests that tell them from right ones.
+Real files with the wrong unit, sign or clock look healthy; these tests distinguish them from right ones.
 """
 
 from __future__ import annotations
@@ -10,73 +10,60 @@ from collections.abc import Mapping
 
 import numpy as np
 
+from pdr_filter.io import limits
 from pdr_filter.io.describe import describe_stream, median_norm
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.table import finite
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.samples import Samples
 
-# A window of 0.2 s at the lowest rate below; less cannot hold a step.
-MIN_SAMPLES = 10
-# Walking has its step at 2 Hz, so less than 5 Hz cannot show it; no phone delivers more than 2000 Hz. The range spans
-# less than a factor of 1000, so at most one of ms, us and ns explains a rate outside it.
-RATE_RANGE_HZ = (5.0, 2000.0)
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
-# Median |specific force| of 349 real recordings is 8.6 to 15.5 m/s2 (jogging, phone in the pocket); in g that is 0.9 to
-# 1.6. Walking with gravity removed gives about 1 to 4, so the message for small values names both.
-SPECIFIC_FORCE_RANGE_MPS2 = (5.0, 25.0)
-G_RANGE = (0.8, 1.7)
-# Two turns a second as the median; jogging reaches 4.3. The same walk in deg/s gives 20 and more.
-MAX_MEDIAN_ANGULAR_RATE_RADPS = 12.0
-# Nothing measured is larger; up to here squares and sums of squares stay finite.
-LARGEST_VALUE = 1e30
-# Mean cosine between the specific force, turned into the world by the phone's own attitude, and up. It is 0.9 and more
-# in a walk with the right sign, -0.9 with the wrong one; attitudes that were never aligned with gravity lie between.
-UP_COSINE_WRONG_SIGN = -0.5
-UP_COSINE_DOUBTFUL = 0.5
 
 
-def finite(values: FloatArray, file: str, notes: list[str]) -> FloatArray:
-    """Values with infinite and absurdly large ones made NaN, in place, with a note."""
-    beyond = np.abs(values) > LARGEST_VALUE
-    if beyond.any():
-        notes.append(f"{file}: {int(beyond.sum())} infinite or absurdly large values taken as unknown")
-        values[beyond] = np.nan
-    return values
+def checked_streams(
+    found: Mapping[str, tuple[FloatArray, FloatArray]], zero_s: float, suffix: str, where: str, notes: list[str]
+) -> dict[str, Samples]:
+    """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
+
+    Parameters
+    ----------
+    found : mapping
+        Times (N,) and values (N, d) by the name of the stream, as parsed.
+    zero_s : float
+        Time that becomes zero.
+    suffix : str
+        Put behind the name of a stream in notes and messages: ".csv" where each has a file of that name.
+    where : str
+        File name for messages.
+    notes : list of str
+        What was left out or found odd is appended here.
+    """
+    streams: dict[str, Samples] = {}
+    for name in sorted(found, key=lambda name: name != "accelerometer"):
+        label = name + suffix
+        time_s, values = finite(found[name][0], f"{label} times", notes), finite(found[name][1], label, notes)
+        known = with_time(time_s, label, notes)
+        samples = Samples(time_s[known] - zero_s, values[known])
+        if name == "accelerometer":
+            _check_rows(samples, f"{where}: {label}")
+            _check_times(samples, f"{where}: {label}")
+            _check_specific_force(median_norm(samples.values), f"{where}: {label}")
+        elif np.isnan(samples.values).all():  # also true of no rows
+            notes.append(f"{label}: no values, left out")
+            continue
+        streams[name] = samples
+    if "gyroscope" in streams:
+        _check_angular_rate(median_norm(streams["gyroscope"].values), f"{where}: gyroscope{suffix}")
+    notes += _time_notes(streams, suffix)
+    return streams
 
 
-def with_time(time_s: FloatArray, file: str, notes: list[str]) -> BoolArray:
+def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
     """Which rows have a time; a note says how many have none."""
     known = ~np.isnan(time_s)
     if not known.all():
-        notes.append(f"{file}: {int((~known).sum())} rows without a time left out")
+        notes.append(f"{where}: {int((~known).sum())} rows without a time left out")
     return known
-
-
-def check_accelerometer(samples: Samples, where: str) -> None:
-    """Refuse too few rows, times that are no seconds, and values that are no specific force in m/s2."""
-    _check_rows(samples, where)
-    _check_times(samples, where)
-    _check_specific_force(median_norm(samples.values), where)
-
-
-def check_gyroscope(samples: Samples, where: str) -> None:
-    """Refuse angular rates that look like deg/s."""
-    if (median := median_norm(samples.values)) > MAX_MEDIAN_ANGULAR_RATE_RADPS:
-        raise RecordingError(
-            f"{where}: median angular rate is {median:.4g}; this looks like deg/s, "
-            "multiply x, y and z by pi/180 to get rad/s"
-        )
-
-
-def overlap_notes(streams: Mapping[str, Samples]) -> list[str]:
-    """A note for each stream that shares no time with the accelerometer."""
-    time_s = streams["accelerometer"].time_s
-    first_s, last_s = time_s.min(), time_s.max()
-    return [
-        f"{name}.csv: its times do not overlap those of the accelerometer"
-        for name, samples in streams.items()
-        if samples.time_s.min() > last_s or samples.time_s.max() < first_s
-    ]
 
 
 def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
@@ -101,27 +88,46 @@ def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
     return float(cosine.mean()) if len(cosine) else math.nan
 
 
+def _time_notes(streams: Mapping[str, Samples], suffix: str) -> list[str]:
+    """Notes of streams whose times repeat, go back, or are not those of the accelerometer."""
+    time_s = streams["accelerometer"].time_s
+    notes: list[str] = []
+    for name, samples in streams.items():
+        if samples.time_s.min() > time_s.max() or samples.time_s.max() < time_s.min():
+            notes.append(f"{name}{suffix}: its times do not overlap those of the accelerometer")
+        stream = describe_stream(name, samples)
+        if stream.n_duplicates or stream.n_backward:
+            notes.append(
+                f"{name}{suffix}: {stream.n_duplicates} repeated and {stream.n_backward} backward times, "
+                "kept as recorded"
+            )
+    return notes
+
+
 def _check_rows(samples: Samples, where: str) -> None:
-    if len(samples) < MIN_SAMPLES:
-        raise RecordingError(f"{where}: only {len(samples)} samples with a time; at least {MIN_SAMPLES} are needed")
-    empty = np.isnan(samples.values).all(axis=0)
-    if empty.any():
-        columns = ", ".join(np.array(["x", "y", "z"])[empty])
+    if len(samples) < limits.MIN_SAMPLES:
+        raise RecordingError(
+            f"{where}: only {len(samples)} samples with a time; at least {limits.MIN_SAMPLES} are needed"
+        )
+    known = ~np.isnan(samples.values)
+    if not known.any(axis=0).all():
+        columns = ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)])
         raise RecordingError(f"{where}: no values in column {columns}; record the accelerometer on all three axes")
-    if not (~np.isnan(samples.values)).all(axis=1).any():
+    if not known.all(axis=1).any():
         raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")
 
 
 def _check_times(samples: Samples, where: str) -> None:
+    """Refuse times that do not increase, or that are no seconds."""
     found = describe_stream("accelerometer", samples)
-    still = found.n_duplicates + found.n_backward
-    if 2 * still > len(samples) - 1:
+    n_still = found.n_duplicates + found.n_backward
+    if 2 * n_still > len(samples) - 1:
         raise RecordingError(
-            f"{where}: time_s does not increase in {still} of {len(samples) - 1} rows; "
+            f"{where}: time_s does not increase in {n_still} of {len(samples) - 1} rows; "
             "sort the rows by time and give each its own time"
         )
     rate_hz = found.rate_hz or math.inf
-    low, high = RATE_RANGE_HZ
+    low, high = limits.RATE_RANGE_HZ
     if rate_hz < low:
         fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
         remedy = f"they look like {fits[0]}, convert them to seconds" if fits else f"record at {low:g} Hz or more"
@@ -134,12 +140,20 @@ def _check_times(samples: Samples, where: str) -> None:
 
 
 def _check_specific_force(median_mps2: float, where: str) -> None:
-    low, high = SPECIFIC_FORCE_RANGE_MPS2
+    low, high = limits.SPECIFIC_FORCE_RANGE_MPS2
     if low <= median_mps2 <= high:
         return
     remedy = "columns x, y, z must be specific force in m/s2, about 9.81 at rest"
-    if G_RANGE[0] <= median_mps2 <= G_RANGE[1]:
+    if limits.G_RANGE[0] <= median_mps2 <= limits.G_RANGE[1]:
         remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record without that)"
     elif median_mps2 < low:
         remedy += "; if gravity was removed, record the accelerometer itself"
     raise RecordingError(f"{where}: median |a| is {median_mps2:.4g}; {remedy}")
+
+
+def _check_angular_rate(median_radps: float, where: str) -> None:
+    if median_radps > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS:
+        raise RecordingError(
+            f"{where}: median angular rate is {median_radps:.4g}; this looks like deg/s, "
+            "multiply x, y and z by pi/180 to get rad/s"
+        )

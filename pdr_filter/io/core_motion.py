@@ -15,13 +15,13 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io import limits
 from pdr_filter.io.archive import open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.get_sensor_data import only_text
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.table import Layout, find_separator, header_fields, parse_blocks, split_header
+from pdr_filter.io.table import TextTable, find_separator, header_fields
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
@@ -32,9 +32,8 @@ GROUPS = {
     "rotationRate": ("rotationRate.x", "rotationRate.y", "rotationRate.z"),
     "attitude": ("attitude.roll", "attitude.pitch", "attitude.yaw"),
 }
+NEEDED = ("gravity", "userAcceleration")
 TIME_NAMES = ("time", "time_s", "timestamp")
-# |gravity| of CoreMotion is 1 g by construction, to rounding.
-GRAVITY_RANGE_G = (0.9, 1.1)
 
 
 def looks_like(header: str) -> bool:
@@ -53,22 +52,14 @@ def read_core_motion(path: str | Path) -> Recording:
     path = Path(path)
     parsed = Parsed(path, "CoreMotion table")
     with open_members(path) as members:
-        name = only_text(members)
-        where = members.where(name)
-        header, body = split_header(members.blocks(name), where)
-        separator = find_separator(header)
-        fields = header_fields(header, separator)
-        groups = {group: names for group, names in GROUPS.items() if all(fields.count(n) == 1 for n in names)}
-        for group in ("gravity", "userAcceleration"):
-            if group not in groups:
-                raise RecordingError(
-                    f"{where}: needs the columns {', '.join(GROUPS[group])} once each "
-                    f"(found: {', '.join(fields)[:160]})"
-                )
-        names = [name for group in groups.values() for name in group]
-        time_name = next((name for name in TIME_NAMES if fields.count(name) == 1), None)
-        picked = [fields.index(name) for name in names] + ([fields.index(time_name)] if time_name else [])
-        rows = parse_blocks(body, Layout(tuple(picked), None, separator, names=tuple(names)), where, parsed.notes)
+        name = members.only_text()
+        table = TextTable(members.blocks(name), members.where(name))
+        groups = [group for group, names in GROUPS.items() if all(table.fields.count(name) == 1 for name in names)]
+        for group in NEEDED:
+            table.places(GROUPS[group])
+        time_name = next((name for name in TIME_NAMES if table.fields.count(name) == 1), None)
+        names = [name for group in groups for name in GROUPS[group]]
+        rows = table.parse(table.places([*names, *([time_name] if time_name else [])]), parsed.notes)
     values = {group: rows.values[:, 3 * i : 3 * i + 3] for i, group in enumerate(groups)}
     if time_name:
         time_s = rows.values[:, -1]
@@ -78,9 +69,9 @@ def read_core_motion(path: str | Path) -> Recording:
         parsed.requested_hz = dict.fromkeys(("accelerometer", "gyroscope", "attitude"), RATE_HZ)
         parsed.clock = f"no time column: row number divided by {RATE_HZ:g} Hz"
     gravity_g = median_norm(values["gravity"])
-    if not GRAVITY_RANGE_G[0] <= gravity_g <= GRAVITY_RANGE_G[1] and len(rows):
+    if len(rows) and not limits.GRAVITY_RANGE_G[0] <= gravity_g <= limits.GRAVITY_RANGE_G[1]:
         raise RecordingError(
-            f"{where}: median |gravity| is {gravity_g:.4g}, but CoreMotion counts in g, so it must be 1; "
+            f"{table.where}: median |gravity| is {gravity_g:.4g}, but CoreMotion counts in g, so it must be 1; "
             "read it with format='generic_csv' and say the unit"
         )
     force = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])

@@ -1,12 +1,13 @@
-"""What is in a recording: rates, gaps, repeated times, plausibility of units, truth."""
+"""What is in a recording, and how it was read: rates, gaps, repeated times, units, truth; source, signs, clock."""
 
 from __future__ import annotations
 
 from dataclasses import asdict, dataclass
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.io import limits
 from pdr_filter.io.recording import Recording
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import Samples
@@ -15,6 +16,10 @@ from pdr_filter.values.samples import Samples
 GAP_S = 0.3
 # A slow sensor (1 Hz GNSS) has a gap only where samples are missing, so where an interval is this many usual ones.
 GAP_INTERVALS = 2.5
+# A stream whose mean rate is below this part of the one that was asked for is named: phones often deliver half.
+DELIVERED_ENOUGH = 0.9
+# In `Recording.meta`: what the reader of another app's format found. Plain values, so that it survives being written.
+READING_KEY = "reading"
 
 STREAM_UNITS = {
     "accelerometer": "m/s2",
@@ -27,22 +32,19 @@ STREAM_UNITS = {
     "location": "deg, m",
 }
 
-# Stream, quantity, unit, and where its median lies in a recording in the right unit. Specific force and angular rate:
-# rest, walking, jogging with the phone in the pocket or on the foot (up to 15.5 m/s2 and 4.3 rad/s in 349 real
-# recordings). Field: the Earth's is 22 to 67 uT, steel indoors bends it a little further. Pressure: 5000 m up to a deep
-# valley. The norm of a quaternion is one.
+# Stream, quantity, unit, and where its median lies in a recording in the right unit.
 PLAUSIBLE = (
-    ("accelerometer", "|specific force|", "m/s2", 5.0, 25.0),
-    ("gyroscope", "|angular rate|", "rad/s", 0.0, 12.0),
-    ("magnetometer", "|magnetic field|", "uT", 20.0, 80.0),
-    ("barometer", "pressure", "hPa", 500.0, 1100.0),
-    ("attitude", "|quaternion|", "", 0.98, 1.02),
+    ("accelerometer", "|specific force|", "m/s2", limits.SPECIFIC_FORCE_RANGE_MPS2),
+    ("gyroscope", "|angular rate|", "rad/s", (0.0, limits.MAX_MEDIAN_ANGULAR_RATE_RADPS)),
+    ("magnetometer", "|magnetic field|", "uT", limits.MAGNETIC_FIELD_RANGE_UT),
+    ("barometer", "pressure", "hPa", limits.PRESSURE_RANGE_HPA),
+    ("attitude", "|quaternion|", "", limits.QUATERNION_NORM_RANGE),
 )
 
 
 @dataclass(frozen=True, slots=True)
 class StreamDescription:
-    """One sensor stream in numbers. None where there are too few samples to tell."""
+    """One sensor stream in numbers. None where there are too few samples to know."""
 
     name: str
     unit: str
@@ -56,6 +58,24 @@ class StreamDescription:
     n_duplicates: int  # times equal to the one before
     n_backward: int  # times before the one before
     n_missing_rows: int  # rows with at least one empty value
+    requested_hz: float | None = None  # None where the app does not say
+
+    @property
+    def is_slow(self) -> bool:
+        """Whether clearly less was delivered than requested."""
+        if self.requested_hz is None or self.mean_rate_hz is None:
+            return False
+        return self.mean_rate_hz < DELIVERED_ENOUGH * self.requested_hz
+
+    def sentence(self) -> str:
+        """One line for people."""
+        rate = "rate unknown" if self.mean_rate_hz is None else f"{self.mean_rate_hz:.1f} Hz delivered"
+        if self.requested_hz is not None and self.mean_rate_hz is not None:
+            rate += f", {self.requested_hz:.1f} Hz requested"
+            if self.is_slow:
+                rate += f" ({100 * self.mean_rate_hz / self.requested_hz:.0f} %)"
+        gaps = f"{self.n_gaps} gaps" + (f" (longest {self.longest_gap_s:.2f} s)" if self.n_gaps else "")
+        return f"{self.name}: {rate}, {gaps}, {self.n_duplicates} repeated and {self.n_backward} backward times"
 
 
 @dataclass(frozen=True, slots=True)
@@ -74,40 +94,84 @@ class Description:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists that json can write."""
-        return asdict(self) | {
-            "streams": [asdict(stream) for stream in self.streams],
-            "units": list(self.units),
-            "notes": list(self.notes),
-        }
+        return _plain(asdict(self))
+
+
+@dataclass(frozen=True, slots=True)
+class ReadingReport:
+    """How a recording was read, in words and numbers."""
+
+    source: str  # app or format, with version and platform as far as the file says
+    found: tuple[str, ...]  # signs and units, one sentence for each decision
+    clock: str  # where time zero lies, and whose clock it is
+    streams: tuple[StreamDescription, ...]
+    notes: tuple[str, ...]  # what was repaired or left out
+
+    def lines(self) -> tuple[str, ...]:
+        """The report as lines of text."""
+        return (*self.about(), *(stream.sentence() for stream in self.streams), *self.notes)
+
+    def about(self) -> tuple[str, ...]:
+        """The lines that the streams themselves do not show: source, signs and units, clock, rates not delivered."""
+        slow = [
+            f"{stream.name}: {stream.requested_hz:.1f} Hz requested, {stream.mean_rate_hz:.1f} Hz delivered"
+            for stream in self.streams
+            if stream.is_slow
+        ]
+        return (f"read as {self.source}", *self.found, f"clock: {self.clock}", *slow)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain dicts and lists that json can write."""
+        return _plain(asdict(self))
 
 
 def describe(recording: Recording) -> Description:
     """Return rates, gaps, unit checks and truth of a recording, and how it was read if it is another app's."""
-    from pdr_filter.io.report import KEY, reading_report  # which describes streams with this module
-
     truth = recording.truth
-    said = reading_report(recording).about() if KEY in recording.meta else ()
+    report = reading_report(recording)
     return Description(
         name=recording.name,
         source=recording.source,
         duration_s=recording.duration_s,
-        streams=tuple(describe_stream(name, samples) for name, samples in recording.streams.items()),
+        streams=report.streams,
         height_m=recording.subject.height_m,
-        placement=str(recording.meta["placement"]) if recording.meta.get("placement") else None,
+        placement=recording.placement or None,
         units=_unit_sentences(recording),
         truth_rows={name: len(getattr(truth, name)) for name in truth.present()},
-        notes=(*said, *recording.notes),
+        notes=(*(report.about() if READING_KEY in recording.meta else ()), *recording.notes),
     )
 
 
-def describe_stream(name: str, samples: Samples) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream; times may repeat and go back, but not be NaN."""
+def reading_report(recording: Recording) -> ReadingReport:
+    """Return the report of a recording as it was read; of the project's own format if it says nothing else."""
+    reading = _dict_of(recording.meta.get(READING_KEY))
+    requested = _dict_of(reading.get("requested_hz")) or {"accelerometer": recording.meta.get("nominal_rate_hz")}
+    found: Any = reading.get("found")
+    sentences = cast("list[Any]", found) if isinstance(found, list) else ["SI units, specific force +9.81 on z face up"]
+    most = limits.MAX_TEXT_CHARS
+    return ReadingReport(
+        source=str(reading.get("source") or "own format")[:most],
+        found=tuple(str(sentence)[:most] for sentence in sentences[: limits.MAX_SENTENCES]),
+        clock=str(reading.get("clock") or "seconds from the first accelerometer sample")[:most],
+        streams=tuple(
+            describe_stream(name, samples, requested.get(name)) for name, samples in recording.streams.items()
+        ),
+        notes=recording.notes,
+    )
+
+
+def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
+    """Return rates, gaps and oddities of one stream; times may repeat and go back, but not be NaN.
+
+    The rate that was asked for may come from a file; what is no rate counts as not known.
+    """
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]
     median_s = float(np.median(forward_s)) if len(forward_s) else np.inf
     gaps_s = forward_s[forward_s > max(GAP_S, GAP_INTERVALS * median_s)]
     span_s = float(time_s.max() - time_s.min()) if len(time_s) else 0.0
+    is_rate = isinstance(requested_hz, int | float) and not isinstance(requested_hz, bool) and 0 < requested_hz < 1e6
     return StreamDescription(
         name=name,
         unit=STREAM_UNITS.get(name, ""),
@@ -121,6 +185,7 @@ def describe_stream(name: str, samples: Samples) -> StreamDescription:
         n_duplicates=int((interval_s == 0).sum()),
         n_backward=int((interval_s < 0).sum()),
         n_missing_rows=int(np.isnan(samples.values).any(axis=1).sum()),
+        requested_hz=float(requested_hz) if is_rate else None,
     )
 
 
@@ -135,10 +200,22 @@ def median_norm(values: FloatArray) -> float:
 
 def _unit_sentences(recording: Recording) -> tuple[str, ...]:
     sentences: list[str] = []
-    for name, quantity, unit, low, high in PLAUSIBLE:
+    for name, quantity, unit, (low, high) in PLAUSIBLE:
         samples = recording.streams.get(name)
         median = median_norm(samples.values) if samples else float("nan")
         if not np.isnan(median):
             verdict = "plausible" if low <= median <= high else f"not plausible, expected {low:g} to {high:g}"
             sentences.append(f"{name}: median {quantity} {median:.4g} {unit}".rstrip() + f", {verdict}")
     return tuple(sentences)
+
+
+def _dict_of(value: Any) -> dict[str, Any]:
+    """The value if it is a dict; files of other people may hold anything in its place."""
+    return cast("dict[str, Any]", value) if isinstance(value, dict) else {}
+
+
+def _plain(value: Any) -> Any:
+    """The same with lists in place of tuples."""
+    if isinstance(value, dict):
+        return {key: _plain(item) for key, item in cast("dict[str, Any]", value).items()}
+    return [_plain(item) for item in cast("list[Any]", value)] if isinstance(value, list | tuple) else value

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.io import core_motion, get_sensor_data, indoor_location, phyphox, sensor_logger
+from pdr_filter.io import core_motion, get_sensor_data, indoor_location, limits, phyphox, sensor_logger
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.core_motion import read_core_motion
 from pdr_filter.io.errors import RecordingError
@@ -17,6 +17,7 @@ from pdr_filter.io.phyphox import read_phyphox
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.ronin import SIGNATURE, read_ronin
 from pdr_filter.io.sensor_logger import read_sensor_logger
+from pdr_filter.io.table import SEPARATORS
 
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
@@ -28,9 +29,6 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "ronin": read_ronin,
     "generic_csv": read_generic_csv,
 }
-HEAD_BYTES = 65536
-# Looking at the first lines of more files than this takes longer than reading a recording; real ones have tens.
-MAX_FILES_LOOKED_AT = 100
 
 
 def detect(path: Path) -> str:
@@ -38,43 +36,43 @@ def detect(path: Path) -> str:
     if not path.exists():
         return "own"
     with open_members(path) as members:
-        names = {PurePosixPath(name).name for name in members.names}
-        is_container = path.is_dir() or _is_zip(members)
-        for name in members.names:
-            if is_container and PurePosixPath(name).name == "accelerometer.csv":
-                found = _of_file(members, name)  # an experiment of phyphox may be called so, too
-                return found if found in ("phyphox", "sensor_logger") else "own"
-        if is_container and "data.hdf5" in names and path.is_dir():
-            return "ronin"
-        if not is_container and path.name == "accelerometer.csv":
-            return "own"  # which asks for the folder
-        if not is_container and mapping_beside(path).is_file() and mapping_beside(path) != path:
-            found = _of_file(members, members.names[0])
-            return found if found in ("get_sensor_data", "ronin") else "generic_csv"
-        texts = [n for n in members.names if n.lower().endswith((".csv", ".txt", ".log", ".json"))]
-        for name in (texts if is_container else list(members.names))[:MAX_FILES_LOOKED_AT]:
-            found = _of_file(members, name)
-            if found == "sensor_logger" and not is_container and members.content(name, 100).lstrip()[:1] != b"[":
-                raise RecordingError(
-                    f"{path}: one sensor of a Sensor Logger recording; give the folder or zip that also holds the "
-                    "others and Metadata.csv"
-                )
-            if found:
-                return found
-        if not is_container and members.content(members.names[0], 2)[:2] in (b"\xff\xfe", b"\xfe\xff"):
-            raise RecordingError(f"{path}: UTF-16 text; save it as UTF-8")
-        if not is_container and _is_table(members, members.names[0]):
-            return "generic_csv"
-        return "own"
+        return _detect_among(members) if members.is_container else _detect_alone(members)
 
 
-def _is_zip(members: Members) -> bool:
-    return members.path.is_file() and members.names != (members.path.name,)
+def _detect_among(members: Members) -> str:
+    """The format of a zip or a folder."""
+    by_name = {PurePosixPath(name).name: name for name in members.names}
+    if "accelerometer.csv" in by_name:
+        found = _detect_file(members, by_name["accelerometer.csv"])  # an experiment of phyphox may be called so, too
+        return found if found in ("phyphox", "sensor_logger") else "own"
+    if "data.hdf5" in by_name and members.path.is_dir():
+        return "ronin"
+    texts = [name for name in members.names if name.lower().endswith((".csv", ".txt", ".log", ".json"))]
+    return next(filter(None, (_detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT])), "own")
 
 
-def _of_file(members: Members, name: str) -> str:
+def _detect_alone(members: Members) -> str:
+    """The format of one file."""
+    path, name = members.path, members.names[0]
+    if name == "accelerometer.csv":
+        return "own"  # which asks for the folder
+    found = _detect_file(members, name)
+    if mapping_beside(path).is_file() and mapping_beside(path) != path:
+        return found if found in ("get_sensor_data", "ronin") else "generic_csv"
+    head = members.content(name, limits.HEAD_BYTES)
+    if found == "sensor_logger" and head.lstrip()[:1] != b"[":
+        raise RecordingError(
+            f"{path}: one sensor of a Sensor Logger recording; give the folder or zip that also holds the others and "
+            "Metadata.csv"
+        )
+    if not found and head.startswith((b"\xff\xfe", b"\xfe\xff")):
+        raise RecordingError(f"{path}: UTF-16 text; save it as UTF-8")
+    return found or ("generic_csv" if _is_table(head) else "own")
+
+
+def _detect_file(members: Members, name: str) -> str:
     """The format that the first bytes of a file show; empty if none."""
-    head = members.content(name, HEAD_BYTES)[:HEAD_BYTES]
+    head = members.content(name, limits.HEAD_BYTES)
     if head.startswith(SIGNATURE):
         return "ronin"
     if head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]:
@@ -88,19 +86,14 @@ def _of_file(members: Members, name: str) -> str:
         return "phyphox"
     if sensor_logger.looks_like(line):
         return "sensor_logger"
-    if core_motion.looks_like(line):
-        return "core_motion"
-    return ""
+    return "core_motion" if core_motion.looks_like(line) else ""
 
 
-def _is_table(members: Members, name: str) -> bool:
-    """Whether a file is text whose first lines have the same number of at least four fields."""
-    head = members.content(name, HEAD_BYTES)[:HEAD_BYTES]
-    if b"\x00" in head:
-        return False
+def _is_table(head: bytes) -> bool:
+    """Whether these are the first bytes of a text whose first lines have the same number of at least four fields."""
     lines = head.decode("latin-1").splitlines()[:3]
-    counts = {max(line.count(separator) for separator in ",;\t") for line in lines}
-    return len(lines) >= 2 and len(counts) == 1 and counts.pop() >= 3
+    counts = {max(line.count(separator) for separator in SEPARATORS) for line in lines}
+    return b"\x00" not in head and len(lines) >= 2 and len(counts) == 1 and counts.pop() >= 3
 
 
 def read(path: str | Path, format: str | None = None) -> Recording:
@@ -108,7 +101,7 @@ def read(path: str | Path, format: str | None = None) -> Recording:
 
     The format is found by content, not by file name: the project's own, Sensor Logger, phyphox, GetSensorData (IPIN),
     indoor-location-competition 2.0, CoreMotion tables (MotionSense), RoNIN, or any CSV file with a TOML file beside it.
-    `pdr_filter.io.report.reading_report` of the result says what was found: source, signs, units, rates, clock.
+    `pdr_filter.io.describe.reading_report` of the result says what was found: source, signs, units, rates, clock.
 
     Parameters
     ----------
@@ -123,8 +116,7 @@ def read(path: str | Path, format: str | None = None) -> Recording:
         A ValueError whose message names the file, the column, the value and the remedy.
     """
     path = Path(path)
-    format = format.lower().replace("-", "_") if format else None
-    if format is not None and format not in FORMATS:
+    format = format.lower().replace("-", "_") if format else detect(path)
+    if format not in FORMATS:
         raise ValueError(f"format is {format!r}; known are {', '.join(FORMATS)}")
-    reader: Callable[[Path], Recording] = FORMATS[format or detect(path)]
-    return reader(path)
+    return FORMATS[format](path)

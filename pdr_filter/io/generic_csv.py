@@ -21,18 +21,17 @@ Further tables are magnetometer (uT, mT, G), barometer (hPa, Pa, kPa; `columns =
 from __future__ import annotations
 
 import math
-import tomllib
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io.archive import open_members
+from pdr_filter.io.archive import open_members, read_toml
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.get_sensor_data import only_text
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.table import Layout, find_separator, header_fields, parse_blocks, split_header, to_number
+from pdr_filter.io.table import TextTable, find_separator, header_fields, to_number
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
@@ -47,8 +46,16 @@ STREAMS: dict[str, tuple[int, dict[str, float]]] = {
     "attitude": (4, {"": 1.0}),
     "location": (4, {"": 1.0}),
 }
-KEYS = {"columns", "unit", "sign", "time"}
-MAX_MAPPING_BYTES = 100_000
+
+
+@dataclass(frozen=True, slots=True)
+class _Stream:
+    """Where the values of a stream are in the table."""
+
+    columns: list[str]
+    time: str  # column; empty if rows come at a fixed rate
+    unit: str
+    factor: float  # to the unit of `Recording`, with the sign
 
 
 def mapping_beside(path: Path) -> Path:
@@ -69,57 +76,37 @@ def read_generic_csv(path: str | Path) -> Recording:
     beside = mapping_beside(path)
     parsed = Parsed(path, "generic CSV")
     with open_members(path) as members:
-        name = only_text(members)
+        name = members.only_text()
         where = members.where(name)
-        header, body = split_header(members.blocks(name), where)
+        header = TextTable(members.blocks(name), where).header
         if path.is_dir() or not beside.is_file():
             raise RecordingError(f"{where}: {mapping_hint(header, beside)}")
-        mapping = _mapping(beside)
-        file = _sub(mapping, "file", {"separator", "decimal"}, beside)
-        separator = str(file.get("separator", find_separator(header)))
-        decimal = str(file.get("decimal", "."))
-        if len(separator) != 1 or decimal not in (".", ",") or separator in (decimal, '"', "\n", "\r"):
-            raise RecordingError(f"{beside}: separator {separator!r} and decimal {decimal!r} cannot be used together")
-        fields = header_fields(header, separator)
-        streams = _streams(mapping, fields, beside)
-        time = _sub(mapping, "time", {"column", "unit", "rate_hz"}, beside)
-        unit_s = TIME_UNITS.get(str(time.get("unit", "s")))
-        if unit_s is None:
-            raise RecordingError(f"{beside}: time unit {time['unit']!r}; known are {', '.join(TIME_UNITS)}")
-        time_columns = {stream: str(_of(mapping, stream).get("time", time.get("column", ""))) for stream in streams}
-        for column in {*time_columns.values()} - {""}:
-            _index(column, fields, beside)
-        rate_hz = time.get("rate_hz")
-        if "" in time_columns.values() and not (_is_number(rate_hz) and 0.1 < cast("float", rate_hz) < 1e6):
-            raise RecordingError(f"{beside}: [time] needs column = ... or rate_hz = ...")
-        used = sorted({*(c for c in time_columns.values() if c), *(c for cs in streams.values() for c in cs)})
-        # Times in nanoseconds since 1970 need all digits: they are taken as text and made relative to the first.
-        layout = Layout(tuple(fields.index(c) for c in used), None, separator, decimal, names=tuple(used))
-        exact = _exact_time(time_columns, unit_s, fields)
-        if exact is not None:
-            layout = Layout(layout.picked, exact, separator, decimal, layout.names)
-        rows = parse_blocks(body, layout, where, parsed.notes)
+        mapping = _Mapping(beside, header)
+        table = TextTable(members.blocks(name), where, lambda _: mapping.separator)
+        streams = mapping.streams
+        # Times in nanoseconds since 1970 need all digits: whole numbers, made relative to the first.
+        exact = None if mapping.exact_time is None else table.fields.index(mapping.exact_time)
+        used = sorted({name for stream in streams.values() for name in (stream.time, *stream.columns)} - {""})
+        rows = table.parse(table.places(used), parsed.notes, whole=exact, decimal=mapping.decimal)
     at = {column: rows.values[:, i] for i, column in enumerate(used)}
-    for stream, columns in streams.items():
-        settings = _of(mapping, stream)
-        unit = str(settings.get("unit", next(iter(STREAMS[stream][1]))))
-        factor = STREAMS[stream][1][unit] * float(settings.get("sign", 1))
-        values = np.column_stack([at[column] for column in columns]) * factor
-        column = time_columns[stream]
-        if not column:
-            time_s = np.arange(len(rows)) / float(cast("float", rate_hz))
+    for name, stream in streams.items():
+        values = np.column_stack([at[column] for column in stream.columns]) * stream.factor
+        if not stream.time:
+            time_s = np.arange(len(rows)) / mapping.rate_hz
         elif exact is not None:
-            zero = rows.whole[0] if len(rows) else 0
-            time_s = (rows.whole - zero).astype(np.float64) * unit_s
+            time_s = (rows.whole - rows.whole[:1]).astype(np.float64) * mapping.unit_s
         else:
-            time_s = at[column] * unit_s
+            time_s = at[stream.time] * mapping.unit_s
         known = ~np.isnan(values).all(axis=1)  # sensors of different rates in one table leave fields empty
-        parsed.streams[stream] = (time_s[known], values[known])
-        parsed.found.append(f"{stream}: {', '.join(columns)}, {unit or 'unit as it is'}, factor {factor:.6g}, as told")
-    if _is_number(rate_hz):
-        parsed.requested_hz = {"accelerometer": float(cast("float", rate_hz))}
-    columns_said = ", ".join(sorted({*time_columns.values()} - {""}))
-    parsed.clock = f"column {columns_said}, in {time.get('unit', 's')}" if columns_said else f"rows at {rate_hz} Hz"
+        parsed.streams[name] = (time_s[known], values[known])
+        parsed.found.append(
+            f"{name}: {', '.join(stream.columns)}, {stream.unit or 'unit as it is'}, factor {stream.factor:.6g}, "
+            "as given"
+        )
+    if mapping.rate_hz:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
+    columns = ", ".join(sorted({stream.time for stream in streams.values()} - {""}))
+    parsed.clock = f"column {columns}, in {mapping.unit}" if columns else f"rows at {mapping.rate_hz:g} Hz"
     return parsed.recording()
 
 
@@ -127,11 +114,8 @@ def mapping_hint(header: str, beside: Path) -> str:
     """Columns of a header line, and the mapping to write."""
     fields = [field for field in header_fields(header, find_separator(header)) if field]
     seen = ", ".join(fields[:30])[:300] or "none"
-    if (
-        fields
-        and all(not math.isnan(number) for field in fields if (number := to_number(field)) is not None)
-        and all(to_number(field) is not None for field in fields)
-    ):
+    numbers = [to_number(field) for field in fields]
+    if numbers and all(number is not None and not math.isnan(number) for number in numbers):
         return f"the first line has numbers ({seen[:80]}); write a line with the names of the columns above it"
     t, x, y, z = ((*fields, "?", "?", "?", "?")[i] for i in range(4))
     return (
@@ -143,71 +127,79 @@ def mapping_hint(header: str, beside: Path) -> str:
     )
 
 
-def _mapping(beside: Path) -> dict[str, Any]:
-    try:
-        if beside.stat().st_size > MAX_MAPPING_BYTES:
-            raise ValueError("too long")
-        mapping = tomllib.loads(beside.read_text(encoding="utf-8-sig"))
-    except (ValueError, OSError, RecursionError) as error:
-        raise RecordingError(f"{beside}: not TOML ({error}); correct it") from error
-    unknown = mapping.keys() - {"file", "time", *STREAMS}
-    if unknown:
-        raise RecordingError(f"{beside}: unknown table {sorted(unknown)[0]!r}; known are {', '.join(STREAMS)}")
-    if "accelerometer" not in mapping:
-        raise RecordingError(f'{beside}: no [accelerometer]; write it with columns = ["x", "y", "z"]')
-    return mapping
+class _Mapping:
+    """The TOML file beside a table, checked against the table's header."""
 
+    def __init__(self, path: Path, header: str) -> None:
+        self._path = path
+        content = read_toml(path)
+        unknown = content.keys() - {"file", "time", *STREAMS}
+        if unknown:
+            raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; known are {', '.join(STREAMS)}")
+        if "accelerometer" not in content:
+            raise RecordingError(f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"]')
+        file = self._table(content, "file", {"separator", "decimal"})
+        self.separator = str(file.get("separator", find_separator(header)))
+        self.decimal = str(file.get("decimal", "."))
+        if (
+            len(self.separator) != 1
+            or self.separator in (self.decimal, '"', "\n", "\r")
+            or self.decimal not in (".", ",")
+        ):
+            raise RecordingError(
+                f"{path}: separator {self.separator!r} and decimal {self.decimal!r} cannot be used together"
+            )
+        time = self._table(content, "time", {"column", "unit", "rate_hz"})
+        self.unit = str(time.get("unit", "s"))
+        if self.unit not in TIME_UNITS:
+            raise RecordingError(f"{path}: time unit {self.unit!r}; known are {', '.join(TIME_UNITS)}")
+        self.unit_s = TIME_UNITS[self.unit]
+        rate_hz: Any = time.get("rate_hz")
+        is_rate = isinstance(rate_hz, int | float) and not isinstance(rate_hz, bool) and 0.1 < rate_hz < 1e6
+        self.rate_hz = float(rate_hz) if is_rate else 0.0
+        self.streams = {
+            name: self._stream(name, self._table(content, name, {"columns", "unit", "sign", "time"}), time)
+            for name in STREAMS
+            if name in content
+        }
+        fields = header_fields(header, self.separator)
+        for stream in self.streams.values():
+            for column in (*stream.columns, *([stream.time] if stream.time else [])):
+                if fields.count(column) != 1:
+                    raise RecordingError(
+                        f"{path}: column {column!r} is in the table {fields.count(column)} times; "
+                        f"columns seen: {', '.join(fields)[:300] or 'none'}"
+                    )
 
-def _of(mapping: dict[str, Any], stream: str) -> dict[str, Any]:
-    return cast("dict[str, Any]", mapping[stream])
+    @property
+    def exact_time(self) -> str | None:
+        """The time column, if all streams share one in nanoseconds, whose digits a float cannot hold."""
+        columns = {stream.time for stream in self.streams.values()}
+        return next(iter(columns)) or None if self.unit == "ns" and len(columns) == 1 else None
 
+    def _table(self, content: dict[str, Any], key: str, known: set[str]) -> dict[str, Any]:
+        value: Any = content.get(key, {})
+        if not isinstance(value, dict):
+            raise RecordingError(f"{self._path}: {key} must be a table, like [{key}]")
+        found = cast("dict[str, Any]", value)
+        if found.keys() - known:
+            raise RecordingError(
+                f"{self._path}: [{key}] has {sorted(found.keys() - known)[0]!r}; known are {sorted(known)}"
+            )
+        return found
 
-def _sub(mapping: dict[str, Any], key: str, known: set[str], beside: Path) -> dict[str, Any]:
-    value: Any = mapping.get(key, {})
-    if not isinstance(value, dict):
-        raise RecordingError(f"{beside}: {key} must be a table, like [{key}]")
-    found = cast("dict[str, Any]", value)
-    if found.keys() - known:
-        raise RecordingError(f"{beside}: [{key}] has {sorted(found.keys() - known)[0]!r}; known are {sorted(known)}")
-    return found
-
-
-def _streams(mapping: dict[str, Any], fields: list[str], beside: Path) -> dict[str, list[str]]:
-    found: dict[str, list[str]] = {}
-    for stream, (n, units) in STREAMS.items():
-        if stream not in mapping:
-            continue
-        settings = _sub(mapping, stream, KEYS, beside)
+    def _stream(self, name: str, settings: dict[str, Any], time: dict[str, Any]) -> _Stream:
+        n, units = STREAMS[name]
         columns: Any = settings.get("columns")
         if not isinstance(columns, list) or len(cast("list[Any]", columns)) != n:
-            raise RecordingError(f"{beside}: [{stream}] needs columns = [...] with {n} names, got {columns!r}")
-        unit: Any = settings.get("unit", next(iter(units)))
+            raise RecordingError(f"{self._path}: [{name}] needs columns = [...] with {n} names, got {columns!r}")
+        unit = str(settings.get("unit", next(iter(units))))
         if unit not in units:
-            raise RecordingError(f"{beside}: [{stream}] unit {unit!r}; known are {', '.join(units)}")
-        if settings.get("sign", 1) not in (1, -1):
-            raise RecordingError(f"{beside}: [{stream}] sign must be 1 or -1, got {settings['sign']!r}")
-        found[stream] = [str(column) for column in cast("list[Any]", columns)]
-        for column in found[stream]:
-            _index(column, fields, beside)
-    return found
-
-
-def _index(column: str, fields: list[str], beside: Path) -> int:
-    if fields.count(column) != 1:
-        raise RecordingError(
-            f"{beside}: column {column!r} is in the table {fields.count(column)} times; "
-            f"columns seen: {', '.join(fields)[:300] or 'none'}"
-        )
-    return fields.index(column)
-
-
-def _exact_time(time_columns: dict[str, str], unit_s: float, fields: list[str]) -> int | None:
-    """The time column, if all streams share one in nanoseconds, whose digits a float cannot hold."""
-    columns = {*time_columns.values()}
-    if unit_s == TIME_UNITS["ns"] and len(columns) == 1 and "" not in columns:
-        return fields.index(next(iter(columns)))
-    return None
-
-
-def _is_number(value: Any) -> bool:
-    return isinstance(value, int | float) and not isinstance(value, bool)
+            raise RecordingError(f"{self._path}: [{name}] unit {unit!r}; known are {', '.join(units)}")
+        sign: Any = settings.get("sign", 1)
+        if sign not in (1, -1):
+            raise RecordingError(f"{self._path}: [{name}] sign must be 1 or -1, got {sign!r}")
+        time_column = str(settings.get("time", time.get("column", "")))
+        if not time_column and not self.rate_hz:
+            raise RecordingError(f"{self._path}: [time] needs column = ... or rate_hz = ...")
+        return _Stream([str(column) for column in cast("list[Any]", columns)], time_column, unit, units[unit] * sign)

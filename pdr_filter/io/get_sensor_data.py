@@ -7,7 +7,7 @@ Layout after the header that the app writes into each log:
 - The sensor's time is right for integration; the app's jitters, but is common to all types. So a stream keeps its
   sensor's intervals and is moved as a whole to the app's clock.
 - `POSI;Timestamp(s);Counter;Latitude(degrees);Longitude(degrees);floor ID;Building ID` is on the app's clock.
-- Some logs declare m/s^2 and hold g. The median tells; such a log is refused unless a TOML file beside it says
+- Some logs declare m/s^2 and hold g. The median shows it; such a log is refused unless a TOML file beside it says
   `accelerometer_unit = "g"`.
 - AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.
 """
@@ -16,20 +16,18 @@ from __future__ import annotations
 
 import math
 import re
-import tomllib
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from pdr_filter.io.archive import Members, open_members
+from pdr_filter.io import limits
+from pdr_filter.io.archive import open_members, read_toml
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.checks import G_RANGE
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, NumberTable
-from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
+from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
@@ -77,54 +75,35 @@ def read_get_sensor_data(path: str | Path) -> Recording:
     path = Path(path)
     parsed = Parsed(path, "GetSensorData")
     with open_members(path) as members:
-        name = only_text(members)
-        where = members.where(name)
-        header = comments(members.content(name, MAX_HEADER_BYTES), "%")
-        log = read_tagged(members.blocks(name), _layouts(header, where), 0, where, parsed.notes)
-    if "ACCE" not in log.tables:
-        raise RecordingError(
-            f"{where}: no ACCE lines (found: {', '.join(log.tables) or 'none'}); log the accelerometer"
-        )
-    _read_header(header, parsed)
-    offset_s = _clock_offset_s(log.tables["ACCE"].values, "ACCE", where, parsed.notes)
+        log = TaggedLog(members, "%")
+        where = log.where
+        _check_columns(log.header, where)
+        tables, _ = log.tables(LAYOUTS, 0, parsed.notes)
+    if "ACCE" not in tables:
+        raise RecordingError(f"{where}: no ACCE lines (found: {', '.join(tables) or 'none'}); log the accelerometer")
+    about = log.header_values()
+    parsed.set_device(about.get("Manufacturer"), about.get("Model"))
+    version = next((line for line in log.header if line.startswith("Version")), "")
+    parsed.source += f", {version[:60]}" if version else ""
+    offset_s = _clock_offset_s(tables["ACCE"].values, "ACCE", where, parsed.notes)
     for tag, stream in STREAM.items():
-        if tag in log.tables:
-            time_s = _times(log.tables[tag], tag, offset_s, where, parsed.notes)
-            values = log.tables[tag].values[:, 2:]
+        if tag in tables:
+            time_s = _times(tables[tag], tag, offset_s, where, parsed.notes)
+            values = tables[tag].values[:, 2:]
             parsed.streams[stream] = (time_s, rotation_vector_quaternion(values) if tag == "AHRS" else values)
     _check_unit(parsed, where)
-    if "GNSS" in log.tables:  # its sensor time is that of the satellites
-        parsed.streams["location"] = (log.tables["GNSS"].values[:, 0], log.tables["GNSS"].values[:, 2:])
-    if "POSI" in log.tables:
-        _read_positions(log.tables["POSI"].values, parsed)
+    if "GNSS" in tables:  # its sensor time is that of the satellites
+        parsed.streams["location"] = (tables["GNSS"].values[:, 0], tables["GNSS"].values[:, 2:])
+    if "POSI" in tables:
+        _read_positions(tables["POSI"].values, parsed)
     parsed.clock = (
         "intervals of each sensor's own clock, moved to the app's clock; reference positions are on the app's clock"
     )
     return parsed.recording()
 
 
-def only_text(members: Members) -> str:
-    """The one file that can be the log: the path itself, or the only text in a zip or folder."""
-    names = [name for name in members.names if name.lower().endswith((".txt", ".log", ".csv"))] or list(members.names)
-    if len(names) != 1:
-        raise RecordingError(f"{members.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
-    return names[0]
-
-
-def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
-    """Quaternions wxyz of Android's rotation vectors (N, 3), whose norm is the sine of half the angle.
-
-    w = sqrt(1 - x^2 - y^2 - z^2), not negative; NaN where the vector is longer than one by more than rounding.
-    """
-    with np.errstate(over="ignore", invalid="ignore"):
-        rest = 1 - np.square(vector).sum(axis=1)
-        w = np.where(rest > -0.02, np.sqrt(np.maximum(rest, 0)), np.nan)
-        quaternion = np.column_stack([w, vector])
-        return quaternion / np.sqrt(np.square(quaternion).sum(axis=1))[:, None]
-
-
-def _layouts(header: list[str], where: str) -> dict[str, Layout]:
-    """Columns of each type; the log's own header says whether there are two times."""
+def _check_columns(header: list[str], where: str) -> None:
+    """Refuse a log whose own header says that its lines have one time only, so that other columns stand elsewhere."""
     for line in header:
         declared = re.search(r"'ACCE;([^']*)'", line)
         if declared and "SensorTimestamp" not in declared[1]:
@@ -132,7 +111,6 @@ def _layouts(header: list[str], where: str) -> dict[str, Layout]:
                 f"{where}: ACCE lines have no SensorTimestamp (header: {declared[1][:60]!r}); "
                 "log with version 2 of the app, or read it with format='generic_csv'"
             )
-    return LAYOUTS
 
 
 def _clock_offset_s(values: FloatArray, tag: str, where: str, notes: list[str]) -> float:
@@ -164,12 +142,12 @@ def _times(table: NumberTable, tag: str, reference_s: float, where: str, notes: 
 
 def _check_unit(parsed: Parsed, where: str) -> None:
     time_s, values = parsed.streams["accelerometer"]
-    said = _said_unit(parsed.path)
+    unit = _unit_beside(parsed.path)
     median = median_norm(values)
-    if said == "g":
+    if unit == "g":
         parsed.streams["accelerometer"] = (time_s, values * STANDARD_GRAVITY_MPS2)
         parsed.found.append("accelerometer: g, as the TOML file beside the log says, although the log declares m/s^2")
-    elif said == "" and G_RANGE[0] <= median <= G_RANGE[1]:
+    elif unit == "" and limits.G_RANGE[0] <= median <= limits.G_RANGE[1]:
         raise RecordingError(
             f"{where}: declares m/s^2, but the median |a| is {median:.4g}: this looks like g units. If so, write "
             f'accelerometer_unit = "g" into {parsed.path.with_suffix(".toml").name} beside it'
@@ -178,32 +156,15 @@ def _check_unit(parsed: Parsed, where: str) -> None:
         parsed.found.append(f"accelerometer: m/s2, Android's sign; median {median:.2f}")
 
 
-def _said_unit(path: Path) -> str:
+def _unit_beside(path: Path) -> str:
     """The unit that a TOML file beside the log names; empty without one."""
     beside = path.with_suffix(".toml")
     if path.is_dir() or beside == path or not beside.is_file():
         return ""
-    try:
-        said: Any = tomllib.loads(beside.read_text(encoding="utf-8")[:10_000]).get("accelerometer_unit", "")
-    except (ValueError, OSError) as error:
-        raise RecordingError(f"{beside}: not TOML ({error}); correct it or take it away") from error
-    if said not in ("", "g", "m/s2"):
-        raise RecordingError(f'{beside}: accelerometer_unit is {said!r}; write "g" or "m/s2"')
-    return said
-
-
-def _read_header(header: list[str], parsed: Parsed) -> None:
-    said: dict[str, str] = {}
-    for line in header:
-        key, _, value = line.lstrip("%").partition(":")
-        if value.strip():
-            said.setdefault(key.strip(), value.strip())
-    device = " ".join(said[key] for key in ("Manufacturer", "Model") if key in said)
-    if device:
-        parsed.meta["device"] = device[:200]
-    version = next((line.lstrip("% ") for line in header if line.lstrip("% ").startswith("Version")), "")
-    if version:
-        parsed.source = f"GetSensorData, {version[:60]}"
+    unit = read_toml(beside).get("accelerometer_unit", "")
+    if unit not in ("", "g", "m/s2"):
+        raise RecordingError(f'{beside}: accelerometer_unit is {unit!r}; write "g" or "m/s2"')
+    return unit
 
 
 def _read_positions(values: FloatArray, parsed: Parsed) -> None:

@@ -16,10 +16,9 @@ import numpy as np
 from pdr_filter.io.archive import open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.get_sensor_data import only_text, rotation_vector_quaternion
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout
-from pdr_filter.io.tagged import MAX_HEADER_BYTES, comments, read_tagged
+from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
 
 LAYOUTS = {
     "TYPE_ACCELEROMETER": Layout((2, 3, 4), 0, "\t"),
@@ -46,55 +45,41 @@ def read_indoor_location(path: str | Path) -> Recording:
     path = Path(path)
     parsed = Parsed(path, "indoor-location-competition 2.0")
     with open_members(path) as members:
-        name = only_text(members)
-        where = members.where(name)
-        header = comments(members.content(name, MAX_HEADER_BYTES), "#")
-        log = read_tagged(members.blocks(name), LAYOUTS, 1, where, parsed.notes)
-    force = log.tables.get("TYPE_ACCELEROMETER")
+        log = TaggedLog(members, "#")
+        tables, n_others = log.tables(LAYOUTS, 1, parsed.notes)
+    force = tables.get("TYPE_ACCELEROMETER")
     if force is None or len(force) == 0:
-        found = ", ".join(log.tables) or "none"
-        raise RecordingError(f"{where}: no TYPE_ACCELEROMETER lines (found: {found}); this walk cannot be used")
+        found = ", ".join(tables) or "none"
+        raise RecordingError(f"{log.where}: no TYPE_ACCELEROMETER lines (found: {found}); this walk cannot be used")
     zero_ms = int(force.whole[0])
+    time_s = {tag: (table.whole - zero_ms).astype(np.float64) * 1e-3 for tag, table in tables.items()}
     for tag, stream in STREAM.items():
-        if tag in log.tables:
-            table = log.tables[tag]
-            values = rotation_vector_quaternion(table.values) if stream == "attitude" else table.values
-            parsed.streams[stream] = ((table.whole - zero_ms).astype(np.float64) * 1e-3, values)
-    said = _header(header)
-    floor = _floor_number(said.get("FloorName", ""))
-    if "TYPE_WAYPOINT" in log.tables:
-        points = log.tables["TYPE_WAYPOINT"]
+        if tag in tables:
+            values = tables[tag].values
+            parsed.streams[stream] = (
+                time_s[tag],
+                rotation_vector_quaternion(values) if stream == "attitude" else values,
+            )
+    header = log.header_values("\t")
+    if "TYPE_WAYPOINT" in tables:
+        points_m = tables["TYPE_WAYPOINT"].values
         parsed.truth["waypoints"] = {
-            "time_s": (points.whole - zero_ms).astype(np.float64) * 1e-3,
-            "east_m": points.values[:, 0],
-            "north_m": points.values[:, 1],
-            "floor": np.full(len(points), floor),
+            "time_s": time_s["TYPE_WAYPOINT"],
+            "east_m": points_m[:, 0],
+            "north_m": points_m[:, 1],
+            "floor": np.full(len(points_m), _floor_number(header.get("FloorName", ""))),
         }
         parsed.meta["truth"] = "points of the floor map that the surveyor marked; its north is not known"
-    device = " ".join(said[key] for key in ("Brand", "Model") if key in said)
-    if device:
-        parsed.meta["device"] = device[:200]
-    for key in ("SiteID", "SiteName", "FloorName"):
-        if key in said:
-            parsed.meta[key] = said[key][:200]
+    parsed.set_device(header.get("Brand"), header.get("Model"))
+    parsed.meta |= {key: header[key] for key in ("SiteID", "SiteName", "FloorName") if key in header}
     parsed.meta["epoch_ms"] = zero_ms
     parsed.found.append(
         "accelerometer m/s2, gyroscope rad/s, magnetometer uT, Android's sign, as Android delivers them"
     )
-    if log.ignored - len(header) > 0:
-        parsed.found.append(f"{log.ignored - len(header)} lines of other types ignored")
+    if n_others > len(log.header):
+        parsed.found.append(f"{n_others - len(log.header)} lines of other types ignored")
     parsed.clock = f"unix milliseconds of the phone, in whole milliseconds; time zero is {zero_ms} ms"
     return parsed.recording()
-
-
-def _header(lines: list[str]) -> dict[str, str]:
-    said: dict[str, str] = {}
-    for line in lines:
-        for part in line.lstrip("#").split("\t"):
-            key, colon, value = part.partition(":")
-            if colon and value.strip():
-                said.setdefault(key.strip(), value.strip())
-    return said
 
 
 def _floor_number(name: str) -> float:

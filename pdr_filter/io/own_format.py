@@ -6,50 +6,23 @@ accelerometer sample; an empty field is unknown.
 
 from __future__ import annotations
 
-import csv
-import io
-import json
-import zipfile
 from collections.abc import Mapping
-from dataclasses import fields
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io.archive import read_members
-from pdr_filter.io.checks import check_accelerometer, check_gyroscope, finite, overlap_notes, with_time
-from pdr_filter.io.columns import fields_to_numbers, read_fields, read_numbers
-from pdr_filter.io.describe import describe_stream
+from pdr_filter.io import limits
+from pdr_filter.io.archive import Members, json_object, open_members
+from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.recording import Recording, Subject, Truth
+from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS
+from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.table import TextTable, comma
 from pdr_filter.values.arrays import FloatArray, Table, table
 from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import Samples
 
-STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
-    "accelerometer": ("x", "y", "z"),
-    "gyroscope": ("x", "y", "z"),
-    "magnetometer": ("x", "y", "z"),
-    "barometer": ("pressure_hpa",),
-    "light": ("illuminance_lux",),
-    "proximity": ("distance_cm",),
-    "attitude": ("qw", "qx", "qy", "qz"),
-    "location": ("latitude_deg", "longitude_deg", "altitude_m", "horizontal_accuracy_m"),
-}
-TRUTH_COLUMNS: dict[str, tuple[str, ...]] = {
-    "position": ("time_s", "east_m", "north_m", "up_m"),
-    "waypoints": ("time_s", "east_m", "north_m", "floor"),
-    "steps": ("time_s",),
-    "strides": ("start_s", "end_s", "length_m"),
-    "segments": ("start_s", "end_s", "distance_m", "n_steps"),
-    "labels": ("start_s", "end_s", "context", "carrying_mode"),
-}
-FILES = ("meta.json", *(f"{name}.csv" for name in STREAM_COLUMNS), *(f"truth_{name}.csv" for name in TRUTH_COLUMNS))
-TIME_COLUMNS = ("time_s", "start_s", "end_s")
-TEXT_COLUMNS = ("context", "carrying_mode")
-
-HEIGHT_RANGE_M = (0.4, 2.8)
+REQUIRED = "accelerometer.csv"
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -65,78 +38,64 @@ def read_recording(path: str | Path) -> Recording:
         A ValueError whose message names the file, the column, the value and the remedy.
     """
     path = Path(path)
-    contents = read_members(path, FILES, required="accelerometer.csv")
     notes: list[str] = []
-    meta = _read_meta(contents.get("meta.json"), f"{path}: meta.json", notes)
-    streams: dict[str, Samples] = {}
-    for name in STREAM_COLUMNS:
-        if (content := contents.get(f"{name}.csv")) is not None:
-            samples = _read_samples(name, content, path, notes)
-            if name == "accelerometer":
-                check_accelerometer(samples, f"{path}: accelerometer.csv")
-            elif np.isnan(samples.values).all():  # also true of no rows
-                notes.append(f"{name}.csv: no values, left out")
-                continue
-            streams[name] = samples
-    _check_other_streams(streams, path, notes)
-    truth = {
-        name: _read_truth(columns, content, f"truth_{name}.csv", path, notes)
-        for name, columns in TRUTH_COLUMNS.items()
-        if (content := contents.get(f"truth_{name}.csv"))
-    }
+    with open_members(path) as members:
+        folder = _folder(members)
+        meta = _read_meta(members, folder + "meta.json", notes)
+        found = {
+            name: _read_stream(members, f"{folder}{name}.csv", columns, notes)
+            for name, columns in STREAM_COLUMNS.items()
+            if f"{folder}{name}.csv" in members.names
+        }
+        truth = {
+            name: _read_truth(members, f"{folder}truth_{name}.csv", columns, notes)
+            for name, columns in TRUTH_COLUMNS.items()
+            if f"{folder}truth_{name}.csv" in members.names
+        }
+    streams = checked_streams(found, 0.0, ".csv", str(path), notes)
+    first_s = streams["accelerometer"].time_s.min()
+    if abs(first_s) > 1.0:
+        notes.append(f"{REQUIRED}: begins at {first_s:.6f} s instead of 0, kept as recorded")
     return Recording(
         name=_name(path, meta, notes),
         **streams,
         truth=Truth(**truth),
         meta=meta,
         source=str(path),
-        notes=tuple(notes),
+        notes=tuple(note.removeprefix(f"{path}: ") for note in notes),
     )
 
 
 def write_recording(recording: Recording, path: str | Path) -> Path:
-    """Write a recording and return the path: a folder if the path has no suffix, a zip file otherwise.
-
-    Times get 6 decimals and values 7 significant digits (latitude and longitude 9), so reading it back gives the same
-    to that precision. The same recording always gives the same bytes. Notes of the reader are not written. A recording
-    that is already there is replaced.
-    """
-    path = Path(path)
-    files = {
-        f"{name}.csv": _numbers_csv(("time_s", *STREAM_COLUMNS[name]), [samples.time_s, *samples.values.T])
-        for name, samples in recording.streams.items()
-    }
-    for name in recording.truth.present():
-        files[f"truth_{name}.csv"] = _table_csv(getattr(recording.truth, name), TRUTH_COLUMNS[name], name)
-    files["meta.json"] = json.dumps({**recording.meta, "name": recording.name}, indent=1, default=_plain) + "\n"
-    if not path.suffix:
-        path.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            if name in files:
-                (path / name).write_text(files[name], encoding="utf-8", newline="\n")
-            else:  # of another recording, which must not be mixed with this one
-                (path / name).unlink(missing_ok=True)
-        return path
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name, text in files.items():
-            info = zipfile.ZipInfo(name)  # with the date 1980-01-01, so that the bytes do not depend on the clock
-            info.compress_type = zipfile.ZIP_DEFLATED
-            archive.writestr(info, text)
-    return path
+    """The same as `recording.save(path)`."""
+    return recording.save(path)
 
 
-def _read_meta(content: bytes | None, where: str, notes: list[str]) -> dict[str, Any]:
-    if content is None:
+def _folder(members: Members) -> str:
+    """The folder of the recording inside a zip, with its slash; empty if its files are in none."""
+    path = members.path
+    if not members.is_container:
+        raise RecordingError(
+            f"{path}: not a zip file, or a damaged one; give an intact zip file, or the folder that holds {REQUIRED}"
+        )
+    folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
+    if not folders:
+        listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
+        raise RecordingError(
+            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}); add that file"
+        )
+    if len(folders) > 1:
+        names = ", ".join(folder.rstrip("/") or "." for folder in folders[:3])
+        raise RecordingError(f"{path}: holds {len(folders)} recordings ({names}); make one zip of each")
+    return folders[0]
+
+
+def _read_meta(members: Members, name: str, notes: list[str]) -> dict[str, Any]:
+    if name not in members.names:
         notes.append("meta.json is missing, so subject and device are unknown")
         return {}
-    try:
-        meta: Any = json.loads(content.decode("utf-8-sig"))
-    except (ValueError, RecursionError) as error:
-        raise RecordingError(f"{where}: not JSON ({error}); correct it or leave the file out") from error
-    if not isinstance(meta, dict):
-        raise RecordingError(f"{where}: holds {str(meta)[:40]!r}; it must be one object in braces, like {{}}")
-    meta = cast("dict[str, Any]", meta)
+    where = members.where(name)
+    meta = json_object(members.content(name), where)
     subject: Any = meta.get("subject") or {}
     if not isinstance(subject, dict):
         raise RecordingError(f'{where}: subject is {subject!r}; write it as an object, like {{"id": "s1"}}')
@@ -144,8 +103,10 @@ def _read_meta(content: bytes | None, where: str, notes: list[str]) -> dict[str,
         value: Any = cast("dict[str, Any]", subject).get(key)
         if value is not None and (isinstance(value, bool) or not isinstance(value, int | float)):
             raise RecordingError(f"{where}: subject.{key} is {value!r}; write a number, or null if unknown")
-        if key == "height_m" and value is not None and not HEIGHT_RANGE_M[0] <= value <= HEIGHT_RANGE_M[1]:
-            raise RecordingError(f"{where}: subject.height_m is {value!r}; give it in metres, like 1.75, or null")
+        if key == "height_m" and value is not None:
+            low, high = limits.HEIGHT_RANGE_M
+            if not low <= value <= high:
+                raise RecordingError(f"{where}: subject.height_m is {value!r}; give it in metres, like 1.75, or null")
     return meta
 
 
@@ -159,83 +120,31 @@ def _name(path: Path, meta: Mapping[str, Any], notes: list[str]) -> str:
     return own
 
 
-def _read_samples(name: str, content: bytes, path: Path, notes: list[str]) -> Samples:
-    file = f"{name}.csv"
-    if not content.strip() and name != "accelerometer":
-        return Samples(np.empty(0), np.empty((0, len(STREAM_COLUMNS[name]))))
-    columns = ("time_s", *STREAM_COLUMNS[name])
-    rows = finite(read_numbers(content, columns, f"{path}: {file}", notes), file, notes)
-    timed = with_time(rows[:, 0], file, notes)
-    samples = Samples(rows[timed, 0], rows[timed, 1:])
-    found = describe_stream(name, samples)
-    if found.n_duplicates or found.n_backward:
-        notes.append(f"{file}: {found.n_duplicates} repeated and {found.n_backward} backward times, kept as recorded")
-    return samples
+def _read_stream(
+    members: Members, name: str, columns: tuple[str, ...], notes: list[str]
+) -> tuple[FloatArray, FloatArray]:
+    """Times and values of one sensor; none of an empty file."""
+    rows = TextTable(members.blocks(name), members.where(name), comma)
+    if rows.is_empty and PurePosixPath(name).name != REQUIRED:
+        return np.empty(0), np.empty((0, len(columns)))
+    numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
+    return numbers[:, 0], numbers[:, 1:]
 
 
-def _check_other_streams(streams: Mapping[str, Samples], path: Path, notes: list[str]) -> None:
-    first_s = streams["accelerometer"].time_s.min()
-    if "gyroscope" in streams:
-        check_gyroscope(streams["gyroscope"], f"{path}: gyroscope.csv")
-    if abs(first_s) > 1.0:
-        notes.append(f"accelerometer.csv: begins at {first_s:.6f} s instead of 0, kept as recorded")
-    notes += overlap_notes(streams)
-
-
-def _read_truth(columns: tuple[str, ...], content: bytes, file: str, path: Path, notes: list[str]) -> Table:
-    where = f"{path}: {file}"
-    texts: dict[str, list[str]] = {}
-    numeric = [name for name in columns if name not in TEXT_COLUMNS]
-    if len(numeric) == len(columns):
-        numbers = read_numbers(content, columns, where, notes)
-    else:
-        rows = read_fields(content, columns, where, notes)
-        numbers = fields_to_numbers([(line, row[: len(numeric)]) for line, row in rows], numeric, where)
-        texts = {name: [row[columns.index(name)] for _, row in rows] for name in columns if name in TEXT_COLUMNS}
-    unknown = sorted(set(texts.get("context", [])) - {*CONTEXTS, ""})
+def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
+    """The rows of a truth table that have a time; None of an empty file."""
+    rows = TextTable(members.blocks(name), members.where(name), comma)
+    if rows.is_empty:
+        return None
+    numeric = [column for column in columns if column not in TEXT_COLUMNS]
+    textual = [column for column in columns if column in TEXT_COLUMNS]
+    place = dict(zip(columns, rows.places(columns), strict=True))
+    found = rows.parse([place[name] for name in numeric], notes, texts=[place[name] for name in textual])
+    file = PurePosixPath(name).name
+    known = with_time(found.values[:, [column in TIME_COLUMNS for column in numeric]].sum(axis=1), file, notes)
+    arrays = {column: found.values[known, i] for i, column in enumerate(numeric)}
+    texts = {column: np.array(text, dtype=np.str_)[known] for column, text in zip(textual, found.texts, strict=True)}
+    unknown = sorted(set(texts["context"].tolist()) - {*CONTEXTS, ""}) if "context" in texts else []
     if unknown:
         notes.append(f"{file}: unknown contexts {', '.join(unknown)[:80]}, kept")
-    numbers = finite(numbers, file, notes)
-    n_times = sum(name in TIME_COLUMNS for name in columns)
-    kept = with_time(numbers[:, :n_times].sum(axis=1), file, notes)
-    arrays = {name: numbers[kept, i] for i, name in enumerate(numeric)}
-    return table(arrays | {name: np.array(column, dtype=np.str_)[kept] for name, column in texts.items()})
-
-
-def _numbers_csv(columns: tuple[str, ...], arrays: list[FloatArray]) -> str:
-    row = ",".join(map(_number_format, columns)) + "\n"
-    body = (row * len(arrays[0])) % tuple(np.column_stack(arrays).ravel().tolist())
-    return ",".join(columns) + "\n" + body.replace("nan", "")
-
-
-def _table_csv(rows: Table, columns: tuple[str, ...], name: str) -> str:
-    missing = [column for column in columns if column not in (rows.dtype.names or ())]
-    if missing:
-        raise ValueError(f"truth table {name} has no column {', '.join(missing)}; give all of {', '.join(columns)}")
-    if not set(columns) & set(TEXT_COLUMNS):
-        return _numbers_csv(columns, [np.asarray(rows[column], dtype=float) for column in columns])
-    text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(columns)
-    for row in rows:
-        writer.writerow(
-            [row[c] if c in TEXT_COLUMNS else (_number_format(c) % row[c]).replace("nan", "") for c in columns]
-        )
-    return text.getvalue()
-
-
-def _number_format(column: str) -> str:
-    if column in TIME_COLUMNS:
-        return "%.6f"
-    return "%.9g" if column in ("latitude_deg", "longitude_deg") else "%.7g"
-
-
-def _plain(value: object) -> object:
-    """What json can write in place of a value that it cannot."""
-    if isinstance(value, Mapping):
-        return dict(cast("Mapping[str, object]", value))
-    if isinstance(value, Subject):
-        return {f.name: getattr(value, f.name) for f in fields(value)}
-    if isinstance(value, np.generic | np.ndarray):
-        return value.tolist()
-    raise TypeError(f"meta holds a {type(value).__name__}, which JSON cannot; give numbers, text, lists and dicts")
+    return table(arrays | texts)

@@ -15,15 +15,17 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Iterator
+from itertools import groupby
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.table import SEPARATORS, Layout, decode, header_fields, parse_blocks, to_number
+from pdr_filter.io.table import SEPARATORS, TextTable, header_fields, to_number
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 TIME = "Time (s)"
@@ -44,8 +46,6 @@ STREAM_OF = {
     "proximity": "proximity",
 }
 WITHOUT_GRAVITY = ("linear acceleration", "linear accelerometer", "acceleration without g")
-# Experiments have at most some ten tables.
-MAX_TABLES = 100
 VECTORS = ("accelerometer", "gyroscope", "magnetometer")
 # Factor to the unit of the stream. Micro is U+00B5 or U+03BC; the square is ^2 or U+00B2.
 FACTOR = {
@@ -68,9 +68,7 @@ AXIS_ONLY = re.compile(r"^\s*(?P<axis>[xyzXYZ])\s*\((?P<unit>[^()]*)\)\s*$")
 
 def looks_like(header: str) -> bool:
     """Whether the header line of a CSV file is one of phyphox."""
-    return any(
-        header.lstrip("\ufeff").startswith(f'"{TIME}"{s}') or header.startswith(f"{TIME}{s}") for s in SEPARATORS
-    )
+    return header.startswith(tuple(f"{time}{separator}" for time in (TIME, f'"{TIME}"') for separator in SEPARATORS))
 
 
 def read_phyphox(path: str | Path) -> Recording:
@@ -89,9 +87,8 @@ def read_phyphox(path: str | Path) -> Recording:
             pure = PurePosixPath(name)
             is_table = pure.suffix.lower() in (".csv", ".txt") or len(members.names) == 1
             if is_table and pure.parent.name != "meta":
-                for header, blocks, line in _tables(members.blocks(name), members.where(name)):
-                    found = _read_table(header, blocks, line, pure.stem, members.where(name), parsed)
-                    without_gravity = without_gravity or found
+                for table in _tables(members.blocks(name), members.where(name)):
+                    without_gravity |= _read_table(table, pure.stem, parsed)
         _read_meta(members, parsed)
     if "accelerometer" not in parsed.streams:
         remedy = "this is acceleration without gravity; " if without_gravity else ""
@@ -100,74 +97,58 @@ def read_phyphox(path: str | Path) -> Recording:
     return parsed.recording()
 
 
-def _tables(blocks: Iterable[bytes], where: str) -> Iterator[tuple[bytes, Iterator[bytes], int]]:
-    """Each table of a file: its header, the blocks of its rows, and the line number of its first row."""
-    source = iter(blocks)
-    waiting = next(source, None)
-    line = 1
-    for _ in range(MAX_TABLES):
-        if not waiting:
-            return
-        header, _, waiting = waiting.partition(b"\n")
-        line += 1
+def _tables(blocks: Iterable[bytes], where: str) -> Iterator[TextTable]:
+    """Each table of a file; only headers have quotes, so a line that begins with one begins a table."""
 
-        def rows(begin: bytes) -> Iterator[bytes]:
-            nonlocal waiting, line
-            block: bytes | None = begin
-            waiting = None
-            while block is not None:
-                at = 0 if block.startswith(b'"') else block.find(b'\n"') + 1
-                if at or block.startswith(b'"'):  # only headers have quotes: the next table begins
-                    waiting = block[at:]
-                    line += block.count(b"\n", 0, at)
-                    if at:
-                        yield block[:at]
-                    return
-                if block:
-                    yield block
-                line += block.count(b"\n")
-                block = next(source, None)
+    def pieces() -> Iterator[tuple[int, bytes]]:
+        line = first_line = 1
+        n_tables = 0
+        for block in blocks:
+            begins = [0, *(match.start() + 1 for match in re.finditer(rb'\n"', block))]
+            for begin, end in zip(begins, [*begins[1:], len(block)], strict=True):
+                piece = block[begin:end]
+                if piece.startswith(b'"'):
+                    first_line = line
+                    n_tables += 1
+                    if n_tables > limits.MAX_TABLES:
+                        raise RecordingError(
+                            f"{where}: more than {limits.MAX_TABLES} lines that begin like a header; export it again"
+                        )
+                yield first_line, piece
+                line += piece.count(b"\n")
 
-        yield header, rows(waiting), line
-    raise RecordingError(f"{where}: more than {MAX_TABLES} lines that begin like a header; export it again")
+    for first_line, rows in groupby(pieces(), key=lambda item: item[0]):
+        yield TextTable((piece for _, piece in rows), where, _separator, first_line)
 
 
-def _read_table(header: bytes, blocks: Iterator[bytes], line: int, stem: str, where: str, parsed: Parsed) -> bool:
+def _read_table(table: TextTable, stem: str, parsed: Parsed) -> bool:
     """Put the streams of one table into `parsed`; true if it has acceleration without gravity."""
-    text = decode(header, where)
-    separator = _separator(text)
-    fields = header_fields(text, separator)
+    fields, where = table.fields, table.where
     if not fields or fields[0] != TIME:
-        for _ in blocks:
-            pass
         return False
     streams, without_gravity = _columns(fields, stem, where)
-    picked = (0, *(i for columns in streams.values() for i, _ in columns))
-    first = next(blocks, b"")
-    decimal = "," if separator != "," and b"," in first.split(b"\n", 1)[0] else "."
-    names = tuple(fields[i] for i in picked)
-
-    def all_blocks() -> Iterator[bytes]:
-        yield first
-        yield from blocks
-
-    table = parse_blocks(all_blocks(), Layout(picked, None, separator, decimal, names), where, parsed.notes, line)
+    first_row = table.first_rows.split(b"\n", 1)[0]
+    decimal = "," if table.separator != "," and b"," in first_row else "."
+    places = [0, *(i for columns in streams.values() for i, _ in columns)]
+    rows = table.parse(places, parsed.notes, decimal=decimal)
     at = 1
     for stream, columns in streams.items():
-        values = table.values[:, at : at + len(columns)] * np.array([factor for _, factor in columns])
+        values = rows.values[:, at : at + len(columns)] * np.array([factor for _, factor in columns])
         at += len(columns)
         known = ~np.isnan(values).all(axis=1)  # tables are as long as their longest column
         if known.any():
             if stream in parsed.streams:
                 raise RecordingError(f"{where}: {stream} is there twice; keep one of them")
-            parsed.streams[stream] = (table.values[known, 0], values[known])
-            units = fields[columns[0][0]]
-            parsed.found.append(f"{stream}: from {units!r}, factor {columns[0][1]:.6g}, Android's sign on both systems")
+            parsed.streams[stream] = (rows.values[known, 0], values[known])
+            first, factor = columns[0]
+            parsed.found.append(
+                f"{stream}: from {fields[first]!r}, factor {factor:.6g}, Android's sign on both systems"
+            )
     return without_gravity
 
 
 def _separator(header: str) -> str:
-    """What stands between the first two fields."""
+    """What is between the first two fields."""
     after = header.lstrip("\ufeff").removeprefix('"').removeprefix(TIME).removeprefix('"')[:1]
     return after if after in SEPARATORS else ","
 
@@ -228,9 +209,7 @@ def _read_meta(members: Members, parsed: Parsed) -> None:
     if pauses > 1:
         parsed.notes.append(f"the experiment was paused {pauses - 1} times; its clock stood still meanwhile")
     about = {row[0]: row[1] for row in _meta_rows(members, names, "device.csv") if len(row) >= 2}
-    device = " ".join(about.get(key, "") for key in ("deviceManufacturer", "deviceModel")).strip()
-    if device:
-        parsed.meta["device"] = device[:200]
+    parsed.set_device(about.get("deviceManufacturer"), about.get("deviceModel"))
     if about.get("version"):
         parsed.source = f"phyphox {about['version'][:40]}"
 

@@ -5,10 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-if TYPE_CHECKING:
-    pass
+from pdr_filter.io.own_writer import write_own_format
 from pdr_filter.values.arrays import Table
 from pdr_filter.values.samples import Samples
 
@@ -77,10 +76,23 @@ class Recording:
         return replace(self, meta={**self.meta, "subject": subject})
 
     def save(self, path: str | Path) -> Path:
-        """Write it in the project's own format and return the path: a zip file, or a folder without suffix."""
-        from pdr_filter.io.own_format import write_recording
+        """Write it in the project's own format and return the path: a zip file, or a folder if it has no suffix.
 
-        return write_recording(self, path)
+        Times get 6 decimals and values 7 significant digits (latitude and longitude 9). The same recording always gives
+        the same bytes. Notes of the reader are not written. A recording that is already there is replaced.
+        """
+        truth = {name: getattr(self.truth, name) for name in self.truth.present()}
+        return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name})
+
+    @property
+    def placement(self) -> str:
+        """Where and how the phone was worn, in the recording's own words, in lower case; empty if not known."""
+        return str(self.meta.get("placement") or "").lower()
+
+    @property
+    def is_on_foot(self) -> bool:
+        """Whether the sensor was on a foot, where an event is a stride."""
+        return "foot" in self.placement
 
     @property
     def streams(self) -> dict[str, Samples]:

@@ -1,4 +1,7 @@
-"""Number tables of any size: parsed block by block, whole numbers of nanoseconds without loss."""
+"""Tables as text: parsed block by block into columns of numbers, whole numbers of nanoseconds without loss.
+
+Every refusal names the file, the line, the column and the value, and says what to change.
+"""
 
 from __future__ import annotations
 
@@ -7,27 +10,27 @@ import csv
 import io
 import math
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
+from itertools import chain
 
 import numpy as np
 
-from pdr_filter.io.checks import finite
+from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.values.arrays import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
-MAX_INT64 = 2**63 - 1
-MAX_TIME = 2**62
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class NumberTable:
-    """Picked columns of a table: one of whole numbers if asked for, the others as floats, NaN where empty."""
+    """Columns of a table: one of whole numbers if asked for, the others as floats, NaN where empty."""
 
     whole: IntArray  # (N,) the column of whole numbers; zeros if none was asked for
     values: FloatArray  # (N, d)
+    texts: tuple[tuple[str, ...], ...] = ()  # (N,) of the columns of text, if any were asked for
 
     def __len__(self) -> int:
         return len(self.values)
@@ -35,7 +38,7 @@ class NumberTable:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """How the fields of a table stand in its lines.
+    """Where the fields of a table are in its lines.
 
     Parameters
     ----------
@@ -47,6 +50,8 @@ class Layout:
         As in the file.
     names : tuple of str
         Of the picked columns, for messages.
+    texts : tuple of int
+        Columns to take as text, without surrounding space.
     """
 
     picked: tuple[int, ...]
@@ -54,6 +59,12 @@ class Layout:
     separator: str = ","
     decimal: str = "."
     names: tuple[str, ...] = ()
+    texts: tuple[int, ...] = ()
+
+    @property
+    def needed(self) -> int:
+        """How many fields a line must have."""
+        return 1 + max([*self.picked, *self.texts, self.whole or 0])
 
 
 def header_fields(line: str, separator: str) -> list[str]:
@@ -69,77 +80,176 @@ def find_separator(header: str) -> str:
     return max(SEPARATORS, key=lambda separator: len(header_fields(header, separator)))
 
 
-def split_header(blocks: Iterable[bytes], where: str) -> tuple[str, Iterator[bytes]]:
-    """The first line, and the blocks after it; an empty line if there is none."""
-    rest = iter(blocks)
-    first = next(rest, b"")
-    head, _, body = first.partition(b"\n")
-
-    def after() -> Iterator[bytes]:
-        if body:
-            yield body
-        yield from rest
-
-    return decode(head, where), after()
+def comma(header: str) -> str:
+    """The separator of a format that always has a comma."""
+    return ","
 
 
-def decode(content: bytes, where: str) -> str:
-    """Text of UTF-8 bytes; RecordingError names the byte that is none."""
+class TextTable:
+    """A table whose first line names its columns; the rows are parsed when they are asked for.
+
+    Parameters
+    ----------
+    blocks : iterable of bytes
+        Text in blocks that end with a line feed, except perhaps the last.
+    where : str
+        File name for messages.
+    separator_of : callable
+        Finds the separator in the first line.
+    first_line : int
+        Number of the line with the names, for messages.
+    """
+
+    def __init__(
+        self,
+        blocks: Iterable[bytes],
+        where: str,
+        separator_of: Callable[[str], str] = find_separator,
+        first_line: int = 1,
+    ) -> None:
+        self.where = where
+        self._rest = iter(blocks)
+        head, _, self._first = next(self._rest, b"").partition(b"\n")
+        self._first = self._first or next(self._rest, b"")
+        self._first_line = first_line
+        self.header = decode(head, where, first_line)
+        self.separator = separator_of(self.header)
+        self.fields = header_fields(self.header, self.separator)
+
+    @property
+    def first_rows(self) -> bytes:
+        """The first block of the rows."""
+        return self._first
+
+    @property
+    def is_empty(self) -> bool:
+        """Whether there is neither a header nor a row."""
+        return not self.header.strip() and not self._first.strip()
+
+    def places(self, names: Sequence[str]) -> tuple[int, ...]:
+        """Where the columns of these names are; RecordingError unless each is there once."""
+        for name in names:
+            if (n := self.fields.count(name)) != 1:
+                raise RecordingError(
+                    f"{self.where}: {f'{n} columns' if n else 'no column'} {name!r} "
+                    f"(found: {', '.join(self.fields)[:160] or 'nothing'}); "
+                    f"the first line must name {','.join(names)} once each"
+                )
+        return tuple(self.fields.index(name) for name in names)
+
+    def parse(
+        self,
+        places: Sequence[int],
+        notes: list[str],
+        whole: int | None = None,
+        texts: Sequence[int] = (),
+        decimal: str = ".",
+    ) -> NumberTable:
+        """The columns at these places; see `Layout` and `parse_blocks`."""
+        names = tuple(self.fields[place] for place in places)
+        layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
+        return parse_blocks(chain([self._first], self._rest), layout, self.where, notes, self._first_line + 1)
+
+
+def decode(content: bytes, where: str, first_line: int = 1) -> str:
+    """Text of UTF-8 bytes; RecordingError names the byte that is none, and its line."""
     try:
         return content.decode("utf-8-sig")
     except UnicodeDecodeError as error:
+        line = first_line + content.count(b"\n", 0, error.start)
         raise RecordingError(
-            f"{where}: not UTF-8 text (byte 0x{content[error.start]:02x} at {error.start}); save it as UTF-8"
+            f"{where}, line {line}: not UTF-8 text (byte 0x{content[error.start]:02x}); save it as UTF-8"
         ) from error
+
+
+def text_rows(content: bytes, where: str) -> list[list[str]]:
+    """The rows of a small table of text that are not empty."""
+    try:
+        return [row for row in csv.reader(io.StringIO(decode(content.replace(b"\x00", b""), where))) if row]
+    except csv.Error as error:
+        raise RecordingError(f"{where}: not CSV text ({error}); export it again") from error
 
 
 def parse_blocks(
     blocks: Iterable[bytes], layout: Layout, where: str, notes: list[str], first_line: int = 2
 ) -> NumberTable:
-    """Parse the lines of all blocks; `first_line` is the line number of the first one, for messages.
+    """Parse the lines of all blocks, of which only the last may lack its final line feed.
 
-    An empty field is NaN. A last line that is cut off is left out with a note; any other line with too few fields or
-    with text in a number column is refused with its number.
+    An empty field is NaN, and so are values that are infinite or absurd. A last line that is cut off is left out with
+    a note; any other line with too few fields or with text in a number column is refused with its number, counted from
+    `first_line`.
     """
     parts: list[NumberTable] = []
     line = first_line
-    pending: bytes | None = None  # one block behind, to know which one is the last
     for block in blocks:
-        if pending is not None:
-            parts.append(_parse_block(pending, layout, where, notes, line, last=False))
-            line += pending.count(b"\n")
-        pending = block
-    if pending is not None:
-        parts.append(_parse_block(pending, layout, where, notes, line, last=True))
+        if block.strip():
+            parts.append(_parse_block(block, layout, where, notes, line))
+        line += block.count(b"\n")
     if not parts:
-        return NumberTable(np.empty(0, dtype=np.int64), np.empty((0, len(layout.picked))))
-    whole = np.concatenate([part.whole for part in parts])
-    refuse_far_times(whole, where)
+        return NumberTable(np.empty(0, dtype=np.int64), np.empty((0, len(layout.picked))), ((),) * len(layout.texts))
+    joined = concatenated(parts)
+    refuse_far_times(joined.whole, where)
     # At once, so that no arithmetic of a reader meets a value that is absurd.
-    return NumberTable(whole, finite(np.concatenate([part.values for part in parts]), where, notes))
+    return NumberTable(joined.whole, finite(joined.values, where, notes), joined.texts)
+
+
+def concatenated(parts: Sequence[NumberTable]) -> NumberTable:
+    """The rows of all parts, one below the other."""
+    return NumberTable(
+        np.concatenate([part.whole for part in parts]),
+        np.concatenate([part.values for part in parts]),
+        tuple(tuple(chain(*columns)) for columns in zip(*(part.texts for part in parts), strict=True)),
+    )
+
+
+def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
+    """Values with infinite and absurdly large ones replaced by NaN, with a note."""
+    beyond = np.abs(values) > limits.LARGEST_VALUE
+    if not beyond.any():
+        return values
+    notes.append(f"{where}: {int(beyond.sum())} infinite or absurdly large values taken as unknown")
+    return np.where(beyond, np.nan, values)
 
 
 def refuse_far_times(whole: IntArray, where: str) -> None:
-    """Refuse whole times whose differences an int64 could not hold: in nanoseconds, the years 1824 to 2116 are fine."""
-    if len(whole) and not (whole.min() >= -MAX_TIME and whole.max() <= MAX_TIME):
+    """Refuse whole times whose differences an int64 could not hold."""
+    if len(whole) and not (whole.min() >= -limits.MAX_WHOLE_TIME and whole.max() <= limits.MAX_WHOLE_TIME):
         raise RecordingError(f"{where}: a time of {whole.max()} or {whole.min()}, which is no time since 1970")
 
 
-def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int, last: bool) -> NumberTable:
-    if not block.strip():
-        return NumberTable(np.empty(0, dtype=np.int64), np.empty((0, len(layout.picked))))
-    complete = not last or block.endswith(b"\n")
-    text = decode(block, where)
+def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
+    """Parse lines that have a number in every picked field; ValueError if one has not."""
+    columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
+    kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
+    rows = np.loadtxt(
+        lines,
+        delimiter=layout.separator,
+        comments=None,
+        usecols=columns,
+        dtype=np.dtype(kinds),
+        ndmin=1,
+        quotechar='"' if layout.separator != '"' else None,
+    )
+    values = np.empty((len(rows), len(layout.picked)))
+    for i in range(len(layout.picked)):
+        values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
+    whole = np.zeros(len(rows), dtype=np.int64) if layout.whole is None else rows["f0"].copy()
+    return NumberTable(whole, values)
+
+
+def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
+    text = decode(block, where, line)
     if layout.decimal != ".":
         text = text.replace(layout.decimal, ".")
-    # A last line without line feed may be cut off in the middle of a number: only the slow way looks at it closely.
-    if complete:
+    # A last line without line feed may be cut off in the middle of a number: only row by row it is looked at closely.
+    is_whole = block.endswith(b"\n")
+    if is_whole and not layout.texts:
         with contextlib.suppress(ValueError):
             return parse_lines(text.split("\n"), layout)
-        with contextlib.suppress(ValueError):  # with empty fields filled: five times faster than the slow way
+        with contextlib.suppress(ValueError):  # with empty fields filled: five times faster than row by row
             if layout.whole is None:
                 return parse_lines(_filled(text, layout.separator).split("\n"), layout)
-    return _slow(text, layout, where, notes, line, complete)
+    return _parse_rows(text, layout, where, notes, line, is_whole)
 
 
 def _filled(text: str, separator: str) -> str:
@@ -149,74 +259,71 @@ def _filled(text: str, separator: str) -> str:
     )
 
 
-def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
-    """Parse lines that have a number in every picked field; ValueError if one has not."""
-    columns = ([layout.whole] if layout.whole is not None else []) + list(layout.picked)
-    kinds: list[tuple[str, type]] = [(f"f{i}", float) for i in range(len(columns))]
-    if layout.whole is not None:
-        kinds[0] = ("f0", np.int64)
-    quote = '"' if layout.separator != '"' else None
-    rows = np.loadtxt(
-        lines,
-        delimiter=layout.separator,
-        comments=None,
-        usecols=columns,
-        dtype=np.dtype(kinds),
-        ndmin=1,
-        quotechar=quote,
-    )
-    names = [name for name, _ in kinds]
-    values = np.empty((len(rows), len(layout.picked)))
-    for i, name in enumerate(names[len(names) - len(layout.picked) :]):
-        values[:, i] = rows[name]
-    whole = rows["f0"].astype(np.int64) if layout.whole is not None else np.zeros(len(rows), dtype=np.int64)
-    return NumberTable(whole, values)
-
-
-def _slow(text: str, layout: Layout, where: str, notes: list[str], line: int, complete: bool) -> NumberTable:
-    reader = csv.reader(io.StringIO(text), delimiter=layout.separator)
-    needed = max([*layout.picked, layout.whole or 0])
-    rows: list[list[float]] = []
+def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: int, is_whole: bool) -> NumberTable:
+    """Parse row by row, for the note or the message that says which field of which line is odd."""
+    values: list[list[float]] = []
     whole: list[int] = []
-    timeless = 0
+    texts: list[list[str]] = []
+    n_timeless = 0
+    for at, row, is_last in _rows(text, layout.separator, where, line):
+        if not is_whole and is_last and not _is_complete(row, layout):
+            notes.append(f"{where}: the last line is cut off and was left out")
+            break
+        if len(row) < layout.needed:
+            raise RecordingError(
+                f"{where}, line {at}: only {len(row)} fields ({layout.separator.join(row)[:60]!r}); "
+                "every row needs one for each column, empty if unknown"
+            )
+        if layout.whole is not None:
+            try:
+                known = whole_number(row[layout.whole])
+            except ValueError as error:
+                raise RecordingError(
+                    f"{where}, line {at}: {row[layout.whole].strip()[:40]!r} is no time in whole units since 1970"
+                ) from error
+            if known is None:
+                n_timeless += 1
+                continue
+            whole.append(known)
+        values.append([_float(row, i, layout, f"{where}, line {at}") for i in range(len(layout.picked))])
+        texts.append([row[i].strip() for i in layout.texts])
+    if n_timeless:
+        notes.append(f"{where}: {n_timeless} rows without a time left out")
+    return NumberTable(
+        np.array(whole, dtype=np.int64) if layout.whole is not None else np.zeros(len(values), np.int64),
+        np.array(values, dtype=float).reshape(len(values), len(layout.picked)),
+        tuple(tuple(row[i] for row in texts) for i in range(len(layout.texts))),
+    )
+
+
+def _rows(text: str, separator: str, where: str, line: int) -> Iterator[tuple[int, list[str], bool]]:
+    """Line number, fields and whether it is the last, for every row that is not empty."""
+    reader = csv.reader(io.StringIO(text), delimiter=separator)
+    n_lines = text.count("\n") + 1
     try:
         for row in reader:
-            if not any(field.strip() for field in row):
-                continue
-            at = line + reader.line_num - 1
-            if not complete and reader.line_num >= text.count("\n") + 1:
-                if _is_whole_line(row, layout, needed):
-                    complete = True
-                else:
-                    notes.append(f"{where}: the last line is cut off and was left out")
-                    break
-            if len(row) <= needed:
-                raise RecordingError(
-                    f"{where}, line {at}: only {len(row)} fields ({layout.separator.join(row)[:60]!r}); "
-                    "every row needs one for each column, empty if unknown"
-                )
-            if layout.whole is not None:
-                known = _whole_number(row[layout.whole], where, at)
-                if known is None:
-                    timeless += 1
-                    continue
-                whole.append(known)
-            rows.append([_float(row[i], layout, i, where, at) for i in layout.picked])
+            if any(field.strip() for field in row):
+                yield line + reader.line_num - 1, row, reader.line_num >= n_lines
     except csv.Error as error:
         raise RecordingError(f"{where}, line {line + reader.line_num - 1}: not CSV text ({error})") from error
-    if timeless:
-        notes.append(f"{where}: {timeless} rows without a time left out")
-    values = np.array(rows, dtype=float).reshape(len(rows), len(layout.picked))
-    return NumberTable(
-        np.array(whole, dtype=np.int64) if layout.whole is not None else np.zeros(len(rows), np.int64), values
-    )
 
 
-def _is_whole_line(row: list[str], layout: Layout, needed: int) -> bool:
-    """Whether a last line without line feed can be taken: all fields are there, and no number ends in mid-air."""
-    if len(row) <= needed:
-        return False
-    return all(to_number(row[i]) is not None for i in (*layout.picked, *([layout.whole] if layout.whole else [])))
+def _is_complete(row: list[str], layout: Layout) -> bool:
+    """Whether a last line without line feed can be taken: all fields are there, and no number is cut in the middle."""
+    numbers = (*layout.picked, *([] if layout.whole is None else [layout.whole]))
+    return len(row) >= layout.needed and all(to_number(row[i]) is not None for i in numbers)
+
+
+def _float(row: list[str], i: int, layout: Layout, where: str) -> float:
+    field = row[layout.picked[i]]
+    number = to_number(field)
+    if number is None:
+        name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
+        raise RecordingError(
+            f"{where}, column {name}: {field.strip()[:60]!r} is not a number; "
+            f"use {layout.decimal!r} as decimal point and leave unknown values empty"
+        )
+    return number
 
 
 def to_number(field: str) -> float | None:
@@ -232,15 +339,6 @@ def to_number(field: str) -> float | None:
         return None
 
 
-def _float(field: str, layout: Layout, column: int, where: str, line: int) -> float:
-    number = to_number(field)
-    if number is None:
-        index = layout.picked.index(column)
-        name = layout.names[index] if index < len(layout.names) else str(column + 1)
-        raise RecordingError(f"{where}, line {line}, column {name}: {field[:60]!r} is not a number")
-    return number
-
-
 def whole_number(field: str) -> int | None:
     """The whole number in a field without loss, None if it is empty; ValueError if it is something else."""
     field = field.strip()
@@ -250,16 +348,9 @@ def whole_number(field: str) -> int | None:
         raise ValueError(field[:40])
     try:
         number = Decimal(field)
-        fits = number.is_finite() and abs(number) <= MAX_INT64
+        fits = number.is_finite() and abs(number) <= limits.MAX_INT64
     except ArithmeticError as error:  # no number, or one with an exponent beyond all bounds
         raise ValueError(field) from error
     if not fits:
         raise ValueError(field)
     return int(number)
-
-
-def _whole_number(field: str, where: str, line: int) -> int | None:
-    try:
-        return whole_number(field)
-    except ValueError as error:
-        raise RecordingError(f"{where}, line {line}: {field[:40]!r} is no time in whole units since 1970") from error

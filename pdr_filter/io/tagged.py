@@ -5,100 +5,115 @@ The lines are found with array operations on the bytes, so that ten million of t
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.io.table import Layout, NumberTable, parse_blocks
+from pdr_filter.io import limits
+from pdr_filter.io.archive import Members
+from pdr_filter.io.table import Layout, NumberTable, concatenated, parse_blocks
+from pdr_filter.values.arrays import FloatArray
 
-MAX_HEADER_LINES = 1000
-MAX_HEADER_BYTES = 100_000
 
-
-@dataclass(frozen=True, slots=True, eq=False)
 class TaggedLog:
-    """Tables by type, the comment lines, and how many lines each other type had."""
-
-    tables: dict[str, NumberTable]
-    ignored: int  # lines of other types
-
-
-def read_tagged(
-    blocks: Iterable[bytes], layouts: Mapping[str, Layout], tag_field: int, where: str, notes: list[str]
-) -> TaggedLog:
-    """Tables of all types in `layouts`; other lines are ignored.
+    """The one log among the files of a recording, with the comment lines at its begin.
 
     Parameters
     ----------
-    blocks : iterable of bytes
-        Text that ends with a line in each block.
-    layouts : mapping
-        By type: columns are counted from the begin of the line. All have the same separator.
-    tag_field : {0, 1}
-        Which field of a line holds its type.
-    where : str
-        File name for messages.
-    notes : list of str
-        What was repaired is appended here.
+    members : Members
+        Files with one text among them.
+    comment : str
+        What comment lines begin with.
     """
-    separator = next(iter(layouts.values())).separator.encode()
-    parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
-    seen = dict.fromkeys(layouts, 0)
-    needed = {tag: max(layout.picked) + 1 for tag, layout in layouts.items()}  # fields of the last line of each type
-    ignored = 0
-    for block in blocks:
-        text = block
-        if not block.endswith(b"\n"):  # the last line of the file; it may end in the middle of a number
-            cut = block.rfind(b"\n") + 1
-            last = _ended(block[cut:], separator, tag_field, needed)
-            if last is None:
-                notes.append(f"{where}: the last line is cut off and was left out")
-            text = block[:cut] + (last or b"")
-        if not text:
-            continue
-        ascii_only = text if text.isascii() else text.decode("latin-1").encode("ascii", "replace")
-        bytes_ = np.frombuffer(ascii_only, dtype=np.uint8)
-        ends = np.flatnonzero(bytes_ == 10) + 1
-        starts = np.concatenate([[0], ends[:-1]]) if len(ends) else ends
-        tags = starts if tag_field == 0 else _after_first(bytes_, starts, separator)
-        others = np.ones(len(starts), dtype=bool)
-        for tag, layout in layouts.items():
-            chosen = _begins(bytes_, tags, tag.encode() + separator)
-            others &= ~chosen
-            if chosen.any():
-                lines = bytes_[np.repeat(chosen, ends - starts)].tobytes()
-                table = parse_blocks([lines], layout, f"{where}, {tag} lines", notes, first_line=seen[tag] + 1)
-                seen[tag] += int(chosen.sum())
-                at = int(np.flatnonzero(chosen)[-1])
-                needed[tag] = ascii_only.count(separator, int(starts[at]), int(ends[at])) + 1
-                parts[tag].append(table)
-        ignored += int(others.sum())
-    tables = {
-        tag: NumberTable(np.concatenate([p.whole for p in found]), np.concatenate([p.values for p in found]))
-        for tag, found in parts.items()
-        if found
-    }
-    return TaggedLog(tables, ignored)
+
+    def __init__(self, members: Members, comment: str) -> None:
+        self.name = members.only_text()
+        self.where = members.where(self.name)
+        head = members.content(self.name, limits.MAX_HEADER_BYTES).removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+        lines = head.splitlines()[: limits.MAX_HEADER_LINES]
+        self.header = [line.lstrip(comment).strip() for line in lines if line.startswith(comment)]
+        self._members = members
+
+    def header_values(self, separator: str = "\n") -> dict[str, str]:
+        """Values of `key: value` in the comment lines, of which a line may hold several; the first of each key."""
+        values: dict[str, str] = {}
+        for line in self.header:
+            for part in line.split(separator):
+                key, _, value = part.partition(":")
+                if value.strip():
+                    values.setdefault(key.strip(), value.strip()[: limits.MAX_NAME_CHARS])
+        return values
+
+    def tables(
+        self, layouts: Mapping[str, Layout], tag_field: int, notes: list[str]
+    ) -> tuple[dict[str, NumberTable], int]:
+        """Tables by type of line, and how many lines have another type.
+
+        Parameters
+        ----------
+        layouts : mapping
+            By type: columns are counted from the begin of the line. All have the same separator.
+        tag_field : {0, 1}
+            Which field of a line holds its type.
+        notes : list of str
+            What was repaired is appended here.
+        """
+        separator = next(iter(layouts.values())).separator.encode()
+        parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
+        n_seen = dict.fromkeys(layouts, 0)
+        n_fields = {tag: layout.needed for tag, layout in layouts.items()}  # of the last line of each type
+        n_others = 0
+        for block in self._members.blocks(self.name):
+            text = block
+            if not block.endswith(b"\n"):  # the last line of the file; it may end in the middle of a number
+                text = _ended(block, separator, tag_field, n_fields)
+                if text is None:
+                    notes.append(f"{self.where}: the last line is cut off and was left out")
+            if not text:
+                continue
+            ascii_only = text if text.isascii() else text.decode("latin-1").encode("ascii", "replace")
+            bytes_ = np.frombuffer(ascii_only, dtype=np.uint8)
+            ends = np.flatnonzero(bytes_ == 10) + 1
+            starts = np.concatenate([[0], ends[:-1]])
+            tags = starts if tag_field == 0 else _after_first(bytes_, starts, separator)
+            is_other = np.ones(len(starts), dtype=bool)
+            for tag, layout in layouts.items():
+                chosen = _begins(bytes_, tags, tag.encode() + separator)
+                is_other &= ~chosen
+                if chosen.any():
+                    lines = bytes_[np.repeat(chosen, ends - starts)].tobytes()
+                    where = f"{self.where}, {tag} lines"
+                    parts[tag].append(parse_blocks([lines], layout, where, notes, first_line=n_seen[tag] + 1))
+                    n_seen[tag] += int(chosen.sum())
+                    at = int(np.flatnonzero(chosen)[-1])
+                    n_fields[tag] = ascii_only.count(separator, int(starts[at]), int(ends[at])) + 1
+            n_others += int(is_other.sum())
+        return {tag: concatenated(found) for tag, found in parts.items() if found}, n_others
 
 
-def comments(head: bytes, sign: str) -> list[str]:
-    """Comment lines at the begin of a log."""
-    lines = head[:MAX_HEADER_BYTES].decode("latin-1").splitlines()[:MAX_HEADER_LINES]
-    return [line for line in lines if line.lstrip("\ufeff").startswith(sign)]
+def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
+    """Quaternions wxyz of Android's rotation vectors (N, 3), whose norm is the sine of half the angle.
+
+    w = sqrt(1 - x^2 - y^2 - z^2), not negative; NaN where the vector is longer than one by more than rounding.
+    """
+    with np.errstate(over="ignore", invalid="ignore"):
+        rest = 1 - np.square(vector).sum(axis=1)
+        w = np.where(rest > -0.02, np.sqrt(np.maximum(rest, 0)), np.nan)
+        quaternion = np.column_stack([w, vector])
+        return quaternion / np.sqrt(np.square(quaternion).sum(axis=1))[:, None]
 
 
-def _ended(line: bytes, separator: bytes, tag_field: int, needed: Mapping[str, int]) -> bytes | None:
+def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
     """A last line with the line feed that it lacks; empty if its type is not read, None if it is cut off.
 
     It is whole if it has as many fields as the line of its type before it.
     """
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
-    if tag not in needed:
+    if tag not in n_fields:
         return b""
-    return line + b"\n" if len(fields) >= needed[tag] else None
+    return line + b"\n" if len(fields) >= n_fields[tag] else None
 
 
 def _after_first(bytes_: NDArray[np.uint8], starts: NDArray[np.int64], separator: bytes) -> NDArray[np.int64]:

@@ -14,10 +14,11 @@ from xml.etree import ElementTree
 import numpy as np
 import pymap3d
 
-from pdr_filter import __version__
+from pdr_filter.io import limits
 from pdr_filter.values.angles import yaw_from_heading
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.version import __version__
 
 _NORTH = (
     "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "
@@ -26,7 +27,6 @@ _NORTH = (
 _FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
 FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
 GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
-MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
 
 
 def write_csv(track: TrackRows, path: str | Path) -> Path:
@@ -61,10 +61,8 @@ def write_parquet(track: TrackRows, path: str | Path) -> Path:
         "frame": _FRAME,
         "pdr_filter": __version__,
     }
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    frame.to_parquet(path, engine="pyarrow", index=False)
-    return path
+    frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)
+    return Path(path)
 
 
 def pandas_for_parquet(path: str | Path) -> Any:
@@ -101,15 +99,9 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
 def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float]) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
-    The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
-    Properties for each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
-
-    Parameters
-    ----------
-    track : TrackRows
-    path : str or Path
-    origin : tuple of float
-        Latitude and longitude of the start, degrees WGS 84.
+    The line begins at the start of the walk, `origin` (latitude and longitude in degrees), and has one vertex for each
+    step; a track without steps is a Point. Properties for each vertex: `coordTimes` (seconds of the recording) and
+    `covariance_m2` ([ee, en, nn]).
     """
     lat_deg, lon_deg = _geodetic(track, origin)
     vertices = [[round(lon, 9), round(lat, 9)] for lat, lon in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)]
@@ -136,17 +128,11 @@ def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float
 def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
-    Parameters
-    ----------
-    track : TrackRows
-    path : str or Path
-    origin : tuple of float
-        Latitude and longitude of the start, degrees WGS 84.
-    epoch_s : float
-        Unix time of the recording's time zero, seconds; with 0 the walk is in January 1970.
+    The walk starts at `origin` (latitude and longitude in degrees), and time zero of the recording is the unix time
+    `epoch_s`; with 0 the walk is in January 1970.
     """
     times_s = _vertex_times(track)
-    if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= MAX_EPOCH_S):
+    if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
         raise ValueError(f"epoch_s must be the unix time of time zero in seconds, 1970 to 9999, got {epoch_s}")
     root = ElementTree.Element("gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns=GPX_NAMESPACE)
     line = ElementTree.SubElement(root, "trk")
@@ -201,7 +187,11 @@ def _geodetic(track: TrackRows, origin: Sequence[float]) -> tuple[FloatArray, Fl
 
 
 def _write(path: str | Path, text: str) -> Path:
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(text, encoding="utf-8", newline="\n")
-    return path
+    _in_new_folder(path).write_text(text, encoding="utf-8", newline="\n")
+    return Path(path)
+
+
+def _in_new_folder(path: str | Path) -> Path:
+    """The path, whose folder exists then."""
+    Path(path).parent.mkdir(parents=True, exist_ok=True)
+    return Path(path)

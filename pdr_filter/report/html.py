@@ -13,8 +13,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io.describe import ReadingReport, reading_report
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import ReadingReport, reading_report
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.svg import Axis, across, line, picture, pixel, points, polyline, text, titled, upward
@@ -179,7 +179,7 @@ def _reading(recording: Recording, report: ReadingReport, already_shown: set[str
     rows = "".join(
         f"<tr><td>{text(s.name)}</td><td>{s.n_samples:,}</td>"
         f"<td>{_or_dash(s.requested_hz, '.1f')}</td>"
-        f"<td{_odd(s.is_slow)}>{_or_dash(s.delivered_hz, '.1f')}</td>"
+        f"<td{_odd(s.is_slow)}>{_or_dash(s.mean_rate_hz, '.1f')}</td>"
         f"<td{_odd(s.n_gaps > 0)}>{s.n_gaps}</td><td>{_or_dash(s.longest_gap_s if s.n_gaps else None, '.2f')}</td>"
         f"<td{_odd(s.n_duplicates > 0)}>{s.n_duplicates}</td><td{_odd(s.n_backward > 0)}>{s.n_backward}</td></tr>"
         for s in report.streams

@@ -9,8 +9,11 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import pdr_filter as pdr
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
@@ -270,6 +273,11 @@ unit = "deg/s"
 # ---------------------------------------------------------------- writing, comparing
 
 
+def write_text(path: Path, text: str, encoding: str = "utf-8") -> Path:
+    path.write_text(text, encoding=encoding)
+    return path
+
+
 def write_folder(path: Path, files: Mapping[str, str | bytes]) -> Path:
     for name, content in files.items():
         (path / name).parent.mkdir(parents=True, exist_ok=True)
@@ -277,11 +285,21 @@ def write_folder(path: Path, files: Mapping[str, str | bytes]) -> Path:
     return path
 
 
-def write_zip(path: Path, files: Mapping[str, str | bytes], folder: str = "") -> Path:
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
+def write_zip(
+    path: Path, files: Mapping[str, str | bytes], folder: str = "", compression: int = zipfile.ZIP_DEFLATED
+) -> Path:
+    with zipfile.ZipFile(path, "w", compression) as archive:
         for name, content in files.items():
             archive.writestr(folder + name, content)
     return path
+
+
+def refusal(path: Path, format: str | None = None) -> str:
+    """The message with which a path is refused."""
+    with pytest.raises(RecordingError) as caught:
+        read(path, format)
+    assert isinstance(caught.value, ValueError)
+    return str(caught.value)
 
 
 def assert_same_streams(actual: Recording, expected: Recording, names: str, time_s: float, rtol: float = 1e-6) -> None:

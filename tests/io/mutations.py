@@ -23,11 +23,10 @@ from app_files import (
     write_zip,
 )
 
-from pdr_filter.io.checks import LARGEST_VALUE, SPECIFIC_FORCE_RANGE_MPS2
-from pdr_filter.io.describe import median_norm
+from pdr_filter.io.describe import median_norm, reading_report
+from pdr_filter.io.limits import LARGEST_VALUE, SPECIFIC_FORCE_RANGE_MPS2
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import Samples
 
 N = 24

@@ -1,4 +1,4 @@
-"""What a recording is said to hold."""
+"""What the description of a recording contains."""
 
 from __future__ import annotations
 

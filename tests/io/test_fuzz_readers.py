@@ -9,7 +9,15 @@ from time import process_time as time_of_processor
 
 import numpy as np
 import pytest
-from app_files import a_walk, phyphox_files, sensor_logger_files, sensor_logger_json, write_folder, write_zip
+from app_files import (
+    a_walk,
+    phyphox_files,
+    refusal,
+    sensor_logger_files,
+    sensor_logger_json,
+    write_folder,
+    write_zip,
+)
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
@@ -46,12 +54,6 @@ def recording_or_refusal(path: Path, format: str | None) -> None:
     assert files_in(path.parent) == before
 
 
-def refusal(path: Path, format: str | None = None) -> str:
-    with pytest.raises(RecordingError) as caught:
-        read(path, format)
-    return str(caught.value)
-
-
 # ---------------------------------------------------------------- formats are found by content
 
 
@@ -59,7 +61,7 @@ def refusal(path: Path, format: str | None = None) -> str:
 def test_the_format_is_found_by_content_whatever_the_name(tmp_path: Path, form: str) -> None:
     path = good(form, tmp_path / "x")
     assert detect(path) == form.partition(":")[0]
-    if form != "generic_csv":  # which is told by the file beside it
+    if form != "generic_csv":  # which the file beside it makes known
         renamed = path.rename(path.with_name("recording.bin"))
         assert detect(renamed) == form.partition(":")[0]
         assert len(read(renamed).accelerometer) > 0

@@ -12,16 +12,16 @@ import pytest
 from app_files import (
     a_walk,
     assert_same_streams,
-    assert_same_track,
     get_sensor_data_text,
+    refusal,
     with_level_attitude,
+    write_text,
     write_zip,
 )
 
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.get_sensor_data import rotation_vector_quaternion
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
 WALK = with_level_attitude(a_walk())
@@ -30,14 +30,7 @@ ALL = "accelerometer gyroscope magnetometer attitude"
 
 
 def log(path: Path, text: str) -> Path:
-    path.write_text(text, encoding="latin-1")
-    return path
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(RecordingError) as caught:
-        read(path)
-    return str(caught.value)
+    return write_text(path, text, "latin-1")
 
 
 def test_a_walk_comes_back_with_the_intervals_of_the_sensors_clock(tmp_path: Path) -> None:
@@ -50,10 +43,6 @@ def test_a_walk_comes_back_with_the_intervals_of_the_sensors_clock(tmp_path: Pat
 def test_a_zip_with_the_one_log_reads_like_the_log(tmp_path: Path) -> None:
     recording = read(write_zip(tmp_path / "w.zip", {"logs/w.txt": TEXT.encode("latin-1")}))
     assert_same_streams(recording, WALK, ALL, time_s=2e-6)
-
-
-def test_the_track_is_that_of_the_recording(tmp_path: Path) -> None:
-    assert_same_track(read(log(tmp_path / "w.txt", TEXT)), WALK, within_m=5e-3)
 
 
 def test_reference_positions_are_on_the_apps_clock(tmp_path: Path) -> None:

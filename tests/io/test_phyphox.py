@@ -9,27 +9,20 @@ import pytest
 from app_files import (
     a_walk,
     assert_same_streams,
-    assert_same_track,
     phyphox_files,
     phyphox_table,
+    refusal,
     write_folder,
     write_zip,
 )
 
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()
 CHOICES = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]
 ALL = "accelerometer gyroscope magnetometer"
-
-
-def refusal(path: Path) -> str:
-    with pytest.raises(RecordingError) as caught:
-        read(path)
-    return str(caught.value)
 
 
 @pytest.mark.parametrize(("separator", "decimal"), CHOICES)
@@ -46,10 +39,6 @@ def test_one_csv_with_all_tables_below_each_other_comes_back(tmp_path: Path, sep
     files = phyphox_files(WALK, separator, decimal)
     (tmp_path / "w.csv").write_text("".join(text for name, text in files.items() if "meta" not in name))
     assert_same_streams(read(tmp_path / "w.csv"), WALK, ALL, time_s=1e-7, rtol=1e-9)
-
-
-def test_the_track_is_that_of_the_recording(tmp_path: Path) -> None:
-    assert_same_track(read(write_zip(tmp_path / "w.zip", phyphox_files(WALK, ";", ","))), WALK, within_m=1e-3)
 
 
 def test_the_wall_clock_comes_from_the_meta_file(tmp_path: Path) -> None:
@@ -97,7 +86,7 @@ def test_columns_called_x_y_z_belong_to_the_sensor_of_the_file(tmp_path: Path) -
     assert_same_streams(read(write_zip(tmp_path / "w.zip", files)), WALK, ALL, time_s=1e-7, rtol=1e-8)
 
 
-def test_a_file_called_like_one_of_the_own_format_is_told_by_its_header(tmp_path: Path) -> None:
+def test_a_file_called_like_one_of_the_own_format_is_recognised_by_its_header(tmp_path: Path) -> None:
     files = {"accelerometer.csv": phyphox_files(WALK)["Accelerometer.csv"]}
     assert_same_streams(read(write_zip(tmp_path / "w.zip", files)), WALK, "accelerometer", time_s=1e-7, rtol=1e-8)
 

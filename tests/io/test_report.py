@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 from app_files import a_walk, metadata, sensor_logger_files, write_folder
 
+from pdr_filter.io.describe import describe, reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.values.samples import Samples
 
 
@@ -38,6 +38,13 @@ def test_a_report_is_plain_and_survives_being_written(tmp_path: Path) -> None:
     assert (again.source, again.found, again.clock) == (report.source, report.found, report.clock)
     assert [s.requested_hz for s in again.streams] == [s.requested_hz for s in report.streams] == [200, 200, 200]
     assert report.lines()[0] == "read as Sensor Logger 1.64 (ios)"
+
+
+def test_the_description_has_the_requested_rates_of_the_report() -> None:
+    recording = replace(a_walk(), meta={"nominal_rate_hz": 400})
+    assert describe(recording).streams == reading_report(recording).streams
+    assert [stream.requested_hz for stream in describe(recording).streams] == [400, None, None]
+    assert describe(recording).streams[0].is_slow
 
 
 @pytest.mark.parametrize(

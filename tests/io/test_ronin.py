@@ -4,17 +4,21 @@ from __future__ import annotations
 
 import builtins
 import json
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from app_files import a_walk, assert_same_streams, assert_same_track, on_one_clock, with_level_attitude
+from app_files import (
+    a_walk,
+    assert_same_streams,
+    on_one_clock,
+    refusal,
+    with_level_attitude,
+)
 
-from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.io.report import reading_report
 
 WALK = with_level_attitude(on_one_clock(a_walk(200.0)))
 SCALE, BIAS, GYRO_BIAS = np.array([1.01, 0.99, 1.0]), np.array([0.1, -0.2, 0.05]), np.array([0.01, -0.02, 0.03])
@@ -53,24 +57,12 @@ def folder_with(path: Path, data: dict[str, Any] | None = None, info: dict[str, 
     return path
 
 
-def refusal(path: Path) -> str:
-    with pytest.raises(RecordingError) as caught:
-        read(path)
-    return str(caught.value)
-
-
 @pytest.mark.parametrize("file", ["", "data.hdf5"])
 def test_a_walk_comes_back_calibrated(tmp_path: Path, file: str) -> None:
     recording = read(folder_with(tmp_path / "a000_1") / file)
     assert_same_streams(recording, WALK, "accelerometer gyroscope attitude", time_s=1e-9, rtol=1e-9)
     assert recording.meta["device"] == "asus5"
     assert any("scale (acce - bias)" in line for line in reading_report(recording).found)
-
-
-def test_the_track_is_that_of_the_recording(tmp_path: Path) -> None:
-    without = replace(WALK, magnetometer=None, attitude=None)
-    data = {name: values for name, values in arrays().items() if name not in ("synced/magnet", "synced/game_rv")}
-    assert_same_track(read(folder_with(tmp_path / "a", data)), without, within_m=1e-3)
 
 
 def test_the_position_is_truth_on_the_same_clock(tmp_path: Path) -> None:

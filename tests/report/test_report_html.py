@@ -15,8 +15,8 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
+from pdr_filter.io.describe import reading_report
 from pdr_filter.io.recording import Recording
-from pdr_filter.io.report import reading_report
 from pdr_filter.report import palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track

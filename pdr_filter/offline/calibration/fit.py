@@ -8,7 +8,6 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter import __version__
 from pdr_filter.calibration import Calibration, slices_of
 from pdr_filter.config import Config
 from pdr_filter.filter.step_length import StepLengthModel
@@ -21,6 +20,7 @@ from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray, Table, table
 from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values.version import __version__
 
 # One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
 RECORDING_STD = 0.025
