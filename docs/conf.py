@@ -33,7 +33,7 @@ def model_card(description: dict[str, Any]) -> str:
     scores = card.get("leave_one_subject_out", {})
     sites = card.get("site_left_out", {}).items()
     rows = {
-        "tells apart": f"{', '.join(description['classes'])} ({description['head'].replace('_', ' ')})",
+        "classes": f"{', '.join(description['classes'])} ({description['head'].replace('_', ' ')})",
         "for": card.get("intended_use"),
         "limits": card.get("limits"),
         "trained on": f"{', '.join(card.get('data', []))}: {card.get('n_people')} people, "
