@@ -43,6 +43,8 @@ def make_track(n_steps: int, n_windows: int, notes: tuple[str, ...] = ()) -> Tra
         contexts=CONTEXTS,
         mode_prob=prob[number % 6],
         modes=CONTEXTS,
+        mode_contexts=CONTEXTS,
+        gap_before_s=np.zeros(n_steps),
         steps=step_table([replace(step, time_s=0.5 * float(k)) for k in number]),
         windows=windows_of(1.0 + np.arange(1, n_windows + 1), prob[np.arange(n_windows) % 6]),
         start_time_s=0.0,

@@ -290,8 +290,7 @@ def _is_bent(heading_rad: FloatArray, length_m: FloatArray) -> bool:
 def step_contexts(track: TrackRows) -> FloatArray:
     """Probabilities of `CONTEXTS` of each step (K, C): the filter's by mode, else the windows'."""
     prob = np.zeros((track.n_steps, len(CONTEXTS)))
-    for m, mode in enumerate(track.modes):
-        context = mode.split(" ")[0]
+    for m, context in enumerate(track.mode_contexts):
         if context not in CONTEXTS:
             return track.context_prob
         prob[:, CONTEXTS.index(context)] += track.mode_prob[:, m]
