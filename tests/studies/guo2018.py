@@ -35,11 +35,10 @@ from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
-from pdr_filter.tracks import Track
 from pdr_filter.training import guo2018 as train_guo
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import Step, steps_of
 from tests.studies.data import recordings
 from tests.studies.report import Study, StudyTable
 
@@ -305,11 +304,6 @@ class PoseWalk:
         return self.distance_m(fit) / sum(step.duration_s for step in self.steps)
 
 
-def _steps_of(track: Track) -> tuple[Step, ...]:
-    names = track.steps.dtype.names or ()
-    return tuple(Step(**dict(zip(names, row, strict=True))) for row in track.steps.tolist())
-
-
 def pose_walk(
     recording: Recording,
     source: str,
@@ -327,7 +321,7 @@ def pose_walk(
     def inside(time_s: FloatArray) -> BoolArray:
         return np.any([(time_s > a - edge_s) & (time_s <= b + edge_s) for a, b in parts], axis=0)
 
-    steps = tuple(s for s, use in zip(_steps_of(track), inside(track.time_s), strict=True) if use)
+    steps = tuple(s for s, use in zip(steps_of(track.steps), inside(track.time_s), strict=True) if use)
     use = inside(default.time_s)
     default_m, default_s = float(default.step_length_m[use].sum()), float(np.sum(default.steps.duration_s[use]))
     return PoseWalk(
