@@ -71,6 +71,9 @@ def _is_smooth(model: StepLengthModel) -> TypeGuard[SmoothStepLengthModel]:
     return hasattr(model, "jacobian")
 
 
+# Height of somebody of whom it is not known, m: between the means of women and men.
+USUAL_HEIGHT_M = 1.70
+
 # --- models from papers ---------------------------------------------------------------------------------------------
 
 
@@ -137,17 +140,6 @@ class WeinbergStepLength:
     def regressors(self, step: Step) -> FloatArray:
         """((a_max - a_min)^(1/4),)."""
         return np.array([step.vertical_range_mps2**0.25])
-
-
-@dataclass(frozen=True)
-class WeinbergOffsetStepLength:
-    """L = k0 + k1 (a_max - a_min)^(1/4), a vertical, theta = (k0, k1): Weinberg's model with an offset."""
-
-    n_params: int = 2
-
-    def regressors(self, step: Step) -> FloatArray:
-        """(1, (a_max - a_min)^(1/4))."""
-        return np.array([1.0, step.vertical_range_mps2**0.25])
 
 
 @dataclass(frozen=True)
@@ -250,7 +242,7 @@ class BounceStepLength:
     Parameters
     ----------
     height_m : float
-        Of the person; where it is unknown 1.70 m, between the means of men and women.
+        Of the person.
     max_amplitude_mps2 : float
         A larger amplitude counts as this one: it is the give of a soft arm, not the body's.
     min_amplitude_mps2 : float
@@ -259,7 +251,7 @@ class BounceStepLength:
         Cadences of walking, 72 to 144 steps a minute: beyond, a step was missed or found twice.
     """
 
-    height_m: float = 1.70
+    height_m: float = USUAL_HEIGHT_M
     max_amplitude_mps2: float = 3.0
     min_amplitude_mps2: float = 0.3
     min_frequency_hz: float = 1.2
@@ -374,35 +366,17 @@ def known_length(length_m: float, std_m: float) -> StepLengthFit:
     return StepLengthFit(FrequencyVarianceStepLength(), np.array([length_m, 0.0, 0.0]), np.zeros((3, 3)), std_m)
 
 
-# k of men and women: Tian et al. 2016, text of eq. 2 and 9. Where the gender is not known, their mean.
-_STATIC_K = {"M": 0.415, "F": 0.413}
-_TIAN_K = {"M": 0.3139, "F": 0.2975}
-# Of the distances of ten people over 28 m (Tian et al. 2016, Table VII: 3.58 m and 2.30 m).
-_STATIC_RELATIVE_STD = 3.58 / 28
-_TIAN_RELATIVE_STD = 2.30 / 28
 # Single steps of one person about any of the models.
-_RESIDUAL_STD_M = 0.06
+RESIDUAL_STD_M = 0.06
+# k of men and women, text of eq. 2 of Tian et al. 2016; the distances of ten people over 28 m have a standard deviation
+# of 3.58 m (Table VII).
+_STATIC_K = {"M": 0.415, "F": 0.413}
+_STATIC_RELATIVE_STD = 3.58 / 28
 
 
 def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """The static model with the printed k; gender "M", "F" or unknown. Tian uses it for the first step from rest."""
-    return _one_parameter_fit(StaticStepLength(height_m), _of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
-
-
-def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Tian's model with the printed k; gender "M", "F" or unknown."""
-    return _one_parameter_fit(TianStepLength(height_m), _of_gender(_TIAN_K, gender), _TIAN_RELATIVE_STD)
-
-
-def chen_fit(height_m: float) -> StepLengthFit:
-    """Chen's model for a person of whom only the height is known: a = 0.371, b = 0.227 m s, c = 1 +- 0.08.
-
-    a and b are the values in general use for walking; Guo et al. do not print them. How far people differ from them is
-    put into c alone.
-    """
-    return StepLengthFit(
-        ChenStepLength(height_m), np.array([0.371, 0.227, 1.0]), np.diag([0.0, 0.0, 0.08]) ** 2, _RESIDUAL_STD_M
-    )
+    """The static model with the printed k; gender "M", "F" or unknown."""
+    return one_parameter_fit(StaticStepLength(height_m), of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
 
 
 # Of `BounceStepLength`: fitted to 298 legs of known displacement, two sites alike (humolire, ms_indoor;
@@ -420,9 +394,11 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-def _of_gender(values: dict[str, float], gender: str | None) -> float:
+def of_gender(values: dict[str, float], gender: str | None) -> float:
+    """The value for a gender "M" or "F"; their mean where it is not known."""
     return values.get(gender or "", sum(values.values()) / len(values))
 
 
-def _one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
-    return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), _RESIDUAL_STD_M)
+def one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
+    """A model with one parameter k, which differs between people by a share of it."""
+    return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), RESIDUAL_STD_M)

@@ -45,7 +45,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features import carrying, invariant
-from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureSet, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
@@ -56,6 +56,8 @@ TextArray = NDArray[np.str_]
 # Held-out people are those of MotionSense: the only set with stairs, and with more than a few people.
 SCORED_DATASET = "motionsense"
 
+
+FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
 
 # Of the default recipe: transitions and tempering are estimated for it.
 DEFAULT_MODEL = "context"
@@ -239,7 +241,7 @@ class Plan:
 
     def features(self, windows: LabelledWindows) -> FloatArray:
         """The model's features of all windows, (W, F)."""
-        names = FEATURE_SETS[self.feature_set]
+        names = FEATURE_SETS[self.feature_set].names
         return windows.features[:, [names.index(name) for name in self.feature_names]]
 
 
@@ -369,7 +371,7 @@ def labelled_windows(
     with_gyroscope: bool = True,
 ) -> LabelledWindows:
     """Windows of recordings that lie wholly inside a label with a known context, with or without their gyroscopes."""
-    stage = FeatureWindows(feature_set)
+    stage = FeatureWindows(features=FEATURE_SETS[feature_set])
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
         recording = read(path)

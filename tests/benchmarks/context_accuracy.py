@@ -27,8 +27,8 @@ from sklearn.ensemble import RandomForestClassifier
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.probability_calibration import reliability
 from pdr_filter.papers.martinelli2018 import features as martinelli
-from pdr_filter.sensing.features.windows import FEATURE_SETS
 from pdr_filter.training.contexts import (
+    FEATURE_SETS,
     PLANS,
     Fitted,
     LabelledWindows,
@@ -138,7 +138,7 @@ def main() -> None:
         if args.only and name not in args.only:
             continue
         w = windows[plan.feature_set]
-        names = FEATURE_SETS[plan.feature_set]
+        names = FEATURE_SETS[plan.feature_set].names
         features = w.features[:, [names.index(n) for n in plan.feature_names]]
         problem = Problem(plan, features, w, plan.rows(w))
         scored = w.dataset == "motionsense"

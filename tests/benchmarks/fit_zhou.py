@@ -27,7 +27,7 @@ from pdr_filter.values.step import Step
 def detected(recording: pdr.Recording, on_foot: bool) -> list[Step]:
     """Steps of the recipe's detector."""
     thresholds, detector = (behaviours.FOOT, steps.FOOT) if on_foot else (behaviours.CARRIED, steps.CARRIED)
-    sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds), steps=detector)
+    sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds=thresholds), steps=detector)
     return [event for event in sensed_events(sensing, recording) if isinstance(event, Step)]
 
 

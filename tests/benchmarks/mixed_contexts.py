@@ -47,11 +47,11 @@ from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.sensing.features.windows import FEATURE_SETS
 from pdr_filter.sensing.front_end import Event, Gap
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.training.contexts import (
     FEATURE_LIMIT,
+    FEATURE_SETS,
     PLANS,
     Fitted,
     LabelledWindows,
@@ -107,7 +107,7 @@ def windows_of(data: Path) -> LabelledWindows:
 
 def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextModel:
     """The default's model as `pdr-filter train` makes it, of all people but these."""
-    names = FEATURE_SETS[PLAN.feature_set]
+    names = FEATURE_SETS[PLAN.feature_set].names
     use = PLAN.rows(windows) & ~np.isin(windows.person, people)
     features = windows.features[use][:, [names.index(n) for n in PLAN.feature_names]]
     y, person = windows.context[use], windows.person[use]

@@ -49,7 +49,6 @@ MODELS: dict[str, Callable[[float], StepLengthModel]] = {
     "M2, Martinelli k0 + k1 f + k2 var": lambda h: models.FrequencyVarianceStepLength(),
     "M3 k0 + k1/f + k2 max": lambda h: models.PeriodPeakStepLength(),
     "Weinberg k range^1/4": lambda h: models.WeinbergStepLength(),
-    "Weinberg with offset": lambda h: models.WeinbergOffsetStepLength(),
     "M4 k range(magnitude)^1/4": lambda h: models.MagnitudeRangeStepLength(),
     "M5, Tian k h sqrt f": models.TianStepLength,
     "M6, Kim k cbrt(mean abs)": lambda h: models.KimStepLength(),

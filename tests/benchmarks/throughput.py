@@ -18,7 +18,7 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.recipes import default
-from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values.samples import Samples
 
 
@@ -43,7 +43,7 @@ def long_walk(hours: float) -> pdr.Recording:
 
 def features_s(recording: pdr.Recording) -> tuple[float, int]:
     """Time of all features of a recording, the signals given, and the number of windows."""
-    sensing, stage = default().sensing, FeatureWindows("invariant")
+    sensing, stage = default().sensing, FeatureWindows(features=ATTITUDE_FREE)
     _, uniform = sensing.conditioner.step(sensing.conditioner.init(), pdr.merge_streams(recording))
     state, parts = sensing.attitude.init(), []
     for part in uniform:
@@ -72,7 +72,7 @@ def main() -> None:
             f"{recording.duration_s / best:.0f} times real time"
         )
     best, n_windows = min(features_s(recording) for _ in range(3))
-    print(f"all {len(FEATURE_SETS['invariant'])} features of {n_windows} windows: {best:.2f} s")
+    print(f"all {len(ATTITUDE_FREE.names)} features of {n_windows} windows: {best:.2f} s")
     block = pdr.merge_streams(recording)
     online = pdr.OnlineFilter()
     cost: list[float] = []

@@ -22,12 +22,12 @@ from pdr_filter.filter.step_length import (
     KimStepLength,
     StepLengthFit,
     WeinbergStepLength,
-    chen_fit,
     static_fit,
-    tian_fit,
 )
 from pdr_filter.io.recording import Recording
 from pdr_filter.papers.guo2018.features import PoseWindows
+from pdr_filter.papers.guo2018.recipe import chen_fit
+from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import for_recording
 from pdr_filter.recording_run import classify
 from pdr_filter.recording_run import track as track_of
@@ -248,11 +248,11 @@ def _sided_windows(n_people: int) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _pose_windows(recording: Recording) -> Iterator[FloatArray]:
-    attitudes, windows = AttitudeEstimator(), PoseWindows(100.0, 0.6, 0.6)
+    attitudes, windows = AttitudeEstimator(), PoseWindows()
     attitude_state, state = attitudes.init(), windows.init()
     for block in Conditioner().step(Conditioner().init(), merge_streams(recording))[1]:
         attitude_state, attitude = attitudes.step(attitude_state, block)
-        state, found = windows.step(state, block.time_s, attitude.up_sensor)
+        state, found = windows.step(state, block, attitude)
         yield from (window.features for _, window in found)
 
 

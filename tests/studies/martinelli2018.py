@@ -38,14 +38,14 @@ from pdr_filter.filter.motion import Mode
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
+from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, TABLE_II, WITHOUT_MAGNETOMETER
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.recording_run import detect_steps, track
 from pdr_filter.report.plotting import context_colours
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.features import invariant
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.gait import STAIR_TREAD_M
 from pdr_filter.tracks import Track
@@ -180,7 +180,7 @@ def _examples(walks: Iterable[Recording], stages: Mapping[str, FeatureWindows], 
                     label = label_of(recording, window.time_s - stage.window_s, window.time_s)
                     if label is not None:
                         found[name].append((window.features, label[0], str(recording.subject.id)))
-    return {name: _balanced(stages[name].names, rows, n_windows) for name, rows in found.items() if rows}
+    return {name: _balanced(stages[name].features.names, rows, n_windows) for name, rows in found.items() if rows}
 
 
 def _balanced(names: tuple[str, ...], rows: list[tuple[FloatArray, str, str]], n_windows: int) -> _Examples:
@@ -662,8 +662,8 @@ def _notes(real: Sequence[_Walk], simulated: Sequence[_Walk]) -> list[str]:
 
 def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], list[_Walk]]:
     """Tables and figures of real recordings, and the walks put together of them."""
-    stages = {f"{s:g}": FeatureWindows("martinelli", window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
-    stages["invariant"] = FeatureWindows("invariant")
+    stages = {f"{s:g}": FeatureWindows(features=TABLE_II, window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
+    stages["invariant"] = FeatureWindows(features=ATTITUDE_FREE)
     # sit_13 of subject 1 is the same recording as sit_5
     walks = (r for r in recordings(data, "motionsense") if r.name != "motionsense_s01_sit_13")
     examples = _examples(walks, stages, size.n_windows)
@@ -791,7 +791,7 @@ def _simulated(size: Size) -> tuple[list[StudyTable], list[_Walk]]:
     """Tables III to VI of simulated people with six contexts and a magnetometer, and their walks."""
     people = {f"{i + 1:02d}": i for i in range(size.n_simulated)}
     short = (_simulate(_short_segments(), i, name) for name, i in people.items())
-    examples = _examples(short, {"2": FeatureWindows("martinelli")}, size.n_windows)["2"]
+    examples = _examples(short, {"2": FeatureWindows(features=TABLE_II)}, size.n_windows)["2"]
     models = _of_subgroups(examples, partial(_machine, names=NAMES))
     walks: list[_Walk] = []
     for part, model in models:

@@ -33,9 +33,9 @@ from pdr_filter.filter.step_length import (
     WeinbergStepLength,
     bounce_fit,
     static_fit,
-    tian_fit,
 )
 from pdr_filter.io.recording import Recording, Subject
+from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import default, tian2016
 from pdr_filter.recording_run import classify, sensed_events, track
 from pdr_filter.sensing.contexts.stage import WindowContext

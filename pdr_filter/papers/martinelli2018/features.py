@@ -9,8 +9,11 @@ divided by the window's length). The low-pass is Butterworth, second order, 5 Hz
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from pdr_filter.sensing.features.windows import N_MAGNITUDES
 from pdr_filter.values.arrays import FloatArray
 
 _OF = ("acc", "acc_f", "gyro", "magn")
@@ -73,3 +76,25 @@ def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
             crossings,
         ]
     )
+
+
+@dataclass(frozen=True)
+class MagnitudeFeatures:
+    """The 28 features as a `FeatureSet`."""
+
+    @property
+    def name(self) -> str:
+        """What model cards call it."""
+        return "martinelli"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Names of the features."""
+        return NAMES
+
+    def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
+        """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""
+        return np.array([features_28(window, rate_hz) for window in windows[:, :N_MAGNITUDES]])
+
+
+TABLE_II = MagnitudeFeatures()

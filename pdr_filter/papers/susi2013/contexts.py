@@ -42,9 +42,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.papers.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.stage import WindowContext, known_context
+from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
 from pdr_filter.values.arrays import FloatArray
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
@@ -150,8 +148,8 @@ TREE_ACCELEROMETER = MotionModeTree(
 )
 
 
-@dataclass(frozen=True)
-class MotionModes:
+@dataclass(frozen=True, eq=False)
+class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     """Motion mode of every window as context, carrying mode and irregular motion; a `ContextStage`.
 
     Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
@@ -170,29 +168,10 @@ class MotionModes:
     with_gyroscope: MotionModeTree = TREE
     without_gyroscope: MotionModeTree = TREE_ACCELEROMETER
 
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        return self.windows.rate_hz
+    def first_memory(self) -> None:
+        """Every window stands alone."""
 
-    def init(self) -> MotionWindowState:
-        """State before the first sample."""
-        return self.windows.init()
-
-    def after_gap(self, state: MotionWindowState) -> MotionWindowState:
-        """State at the start of a new segment: nothing lasts, every window stands alone."""
-        del state
-        return self.windows.init()
-
-    def step(
-        self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[MotionWindowState, list[tuple[int, WindowContext]]]:
-        """New state and the windows that became known, each with the number of its last sample."""
-        del attitude  # norms do not depend on it
-        state, windows = self.windows.step(state, block)
-        return state, [(last, self.assess(window)) for last, window in windows]
-
-    def assess(self, window: MotionWindow) -> WindowContext:
+    def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
         """What is said of a window."""
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         p = tree.prob(tree.classify(window))
@@ -201,4 +180,4 @@ class MotionModes:
         swinging = p["swinging"] / walking if walking > 0.5 else 0.25
         carrying = {"swinging": swinging, **dict.fromkeys(_AT_REST, (1 - swinging) / len(_AT_REST))}
         known = known_context(window.time_s, context, carrying, _CONTEXTS, tree.name)
-        return replace(known, irregular_prob=p["irregular"])
+        return memory, replace(known, irregular_prob=p["irregular"])

@@ -20,7 +20,7 @@ import numpy as np
 from pdr_filter.papers.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Carried, CarriedState
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.angles import circular_mean, wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.step import Step
@@ -145,11 +145,11 @@ class OffsetCompensation:
         state: OffsetCompensationState,
         block: UniformBlock,
         attitude: AttitudeBlock,
-        modes: ModeBlock,
+        contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
         """New state and the steps of a block with their walking directions."""
-        carried, states = self._carried.step(state.carried, modes.carrying_mode)
+        carried, states = self._carried.step(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
         state = replace(

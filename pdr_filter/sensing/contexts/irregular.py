@@ -125,7 +125,7 @@ class IrregularGate:
 
 
 def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> float:
-    """Probability of irregular motion of a `FeatureWindow` of the feature set "invariant".
+    """Probability of irregular motion of a `FeatureWindow` of `ATTITUDE_FREE`.
 
     Parameters
     ----------
@@ -146,7 +146,7 @@ def _columns(names: tuple[str, ...], has_gyroscope: bool) -> IntArray:
     needed = (GATE if has_gyroscope else GATE_ACCELEROMETER).names
     missing = sorted(set(needed) - set(names))
     if missing:
-        raise ValueError(f'the gate needs {", ".join(missing)}: take windows of FeatureWindows("invariant")')
+        raise ValueError(f"the gate needs {', '.join(missing)}: take windows of the features ATTITUDE_FREE")
     return np.array([names.index(n) for n in needed])
 
 

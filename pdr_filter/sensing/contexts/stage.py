@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -30,7 +31,7 @@ _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowContext:
-    """What the classifiers say of a window."""
+    """What the classifiers say of a window: of the samples from `start_s` to `time_s`."""
 
     time_s: float  # end of the window
     prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
@@ -41,6 +42,8 @@ class WindowContext:
     model: str = ""  # name of the context model
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
     has_gyroscope: bool = True  # that angular rate was measured all through the window
+    start_s: float = np.nan  # of the first sample that it describes
+    hop_s: float = 1.0  # its end less that of the window before, where none is missing
 
 
 class ContextStage(Protocol):
@@ -70,12 +73,109 @@ class ContextStage(Protocol):
         ...
 
 
+W = TypeVar("W")  # state of the windows
+X = TypeVar("X", bound="DescribedWindow")
+M = TypeVar("M")  # what lasts from window to window
+
+
+class DescribedWindow(Protocol):
+    """What is known of the samples of one window."""
+
+    @property
+    def start_s(self) -> float:
+        """Start of its first sample."""
+        ...
+
+
+class DescribedWindows(Protocol[W, X]):
+    """Cuts samples into windows and describes each: a causal stage."""
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the blocks."""
+        ...
+
+    @property
+    def hop_s(self) -> float:
+        """Time from the end of one window to that of the next."""
+        ...
+
+    def init(self) -> W:
+        """State before the first sample."""
+        ...
+
+    def after_gap(self, state: W) -> W:
+        """State at the start of a new segment."""
+        ...
+
+    def step(self, state: W, block: UniformBlock, attitude: AttitudeBlock) -> tuple[W, list[tuple[int, X]]]:
+        """New state and the windows that became complete, each with the number of its last sample."""
+        ...
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowStageState(Generic[W, M]):
+    """Samples of open windows, and what lasts from window to window."""
+
+    windows: W
+    memory: M
+
+
+@dataclass(frozen=True, eq=False)
+class WindowStage(ABC, Generic[W, X, M]):
+    """A context stage that judges windows one after the other.
+
+    Parameters
+    ----------
+    windows : DescribedWindows
+        Where the windows come from.
+    """
+
+    windows: DescribedWindows[W, X]
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the blocks."""
+        return self.windows.rate_hz
+
+    @abstractmethod
+    def first_memory(self) -> M:
+        """What lasts from window to window, before the first."""
+
+    @abstractmethod
+    def assess(self, memory: M, window: X) -> tuple[M, WindowContext]:
+        """New memory, and what is said of a window."""
+
+    def memory_after_gap(self, memory: M) -> M:
+        """What lasts over a time without samples: nothing."""
+        return self.first_memory()
+
+    def init(self) -> WindowStageState[W, M]:
+        """State before the first sample."""
+        return WindowStageState(self.windows.init(), self.first_memory())
+
+    def after_gap(self, state: WindowStageState[W, M]) -> WindowStageState[W, M]:
+        """State at the start of a new segment."""
+        return WindowStageState(self.windows.after_gap(state.windows), self.memory_after_gap(state.memory))
+
+    def step(
+        self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
+        """New state and the windows that became known, each with the number of its last sample."""
+        windows, found = self.windows.step(state.windows, block, attitude)
+        memory, contexts = state.memory, list[tuple[int, WindowContext]]()
+        for last, window in found:
+            memory, context = self.assess(memory, window)
+            contexts.append((last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s)))
+        return WindowStageState(windows, memory), contexts
+
+
 def known_context(
     time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
 ) -> WindowContext:
     """What a rule says of a window: probabilities by name, those not named zero.
 
-    `contexts` are all those that the rule can tell apart, alike before it has seen anything. Where the carrying mode
+    `contexts` are all those that the rule distinguishes, alike before it has seen anything. Where the carrying mode
     is unknown (an empty mapping) all modes are alike.
     """
     prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
@@ -116,7 +216,7 @@ class ContextModels:
         heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
         for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:
             if model.head != head:
-                raise ValueError(f"model {model.name!r} tells the {model.head} apart, not the {head}; give another one")
+                raise ValueError(f"model {model.name!r} classifies the {model.head}, not the {head}; give another one")
 
     @property
     def models(self) -> tuple[ContextModel, ...]:

@@ -6,7 +6,7 @@ from typing import Any, Protocol
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.step import Step
 
 
@@ -22,7 +22,12 @@ class HeadingStage(Protocol):
         ...
 
     def step(
-        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock, steps: list[tuple[int, Step]]
+        self,
+        state: Any,
+        block: UniformBlock,
+        attitude: AttitudeBlock,
+        contexts: ContextBlock,
+        steps: list[tuple[int, Step]],
     ) -> tuple[Any, list[tuple[int, Step]]]:
         """New state and the steps of a block with their walking directions.
 

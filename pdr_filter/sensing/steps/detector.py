@@ -1,32 +1,34 @@
-"""What all step detectors share: their interface, what they are told of modes, and how contacts become steps."""
+"""What all step detectors share: their interface, the loop over blocks of samples, and how contacts become steps."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, log
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModeBlock:
-    """What the context stage says at each uniform sample: the mode that has at least half of the probability."""
+class ContextBlock:
+    """The context and the carrying mode at each uniform sample: those with at least half of the probability."""
 
     context: IntArray  # (N,) index into `CONTEXTS`; -1 where none has half, and before anything is known
     carrying_mode: IntArray  # (N,) index into `CARRYING_MODES`; -1 likewise
 
 
-def unknown_modes(n_samples: int) -> ModeBlock:
+def unknown_contexts(n_samples: int) -> ContextBlock:
     """Nothing known at any of the samples."""
     unknown = np.full(n_samples, -1)
-    return ModeBlock(unknown, unknown)
+    return ContextBlock(unknown, unknown)
 
 
 class StepDetector(Protocol):
@@ -56,7 +58,7 @@ class StepDetector(Protocol):
         ...
 
     def step(
-        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
+        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
     ) -> tuple[Any, list[tuple[int, Step]]]:
         """New state and the steps that became known, each with the number of the sample that revealed it."""
         ...
@@ -136,6 +138,10 @@ class StepLog:
         """Number of the oldest sample that is remembered: contacts must be later."""
         return state.n_samples - state.signals.shape[1]
 
+    def can_end(self, state: StepLogState, contact: int) -> bool:
+        """Whether a step can end at a sample: it exists, is remembered, and later than the last contact."""
+        return max(self.first_sample(state), state.last_contact, 0) < contact < state.n_samples
+
     def time_s(self, state: StepLogState, sample: float) -> float:
         """Time of a sample, between samples too."""
         whole = int(np.floor(sample))
@@ -187,6 +193,110 @@ class StepLog:
             )
         usual_mps2 = exp(state.log_amplitudes / state.n_usual) if state.n_usual > 0 else 0.0
         return state, replace(step, usual_amplitude_mps2=usual_mps2, from_rest=from_rest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectorState:
+    """What every detector remembers; each adds its own."""
+
+    log: StepLogState
+    line: FloatArray  # (R, L) its last signals; empty at the start
+
+
+S = TypeVar("S", bound=DetectorState)
+
+
+@dataclass(frozen=True)
+class SignalStepDetector(ABC, Generic[S]):
+    """A step detector that looks for steps in a few signals: the loop over blocks that all detectors share.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    max_interval_s : float
+        After a longer pause a new bout begins.
+    first_step_s : float
+        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    """
+
+    rate_hz: float = 100.0
+    max_interval_s: float = 2.0
+    first_step_s: float = 0.6
+
+    @property
+    @abstractmethod
+    def latency_s(self) -> float:
+        """Longest time from a contact to its detection."""
+
+    @abstractmethod
+    def init(self) -> S:
+        """State before the first sample of a segment."""
+
+    @property
+    @abstractmethod
+    def _n_line(self) -> int:
+        """How many columns of earlier signals `_detect` is given, L."""
+
+    @abstractmethod
+    def _signals(
+        self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[S, FloatArray]:
+        """New filter memories and the signals (R, N) of a block."""
+
+    @abstractmethod
+    def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+        """Detect in signals (R, L + N): the last N are new, and the first of these is sample number `first`."""
+
+    def _continued(self, state: S) -> FloatArray:
+        """Signals (R, n) assumed after the last sample, where a gap or the end comes: the last value stays."""
+        return np.repeat(state.line[:, -1:], round(self.latency_s * self.rate_hz), axis=1)
+
+    @cached_property
+    def _log(self) -> StepLog:
+        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
+
+    def step(
+        self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[S, list[tuple[int, Step]]]:
+        """New state and the steps that became known, each with the number of the sample that revealed it."""
+        first = state.log.n_samples
+        state = replace(state, log=self._log.extend(state.log, block, attitude))
+        state, signals = self._signals(state, block, attitude, contexts)
+        if first == 0 and state.line.shape[1] == 0:
+            # What was before the first sample is assumed to be like it: a zero there would look like a blow.
+            state = replace(state, line=np.repeat(signals[:, :1], self._n_line, axis=1))
+        state, steps = self._advance(state, signals, first)
+        return replace(state, log=self._log.trim(state.log)), steps
+
+    def finish(self, state: S) -> list[tuple[int, Step]]:
+        """Steps whose detection would have needed more samples, when a gap or the end comes."""
+        end = state.log.n_samples
+        if end == 0:
+            return []
+        last_s = self._log.time_s(state.log, end - 1)
+        _, steps = self._advance(state, self._continued(state), end)
+        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+
+    def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+        line = np.concatenate([state.line, signals], axis=1)
+        state, steps = self._detect(state, line, first)
+        return replace(state, line=line[:, signals.shape[1] :].copy()), steps
+
+
+def local_maxima(values: FloatArray) -> BoolArray:
+    """Whether each value but the first and the last of (..., N) is a local maximum, (..., N - 2)."""
+    middle = values[..., 1:-1]
+    return (middle > values[..., :-2]) & (middle >= values[..., 2:])
+
+
+def vertex(peak: FloatArray) -> float:
+    """Where the parabola through three values (3,) has its extremum, in samples after the middle one.
+
+    It dates contacts more finely than the sampling interval.
+    """
+    curvature = peak[0] - 2 * peak[1] + peak[2]
+    return float(0.5 * (peak[0] - peak[2]) / curvature) if curvature != 0 else 0.0
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:

@@ -24,12 +24,12 @@ from pdr_filter.sensing.contexts.irregular import (
     irregular_prob,
 )
 from pdr_filter.sensing.features.invariant import NAMES, WITHOUT_GYROSCOPE
-from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock
 
-WINDOWS = FeatureWindows("invariant")
+WINDOWS = FeatureWindows(features=ATTITUDE_FREE)
 GATES = {"gyroscope": GATE, "accelerometer": GATE_ACCELEROMETER}
 each_gate = pytest.mark.parametrize("gate", GATES.values(), ids=list(GATES))
 
@@ -133,7 +133,7 @@ def test_without_gyroscope_its_features_do_not_matter() -> None:
 
 
 def test_other_features_are_refused_with_a_remedy() -> None:
-    with pytest.raises(ValueError, match=r'log_swing.*take windows of FeatureWindows\("invariant"\)'):
+    with pytest.raises(ValueError, match=r"log_swing.*take windows of the features ATTITUDE_FREE"):
         irregular_prob(MARTINELLI_NAMES, np.zeros(len(MARTINELLI_NAMES)), True)
     with pytest.raises(ValueError, match="log_swing"):
         irregular_prob(WITHOUT_GYROSCOPE, np.zeros(len(WITHOUT_GYROSCOPE)), True)
