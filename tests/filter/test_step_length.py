@@ -38,7 +38,7 @@ from pdr_filter.filter.step_length import (
 )
 from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
-from pdr_filter.papers.tian2016.recipe import tian_fit
+from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
 from pdr_filter.sensing.steps.detector import amplitude_of_one_period, unknown_contexts
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -98,6 +98,14 @@ def length_of(model: StepLengthModel, step: Step, *theta: float) -> float:
 
 
 # --- the papers' equations ------------------------------------------------------------------------------------------
+
+
+def test_the_first_step_from_rest_of_tian_et_al_is_of_the_static_model_and_all_others_of_the_frequency() -> None:
+    fit, second = recipe_fit(1.8, "M"), step_of()
+    first = replace(second, from_rest=True)
+    assert fit.predict(first)[0] == pytest.approx(0.415 * 1.8)
+    assert fit.predict(second) == tian_fit(1.8, "M").predict(second)
+    assert fit.predict(first)[1] == pytest.approx(static_fit(1.8, "M").predict(first)[1])
 
 
 def test_every_model_gives_the_value_of_its_equation() -> None:

@@ -263,7 +263,7 @@ class TianStepDetector(SignalStepDetector[TianDetectorState]):
             log, step = self._log.add(log, int(at), known, at - int(at))
             # their length is that of the frequency which gave their number (section III-D)
             hz = state.step_hz
-            steps.append(replace(step, duration_s=1.0 / hz, frequency_hz=hz))
+            steps.append(replace(step, duration_s=1.0 / hz, frequency_hz=hz, from_rest=False))
         return replace(state, log=log, transition_start=-1), steps
 
     def _accept(
@@ -279,9 +279,9 @@ class TianStepDetector(SignalStepDetector[TianDetectorState]):
             return state, None
         first_of_bout = self._log.starts_bout(state.log, contact_s)
         log, step = self._log.add(state.log, contact, known, at - contact)
-        # of the first step from rest no frequency is known: it is zero (section III-C)
+        # of the first step from rest, and of it alone, no frequency is known: it is zero (section III-C)
         step_hz = 0.0 if first_of_bout else step.frequency_hz
-        return replace(state, log=log, step_hz=step_hz), step
+        return replace(state, log=log, step_hz=step_hz), replace(step, from_rest=first_of_bout)
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:

@@ -190,6 +190,12 @@ def test_a_peak_that_a_trough_follows_within_the_rejection_window_is_false() -> 
         np.testing.assert_allclose(times_s(found), expected_s, atol=0.02)
 
 
+def test_only_a_step_that_no_step_precedes_by_two_seconds_is_from_rest() -> None:
+    at_s = [2.0, 2.5, 3.0, 3.5, 5.0, 5.5, 8.0]  # pauses of 1.5 s and of 2.5 s
+    _, found = detect(TianStepDetector(), phone(bumps(10.0, at_s, 0.3), TEXTING))
+    assert [s.from_rest for _, s in found] == [True, False, False, False, False, False, True]
+
+
 # --- transitions ----------------------------------------------------------------------------------------------------
 
 
