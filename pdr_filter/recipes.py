@@ -17,11 +17,12 @@ from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.filter.step_length import bounce_fit
 from pdr_filter.filter.tracking import Tracker
 from pdr_filter.io.recording import Recording, Subject
-from pdr_filter.papers.guo2018.recipe import guo2018
-from pdr_filter.papers.martinelli2018.recipe import magnitude_contexts, martinelli2018
-from pdr_filter.papers.susi2013.recipe import susi2013
-from pdr_filter.papers.tian2016.recipe import tian2016
-from pdr_filter.papers.zhou2019.recipe import zhou2019
+from pdr_filter.papers.guo2018.recipe import guo2018 as guo2018
+from pdr_filter.papers.martinelli2018.recipe import magnitude_contexts
+from pdr_filter.papers.martinelli2018.recipe import martinelli2018 as martinelli2018
+from pdr_filter.papers.susi2013.recipe import susi2013 as susi2013
+from pdr_filter.papers.tian2016.recipe import tian2016 as tian2016
+from pdr_filter.papers.zhou2019.recipe import zhou2019 as zhou2019
 from pdr_filter.sensing.contexts.learned import LearnedContexts, shipped_model
 from pdr_filter.sensing.contexts.stage import ContextModels
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
@@ -30,21 +31,6 @@ from pdr_filter.sensing.heading.walking_direction import WalkingDirection
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values.contexts import CONTEXTS
-
-__all__ = [
-    "RECIPES",
-    "context_modes",
-    "context_transitions",
-    "default",
-    "for_recording",
-    "guo2018",
-    "martinelli2018",
-    "susi2013",
-    "tian2016",
-    "with_context_model",
-    "with_transitions",
-    "zhou2019",
-]
 
 
 def default(subject: Subject | None = None) -> Config:

@@ -88,15 +88,15 @@ class GyroBiasState:
     log_weight: FloatArray  # (M,) largest is 0
     bias_radps: FloatArray  # (3,) mean of the mixture
     bias_cov_radps2: FloatArray  # (3, 3) of the mixture
-    corrected_rad: float  # what the estimates so far have turned the heading by
-    n_still: int  # still windows in a row
-    walk: StraightWalk | None
-    field: FieldScatter | None
-    field_tracked: bool
-    n_field_outliers: int  # in a row
-    axis_tracked: bool
-    axis_heading_rad: float  # corrected, of the last walk that was compared with the axes
-    n_axis_outliers: int  # in a row
+    corrected_rad: float = 0.0  # what the estimates so far have turned the heading by
+    n_still: int = 0  # still windows in a row
+    walk: StraightWalk | None = None
+    field: FieldScatter | None = None
+    field_tracked: bool = False
+    n_field_outliers: int = 0  # in a row
+    axis_tracked: bool = False
+    axis_heading_rad: float = 0.0  # corrected, of the last walk that was compared with the axes
+    n_axis_outliers: int = 0  # in a row
 
 
 @dataclass(frozen=True)
@@ -213,22 +213,7 @@ class GyroBias:
         cov[:, _BIAS, _BIAS] = np.tile(np.square(self.prior_std_radps), 2)[:, None, None] * np.eye(3)
         log_weight = np.log(np.outer([1.0 - self.rectangular_prob, self.rectangular_prob], self.prior_prob).ravel())
         bias, bias_cov = _mixture(mean, cov, log_weight)
-        return GyroBiasState(
-            mean=mean,
-            cov=cov,
-            log_weight=log_weight - log_weight.max(),
-            bias_radps=bias,
-            bias_cov_radps2=bias_cov,
-            corrected_rad=0.0,
-            n_still=0,
-            walk=None,
-            field=None,
-            field_tracked=False,
-            n_field_outliers=0,
-            axis_tracked=False,
-            axis_heading_rad=0.0,
-            n_axis_outliers=0,
-        )
+        return GyroBiasState(mean, cov, log_weight - log_weight.max(), bias, bias_cov)
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
         """State that keeps the bias and forgets what the windows before a time without samples were."""

@@ -67,7 +67,7 @@ class Sensing:
         Holds back steps that nobody walked.
     """
 
-    steps: StepDetector
+    steps: StepDetector[Any]
     conditioner: Conditioner = field(default_factory=Conditioner)
     attitude: AttitudeEstimator = field(default_factory=AttitudeEstimator)
     contexts: ContextStage | None = None

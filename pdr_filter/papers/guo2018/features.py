@@ -25,7 +25,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.values.arrays import BoolArray, FloatArray
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
@@ -147,11 +147,9 @@ class MotionLevel:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class PoseWindow:
+class PoseWindow(DescribedWindow):
     """Features of one window."""
 
-    start_s: float
-    time_s: float  # end of the window
     features: FloatArray  # (12,)
     level: float  # of motion, over this window
     has_gyroscope: bool
@@ -166,7 +164,7 @@ class PoseWindowState:
 
 
 @dataclass(frozen=True)
-class PoseWindows(SlidingWindows):
+class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
     """Windows of pitch and roll, their features and the level of motion; causal.
 
     Parameters
@@ -185,10 +183,6 @@ class PoseWindows(SlidingWindows):
     def init(self) -> PoseWindowState:
         """State at the start of a segment."""
         return PoseWindowState(self._level.init(), no_samples(4))
-
-    def after_gap(self, state: PoseWindowState) -> PoseWindowState:
-        """State at the start of a new segment."""
-        return self.init()
 
     def step(
         self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock

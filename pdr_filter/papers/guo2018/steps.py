@@ -44,7 +44,7 @@ from pdr_filter.sensing.filters import butterworth, filtered, phase_delay_s
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
     local_maxima,
     specific_force_magnitude,
     vertex,
@@ -74,7 +74,7 @@ class PoseStepState(DetectorState):
 
 
 @dataclass(frozen=True)
-class PoseStepDetector(SignalStepDetector[PoseStepState]):
+class PoseStepDetector(StepDetector[PoseStepState]):
     """Causal step detector; a step is reported at most `latency_s`, 0.44 s, after its contact.
 
     Parameters
@@ -92,7 +92,7 @@ class PoseStepDetector(SignalStepDetector[PoseStepState]):
     min_level_accelerometer : float
         delta_min where the angular rate is missing.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`; `max_interval_s` is 1 / v_min.
+        Of every `StepDetector`; `max_interval_s` is 1 / v_min.
     """
 
     low_pass_hz: float = 3.0

@@ -26,7 +26,7 @@ from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
     local_maxima,
     specific_force_magnitude,
     vertex,
@@ -46,7 +46,7 @@ class WaveletDetectorState(DetectorState):
 
 
 @dataclass(frozen=True)
-class WaveletStepDetector(SignalStepDetector[WaveletDetectorState]):
+class WaveletStepDetector(StepDetector[WaveletDetectorState]):
     """Causal step detector; a step is reported `latency_s`, 0.8 s, after its contact.
 
     Parameters
@@ -70,7 +70,7 @@ class WaveletStepDetector(SignalStepDetector[WaveletDetectorState]):
     min_interval_s : float
         Two maxima closer than this are one step: heel strike, then push-off. 0.25 s allows 4 steps a second.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`.
+        Of every `StepDetector`.
     """
 
     wavelet: str = "mexh"

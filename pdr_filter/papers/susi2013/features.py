@@ -32,7 +32,7 @@ from scipy.signal.windows import hann
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import SampleWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.values.arrays import FloatArray
@@ -113,11 +113,9 @@ def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | Non
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionWindow:
+class MotionWindow(DescribedWindow):
     """Features of one window."""
 
-    start_s: float
-    time_s: float  # end of the window
     features: FloatArray  # (10,)
     has_gyroscope: bool
     dominance: FloatArray  # (2,) of |f| and |omega|, see `dominance`
@@ -135,7 +133,7 @@ class MotionWindowState:
 
 
 @dataclass(frozen=True)
-class MotionWindows(SlidingWindows):
+class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
     """Filtered norms, windows of them and their features; causal.
 
     Parameters
@@ -161,10 +159,6 @@ class MotionWindows(SlidingWindows):
     def init(self) -> MotionWindowState:
         """State at the start of a segment."""
         return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
-
-    def after_gap(self, state: MotionWindowState) -> MotionWindowState:
-        """State at the start of a new segment: every window stands alone."""
-        return self.init()
 
     def step(
         self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock

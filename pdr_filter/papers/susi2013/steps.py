@@ -39,7 +39,7 @@ from pdr_filter.sensing.filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
 )
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -74,7 +74,7 @@ class NormMinimaState(DetectorState):
 
 
 @dataclass(frozen=True)
-class NormMinimaStepDetector(SignalStepDetector[NormMinimaState]):
+class NormMinimaStepDetector(StepDetector[NormMinimaState]):
     """Causal step detector; it needs to know the motion mode, and without angular rate it looks at |f| alone.
 
     Where the mode is unknown it takes somebody to walk whose arm does not swing.
@@ -96,7 +96,7 @@ class NormMinimaStepDetector(SignalStepDetector[NormMinimaState]):
     max_wait_s : float
         A trough ends so long after its lowest sample, if the signal does not rise before.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`.
+        Of every `StepDetector`.
     """
 
     low_pass_hz: float = 3.0

@@ -28,7 +28,7 @@ from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
     local_maxima,
     vertex,
 )
@@ -126,7 +126,7 @@ class TianDetectorState(DetectorState):
 
 
 @dataclass(frozen=True)
-class TianStepDetector(SignalStepDetector[TianDetectorState]):
+class TianStepDetector(StepDetector[TianDetectorState]):
     """Causal mode-aware step detector; a step is reported 0.2 s after its contact or after the transition.
 
     Parameters
@@ -143,7 +143,7 @@ class TianStepDetector(SignalStepDetector[TianDetectorState]):
     transition_s : float
         Longest transition.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`; after `max_interval_s` the step frequency is zero.
+        Of every `StepDetector`; after `max_interval_s` the step frequency is zero.
     """
 
     holding_peak_g: float = 0.05

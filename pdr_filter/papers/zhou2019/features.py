@@ -27,7 +27,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import SampleWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import low_pass_kernel
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.values.arrays import FloatArray
@@ -68,11 +68,9 @@ def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BehaviourWindow:
-    """Features of one window."""
+class BehaviourWindow(DescribedWindow):
+    """Features of one window; its times are those of the motion, less the filter's delay."""
 
-    start_s: float
-    time_s: float  # end of the motion that it describes: the filter's delay before its last sample arrived
     features: FloatArray  # (3,)
     max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
 
@@ -88,7 +86,7 @@ class BehaviourState:
 
 
 @dataclass(frozen=True)
-class BehaviourWindows(SlidingWindows):
+class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
     """Filtered acceleration, windows of it and their features; causal.
 
     Parameters

@@ -31,7 +31,7 @@ from pdr_filter.sensing.filters import low_pass_kernel
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
     local_maxima,
     specific_force_magnitude,
 )
@@ -75,27 +75,27 @@ class EventSearch:
 class ReferenceLines:
     """The lines of a window, and the event that is under way."""
 
-    large_mps2: float | None  # R_L; None while there was no maximum
-    small_mps2: float | None  # R_S
-    start: int | None  # filtered sample of START; None before it
-    last_end: float  # filtered sample of the END of the last event
+    large_mps2: float | None = None  # R_L; None while there was no maximum
+    small_mps2: float | None = None  # R_S
+    start: int | None = None  # filtered sample of START; None before it
+    last_end: float = -np.inf  # filtered sample of the END of the last event
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceLineState(DetectorState):
     """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
 
-    buffer: FloatArray  # (3, B) filtered for walking, for running, context
-    window_start: int  # filtered sample
     period_s: float  # 1 / f_D, the length of the window
-    is_running: bool  # in this window
-    lines: ReferenceLines
-    last_event: float  # sample of the last event that was given
+    buffer: FloatArray  # (3, B) filtered for walking, for running, context
     waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
+    window_start: int = 0  # filtered sample
+    is_running: bool = False  # in this window
+    lines: ReferenceLines = ReferenceLines()
+    last_event: float = -np.inf  # sample of the last event that was given
 
 
 @dataclass(frozen=True, kw_only=True)
-class ReferenceLineStepDetector(SignalStepDetector[ReferenceLineState]):
+class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
 
     A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of
@@ -121,7 +121,7 @@ class ReferenceLineStepDetector(SignalStepDetector[ReferenceLineState]):
     hold_s : float
         How long an event waits for walking or running, which is known only after a window of mostly that.
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`.
+        Of every `StepDetector`.
     """
 
     walking: EventSearch
@@ -172,17 +172,8 @@ class ReferenceLineStepDetector(SignalStepDetector[ReferenceLineState]):
 
     def init(self) -> ReferenceLineState:
         """State before the first sample of a segment."""
-        return ReferenceLineState(
-            log=self._log.init(),
-            line=np.empty((2, 0)),
-            buffer=np.empty((3, 0)),
-            window_start=0,
-            period_s=2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz),
-            is_running=False,
-            lines=ReferenceLines(None, None, None, -np.inf),
-            last_event=-np.inf,
-            waiting=np.empty((0, 2)),
-        )
+        period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
+        return ReferenceLineState(self._log.init(), np.empty((2, 0)), period_s, np.empty((3, 0)), np.empty((0, 2)))
 
     @property
     def _n_line(self) -> int:

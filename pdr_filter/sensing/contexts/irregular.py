@@ -64,43 +64,19 @@ _LIMIT = 4.0
 
 @dataclass(frozen=True, slots=True, eq=False)
 class IrregularGate:
-    """A logistic gate with a rule for stillness.
+    """A logistic gate with a rule for stillness."""
 
-    Parameters
-    ----------
-    feature_names : (F,)
-        Features of `pdr_filter.sensing.features.invariant.NAMES`.
-    mean, scale, weight : (F,)
-        m, s and w.
-    intercept : float
-        b.
-    still_names : (S,)
-        Features that are all low where the phone is still; they may be among `feature_names`.
-    still_below : (S,)
-        How low.
-    """
-
-    feature_names: tuple[str, ...]
-    mean: FloatArray
-    scale: FloatArray
-    weight: FloatArray
-    intercept: float
-    still_names: tuple[str, ...]
-    still_below: FloatArray
+    feature_names: tuple[str, ...]  # (F,) of `pdr_filter.sensing.features.invariant.NAMES`
+    mean: FloatArray  # (F,) m
+    scale: FloatArray  # (F,) s
+    weight: FloatArray  # (F,) w
+    intercept: float  # b
+    still_names: tuple[str, ...]  # (S,) features that are all low where the phone is still
+    still_below: FloatArray  # (S,) how low
 
     def __post_init__(self) -> None:
         for name in ("mean", "scale", "weight", "still_below"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        shape = (len(self.feature_names),)
-        if not (self.mean.shape == self.scale.shape == self.weight.shape == shape):
-            raise ValueError(
-                f"mean, scale and weight must be {shape} as feature_names, got {self.mean.shape}, {self.scale.shape}, "
-                f"{self.weight.shape}"
-            )
-        if self.still_below.shape != (len(self.still_names),):
-            raise ValueError(f"still_below must be ({len(self.still_names)},) as still_names")
-        if not (np.isfinite([*self.mean, *self.scale, *self.weight, self.intercept]).all() and (self.scale > 0).all()):
-            raise ValueError("mean, scale, weight and intercept must be finite and scale positive")
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -125,17 +101,7 @@ class IrregularGate:
 
 
 def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> float:
-    """Probability of irregular motion of a `FeatureWindow` of `ATTITUDE_FREE`.
-
-    Parameters
-    ----------
-    names : (N,)
-        Names of the features, `FeatureWindow.names`.
-    features : (N,)
-        In the order of the names.
-    has_gyroscope : bool
-        Which gate; `FeatureWindow.has_gyroscope`.
-    """
+    """Probability of irregular motion of a `FeatureWindow` of `ATTITUDE_FREE`: the gate depends on the gyroscope."""
     gate = GATE if has_gyroscope else GATE_ACCELEROMETER
     return gate.prob(features[_columns(names, has_gyroscope)])
 

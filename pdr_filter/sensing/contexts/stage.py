@@ -15,6 +15,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
+from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
 from pdr_filter.values.arrays import FloatArray, IntArray, read_only
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -73,44 +74,7 @@ class ContextStage(Protocol):
         ...
 
 
-W = TypeVar("W")  # state of the windows
-X = TypeVar("X", bound="DescribedWindow")
 M = TypeVar("M")  # what lasts from window to window
-
-
-class DescribedWindow(Protocol):
-    """What is known of the samples of one window."""
-
-    @property
-    def start_s(self) -> float:
-        """Start of its first sample."""
-        ...
-
-
-class DescribedWindows(Protocol[W, X]):
-    """Cuts samples into windows and describes each: a causal stage."""
-
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        ...
-
-    @property
-    def hop_s(self) -> float:
-        """Time from the end of one window to that of the next."""
-        ...
-
-    def init(self) -> W:
-        """State before the first sample."""
-        ...
-
-    def after_gap(self, state: W) -> W:
-        """State at the start of a new segment."""
-        ...
-
-    def step(self, state: W, block: UniformBlock, attitude: AttitudeBlock) -> tuple[W, list[tuple[int, X]]]:
-        """New state and the windows that became complete, each with the number of its last sample."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,11 +91,11 @@ class WindowStage(ABC, Generic[W, X, M]):
 
     Parameters
     ----------
-    windows : DescribedWindows
+    windows : SlidingWindows
         Where the windows come from.
     """
 
-    windows: DescribedWindows[W, X]
+    windows: SlidingWindows[W, X]
 
     @property
     def rate_hz(self) -> float:

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from typing import Generic, TypeVar
 
 import numpy as np
 
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values.arrays import FloatArray
 
 
@@ -27,9 +31,21 @@ class WindowBuffer:
     rows: FloatArray  # (1 + R, B) time and signals
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class DescribedWindow:
+    """What is known of the samples of one window."""
+
+    start_s: float
+    time_s: float  # its end
+
+
+W = TypeVar("W")  # state
+X = TypeVar("X", bound=DescribedWindow)
+
+
 @dataclass(frozen=True)
-class SlidingWindows:
-    """Windows of constant length and advance; the first starts with the segment.
+class SlidingWindows(ABC, Generic[W, X]):
+    """Windows of constant length and advance, each described by features; the first starts with the segment.
 
     Parameters
     ----------
@@ -58,6 +74,18 @@ class SlidingWindows:
     def hop_samples(self) -> int:
         """Advance in samples."""
         return round(self.hop_s * self.rate_hz)
+
+    @abstractmethod
+    def init(self) -> W:
+        """State before the first sample."""
+
+    def after_gap(self, state: W) -> W:
+        """State at the start of a new segment: every window stands alone."""
+        return self.init()
+
+    @abstractmethod
+    def step(self, state: W, block: UniformBlock, attitude: AttitudeBlock) -> tuple[W, list[tuple[int, X]]]:
+        """New state and the windows that became complete, each with the number of its last sample."""
 
     def cut(
         self, buffer: WindowBuffer, time_s: FloatArray, signals: FloatArray

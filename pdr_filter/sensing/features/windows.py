@@ -15,7 +15,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features import carrying, invariant
-from pdr_filter.sensing.features.sliding import SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.values.arrays import FloatArray
@@ -68,11 +68,9 @@ ATTITUDE_FREE = AttitudeFreeFeatures()
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class FeatureWindow:
+class FeatureWindow(DescribedWindow):
     """Features of one window."""
 
-    start_s: float
-    time_s: float  # end of the window
     names: tuple[str, ...]
     features: FloatArray  # (F,) in the order of the names
     has_gyroscope: bool
@@ -87,7 +85,7 @@ class WindowState:
 
 
 @dataclass(frozen=True)
-class FeatureWindows(SlidingWindows):
+class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
     """Windows and their features.
 
     Parameters
@@ -111,10 +109,6 @@ class FeatureWindows(SlidingWindows):
     def init(self) -> WindowState:
         """State at the start of a segment."""
         return WindowState(None, no_samples(1 + N_SIGNALS))
-
-    def after_gap(self, state: WindowState) -> WindowState:
-        """State at the start of a new segment."""
-        return self.init()
 
     def step(
         self, state: WindowState, block: UniformBlock, attitude: AttitudeBlock

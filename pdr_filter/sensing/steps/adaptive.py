@@ -35,7 +35,7 @@ from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     DetectorState,
-    SignalStepDetector,
+    StepDetector,
     local_maxima,
     specific_force_magnitude,
     vertex,
@@ -66,7 +66,7 @@ class AdaptiveDetectorState(DetectorState):
 
 
 @dataclass(frozen=True)
-class AdaptiveStepDetector(SignalStepDetector[AdaptiveDetectorState]):
+class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
     """Causal step detector; a step is reported `latency_s`, 0.88 s, after its contact.
 
     Parameters
@@ -93,7 +93,7 @@ class AdaptiveStepDetector(SignalStepDetector[AdaptiveDetectorState]):
     running_hz : float
         Wavelet frequency of a run, or of the hardest walking (R = 3.5 m/s2).
     rate_hz, max_interval_s, first_step_s : float
-        Of every `SignalStepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
+        Of every `StepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
     """
 
     max_interval_s: float = 2.5

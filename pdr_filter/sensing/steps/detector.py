@@ -6,7 +6,7 @@ from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
 from functools import cached_property
 from math import exp, log
-from typing import Any, Generic, Protocol, TypeVar
+from typing import Generic, TypeVar
 
 import numpy as np
 
@@ -29,43 +29,6 @@ def unknown_contexts(n_samples: int) -> ContextBlock:
     """Nothing known at any of the samples."""
     unknown = np.full(n_samples, -1)
     return ContextBlock(unknown, unknown)
-
-
-class StepDetector(Protocol):
-    """A causal stage that finds steps.
-
-    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
-    into blocks.
-    """
-
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        ...
-
-    @property
-    def latency_s(self) -> float:
-        """Longest time from a contact to its detection."""
-        ...
-
-    @property
-    def first_step_s(self) -> float:
-        """Duration given to the first step of a bout."""
-        ...
-
-    def init(self) -> Any:
-        """State before the first sample of a segment."""
-        ...
-
-    def step(
-        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
-    ) -> tuple[Any, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
-        ...
-
-    def finish(self, state: Any) -> list[tuple[int, Step]]:
-        """Steps whose detection would have needed more samples, when a gap or the end comes."""
-        ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -93,20 +56,11 @@ _REST_PERIODS = 1.8
 class StepLog:
     """Remembers signals and describes the step that a contact ends; every detector makes its steps here.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate.
-    latency_s : float
-        How long after a contact it may be given.
-    max_interval_s : float
-        After a longer pause a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    The parameters are those of a `StepDetector`.
     """
 
     rate_hz: float
-    latency_s: float
+    latency_s: float  # how long after a contact it may be given
     max_interval_s: float = 2.0
     first_step_s: float = 0.6
 
@@ -155,16 +109,8 @@ class StepLog:
     def add(self, state: StepLogState, contact: int, known: int, fraction: float = 0.0) -> tuple[StepLogState, Step]:
         """New state and the step that a contact ends.
 
-        Parameters
-        ----------
-        state : StepLogState
-            With the contact's sample in it.
-        contact : int
-            Number of the contact's sample, later than the contact before and than the oldest remembered sample.
-        known : int
-            Number of the sample that revealed it; beyond the last one where a segment ends.
-        fraction : float
-            Part of a sampling interval by which the contact is later than its sample.
+        The contact is at a sample at which a step `can_end`, and a fraction of a sampling interval. Sample `known`
+        revealed it: beyond the last one where a segment ends.
         """
         first = self.first_sample(state)
         contact_s = float(state.signals[0, contact - first] + fraction / self.rate_hz)
@@ -207,8 +153,11 @@ S = TypeVar("S", bound=DetectorState)
 
 
 @dataclass(frozen=True)
-class SignalStepDetector(ABC, Generic[S]):
-    """A step detector that looks for steps in a few signals: the loop over blocks that all detectors share.
+class StepDetector(ABC, Generic[S]):
+    """A causal stage that looks for steps in a few signals; all detectors share this loop over blocks.
+
+    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
+    into blocks.
 
     Parameters
     ----------

@@ -98,17 +98,17 @@ class JudgedStep:
 class StepGateState:
     """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
 
-    start_s: float  # of the segment: time of its first sample
-    n_samples: int  # of the segment
-    rest: FloatArray  # (R, 3) force of the samples that are no whole row yet
-    rows: FloatArray  # (M, 3) last rows of averaged force
-    waiting: tuple[tuple[int, Step], ...]  # for their window, with the number of the sample that revealed them
-    contacts_s: tuple[float, ...]  # the last four of the segment that are judged
     walking_prob: float  # after the last step that is judged
-    judged_s: float  # its contact
-    held: tuple[JudgedStep, ...]  # judged, but not out: they may still belong to a bout
-    run_s: tuple[float, float]  # first and last contact of the last accepted steps without a pause
-    is_bout: bool  # that they are a bout
+    judged_s: float = -math.inf  # its contact
+    start_s: float = math.nan  # of the segment: time of its first sample
+    n_samples: int = 0  # of the segment
+    rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # force of samples that are no whole row yet
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # last rows of averaged force
+    waiting: tuple[tuple[int, Step], ...] = ()  # for their window, with the number of the sample that revealed them
+    contacts_s: tuple[float, ...] = ()  # the last four of the segment that are judged
+    held: tuple[JudgedStep, ...] = ()  # judged, but not out: they may still belong to a bout
+    run_s: tuple[float, float] = (-math.inf, -math.inf)  # first and last contact of accepted steps without a pause
+    is_bout: bool = False  # that they are a bout
 
 
 @dataclass(frozen=True)
@@ -193,35 +193,14 @@ class StepGate:
 
     def init(self) -> StepGateState:
         """State before the first sample."""
-        return StepGateState(
-            start_s=math.nan,
-            n_samples=0,
-            rest=np.empty((0, 3)),
-            rows=np.empty((0, 3)),
-            waiting=(),
-            contacts_s=(),
-            walking_prob=self._walking_share,
-            judged_s=-math.inf,
-            held=(),
-            run_s=(-math.inf, -math.inf),
-            is_bout=False,
-        )
+        return StepGateState(self._walking_share)
 
     def step(
         self, state: StepGateState, block: UniformBlock, attitude: AttitudeBlock, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """New state and the steps that pass, each with the number of the sample that decided.
 
-        Parameters
-        ----------
-        state : StepGateState
-            From the block before.
-        block : UniformBlock
-            Samples, without a gap in them.
-        attitude : AttitudeBlock
-            Of the same samples; not looked at.
-        steps : sequence of (sample number, Step)
-            What the detector found in this block, in order.
+        `steps` are what the detector found in this block, in order; the attitude is not looked at.
         """
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
@@ -249,14 +228,8 @@ class StepGate:
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
 
-        Parameters
-        ----------
-        state : StepGateState
-            From the last block before.
-        steps : sequence of (sample number, Step)
-            What the detector's `finish` gave.
-        gap_s : float
-            Length of the gap, s. A bout goes on after a short one, the belief in walking fades with time.
+        `steps` are what the detector's `finish` gave. A bout goes on after a short gap, the belief in walking fades
+        with time.
         """
         state = replace(state, waiting=(*state.waiting, *steps))
         released: list[tuple[int, Step]] = []
@@ -264,14 +237,8 @@ class StepGate:
             state, passed = self._judge(state, state.n_samples - 1)
             released += passed
         # Steps that are no bout yet are given up: what the gap holds is unknown.
-        nothing = self.init()
-        return replace(
-            nothing,
-            walking_prob=state.walking_prob,
-            judged_s=state.judged_s,
-            run_s=state.run_s if state.is_bout else nothing.run_s,
-            is_bout=state.is_bout,
-        ), released
+        after = StepGateState(state.walking_prob, state.judged_s)
+        return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     # --- the evidence of a step -----------------------------------------------------------------------------------
 
