@@ -16,26 +16,23 @@ from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
 
-class LinearStepLengthModel(Protocol):
-    """A model that is linear in its parameters: length = regressors(step) @ theta."""
-
+class _Parameters(Protocol):
     @property
     def n_params(self) -> int:
         """Number of parameters p."""
         ...
+
+
+class LinearStepLengthModel(_Parameters, Protocol):
+    """A model that is linear in its parameters: length = regressors(step) @ theta."""
 
     def regressors(self, step: Step) -> FloatArray:
         """Regressors of one step, shape (p,): also the derivative of the length with respect to theta."""
         ...
 
 
-class SmoothStepLengthModel(Protocol):
+class SmoothStepLengthModel(_Parameters, Protocol):
     """A model that is not linear in its parameters; theta may have any leading axes."""
-
-    @property
-    def n_params(self) -> int:
-        """Number of parameters p."""
-        ...
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
         """Length in m under theta (..., p), shape (...)."""
@@ -236,26 +233,17 @@ class BounceStepLength:
 
     r is for the steps that are shorter than the person's usual ones: where A is below its usual value B, r =
     (A / B)^(1/4), as when people stop, turn on the spot or shuffle; and a step from rest, which begins with the feet
-    together, is half a step, r = 1/2. Among the same person's steps of one walk the amplitude tells more than between
+    together, is half a step, r = 1/2. Among the same person's steps of one walk the amplitude shows more than between
     people and places, so that it has a larger power there.
 
-    Parameters
-    ----------
-    height_m : float
-        Of the person.
-    max_amplitude_mps2 : float
-        A larger amplitude counts as this one: it is the give of a soft arm, not the body's.
-    min_amplitude_mps2 : float
-        A smaller one counts as this one.
-    min_frequency_hz, max_frequency_hz : float
-        Cadences of walking, 72 to 144 steps a minute: beyond, a step was missed or found twice.
+    Amplitudes and frequencies beyond the limits count as the limits.
     """
 
     height_m: float = USUAL_HEIGHT_M
-    max_amplitude_mps2: float = 3.0
+    max_amplitude_mps2: float = 3.0  # a larger one is the give of a soft arm, not the body's
     min_amplitude_mps2: float = 0.3
-    min_frequency_hz: float = 1.2
-    max_frequency_hz: float = 2.4
+    min_frequency_hz: float = 1.2  # cadences of walking, 72 to 144 steps a minute: beyond, a step was missed
+    max_frequency_hz: float = 2.4  # or found twice
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
@@ -277,24 +265,12 @@ class BounceStepLength:
 
 @dataclass(frozen=True, eq=False)
 class StepLengthFit:
-    """A model with its parameters, their covariance, and what it leaves unexplained.
-
-    Parameters
-    ----------
-    model : StepLengthModel
-        Length of a step given the parameters.
-    theta : (p,)
-        Parameters.
-    theta_cov : (p, p)
-        Their covariance.
-    residual_std_m : float
-        Standard deviation of a single step about the model.
-    """
+    """A model with its parameters, their covariance, and what it leaves unexplained."""
 
     model: StepLengthModel
-    theta: FloatArray
-    theta_cov: FloatArray
-    residual_std_m: float
+    theta: FloatArray  # (p,)
+    theta_cov: FloatArray  # (p, p)
+    residual_std_m: float  # standard deviation of a single step about the model
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "theta", read_only(self.theta))

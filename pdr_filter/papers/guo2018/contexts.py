@@ -9,8 +9,8 @@ Every 0.6 s, without overlap:
 Deviations:
 
 - A recording here has no light and no proximity with its uniform samples, so the forest has 12 of the 18 features; the
-  name that its windows bear says so. What the other six would show (the ear and the pocket are dark and near) is missed
-  most by phones upright in a pocket, which pitch and roll hardly distinguish from one at the ear.
+  name of the model on its windows shows it. What the other six would show (the ear and the pocket are dark and near) is
+  missed most by phones upright in a pocket, which pitch and roll hardly distinguish from one at the ear.
 - A forest that has not seen a person's grips knows little, so it is also trained on windows that stand for other people
   (`pdr_filter.training.guo2018`).
 - Before anybody walked all poses are alike; after a gap, too.
@@ -84,7 +84,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
         return None
 
     def assess(self, memory: FloatArray | None, window: PoseWindow) -> tuple[FloatArray | None, WindowContext]:
-        """The pose after a window, and what is said of the window."""
+        """The pose after a window, and the result for the window."""
         min_level = self.min_level if window.has_gyroscope else self.min_level_accelerometer
         is_walking = min_level < window.level < self.max_level  # eq. 1
         if is_walking:

@@ -36,8 +36,8 @@ def guo2018(subject: Subject | None = None) -> Config:
         tracker=one_hot_tracker(context_modes(chen_fit(height_of(subject)))),
         needs=("gyroscope",),
         notes=(
-            "the pose is told from pitch and roll alone (12 of 18 features): light and proximity are not among the "
-            "samples",
+            "the pose is classified from pitch and roll alone (12 of 18 features): light and proximity are not among "
+            "the samples",
             *height_notes(subject),
         ),
     )

@@ -27,8 +27,8 @@ Where the numbers come from, and with which weights of the training sets:
   people 1 to 6 (50 %), Tyrex (30 %), humolire (20 %).
 - Probabilities are the purities of the leaves on the training windows, every class with the same mass.
 
-Without angular rate (the paper always has it) nothing tells a swinging arm: one test of three values tells walking from
-irregular motion, and the four ways to hold a device stay equally probable.
+Without angular rate (the paper always has it) nothing shows a swinging arm: one test of three values separates walking
+from irregular motion, and the four ways to hold a device stay equally probable.
 
 Deviations: the paper's thresholds are not printed, and its tree has no probabilities; the dominance of the peaks and
 the energy of |omega| itself are numbers for what section 6.2 says in words (see `pdr_filter.papers.susi2013.features`).
@@ -93,26 +93,14 @@ class Node:
 
 @dataclass(frozen=True)
 class MotionModeTree:
-    """Thresholds and leaves of the decision tree; one with, one without angular rate.
+    """Thresholds and leaves of the decision tree; one with, one without angular rate."""
 
-    Parameters
-    ----------
-    name : str
-        What windows say of who classified them.
-    static_variance_acc, static_variance_gyro : float
-        Variances, (m/s2)^2 and (rad/s)^2, below both of which a device is static.
-    walking, swinging : Node
-        Walking, not irregular; and of walking, with a swinging arm.
-    leaves : 4 x 4 floats
-        Probability of each of `MODES` (columns) in the leaf of each (rows).
-    """
-
-    name: str
-    static_variance_acc: float
-    static_variance_gyro: float
-    walking: Node
-    swinging: Node
-    leaves: tuple[tuple[float, ...], ...]
+    name: str  # on the windows that it classified
+    static_variance_acc: float  # below this in (m/s2)^2, and
+    static_variance_gyro: float  # below this in (rad/s)^2, a device is static
+    walking: Node  # not irregular
+    swinging: Node  # walking with a swinging arm
+    leaves: tuple[tuple[float, ...], ...]  # probability of each of `MODES` (columns) in the leaf of each (rows)
 
     def classify(self, window: MotionWindow) -> str:
         """The motion mode, one of `MODES`."""
@@ -125,7 +113,7 @@ class MotionModeTree:
         return "swinging" if self.swinging.passes(features) else "arm_at_rest"
 
     def prob(self, mode: str) -> dict[str, float]:
-        """Probability of each of `MODES` where the tree says `mode`."""
+        """Probability of each of `MODES` in the leaf of `mode`."""
         return dict(zip(MODES, self.leaves[MODES.index(mode)], strict=True))
 
 
@@ -172,7 +160,7 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
         """Every window stands alone."""
 
     def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
-        """What is said of a window."""
+        """The result for a window."""
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         p = tree.prob(tree.classify(window))
         walking = p["arm_at_rest"] + p["swinging"]

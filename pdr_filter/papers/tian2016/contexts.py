@@ -1,7 +1,7 @@
 """How the phone is carried, as a machine of four states: Tian et al. 2016, section III-B, Table I.
 
 HOLDING, SWING and POCKET are left when the phone is turned fast; two seconds of TRANS follow, in which the direction
-of gravity tells what comes next. As printed the machine never returns to the mode that it left: a phone that is
+of gravity shows what comes next. As printed the machine never returns to the mode that it left: a phone that is
 turned in the hand ends in the pocket, and stays there. Ours may return to HOLDING (`held_again_s`).
 
 HOLDING is our `texting`, SWING `swinging`, POCKET `pocket`, and in TRANS the carrying mode is unknown. A person walks

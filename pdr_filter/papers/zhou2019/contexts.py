@@ -1,7 +1,7 @@
 """Standing, walking, running or irregular swing by a state machine: Zhou et al. 2019, section III, Table 1.
 
 The machine keeps its behaviour while the maximum of the filtered acceleration stays as it was (Condition 1). When it
-changes (Condition 2), features decide anew: running by the DC component (6), else walking by variance and energy (5),
+changes (Condition 2), features decide again: running by the DC component (6), else walking by variance and energy (5),
 else irregular swing by the DC component and energy (4), else standing (3). See docs/methods/zhou2019.md.
 
 Deviations, where the text is silent or would not hold:
@@ -30,26 +30,14 @@ _NAME = "Zhou et al. 2019, Table 1"
 
 @dataclass(frozen=True)
 class BehaviourThresholds:
-    """Thresholds of Table 1 for one place of the sensor.
+    """Thresholds of Table 1 for one place of the sensor."""
 
-    Parameters
-    ----------
-    max_change_mps2 : float
-        T_a of Condition 1.
-    running_dc_mps2 : float
-        T_f^R of Condition 6.
-    walking_variance, walking_energy : float
-        T_sigma^W in m2/s4 and T_E^W in m/s2 of Condition 5.
-    irregular_dc_mps2, irregular_energy : float
-        T_f^I and T_E^I of Condition 4, m/s2.
-    """
-
-    max_change_mps2: float
-    running_dc_mps2: float
-    walking_variance: float
-    walking_energy: float
-    irregular_dc_mps2: float
-    irregular_energy: float
+    max_change_mps2: float  # T_a of Condition 1
+    running_dc_mps2: float  # T_f^R of Condition 6
+    walking_variance: float  # T_sigma^W of Condition 5, m2/s4
+    walking_energy: float  # T_E^W of Condition 5, m/s2
+    irregular_dc_mps2: float  # T_f^I of Condition 4
+    irregular_energy: float  # T_E^I of Condition 4, m/s2
 
     def classify(self, features: FloatArray) -> str:
         """Behaviour of the features (3,) of a window: Conditions 6, 5, 4, 3, in this order."""
@@ -141,6 +129,6 @@ class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemor
 
 
 def context_of(behaviour: str, time_s: float) -> WindowContext:
-    """What a behaviour says of the window that ends at a time."""
+    """The context of a behaviour, of the window that ends at a time."""
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
     return replace(known, irregular_prob=float(behaviour == "irregular"))

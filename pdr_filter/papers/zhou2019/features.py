@@ -1,8 +1,8 @@
 """Behaviour features of a foot-mounted accelerometer: Zhou et al. 2019, section III.
 
 Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) is low-passed by a linear-phase FIR
-filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) tell standing, walking, running
-and irregular swing apart.
+filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
+running and irregular swing.
 
 Deviations, where the text is silent or would not hold on another device:
 

@@ -6,7 +6,7 @@ event reaches from the first rise through R_M to the next fall through R_S (stag
 not counted; what happens there waits until the behaviour is known to have been walking or running.
 
 An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
-and an event is a step. `steps_per_event` says which; `FOOT` and `CARRIED` are the detectors for either.
+and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
 
 Deviations, where the text is silent or would not hold, with figures in docs/methods/zhou2019.md:
 
@@ -51,24 +51,15 @@ _QUIET_STD_MPS2 = 0.05
 class EventSearch:
     """What differs between walking and running, and with the place of the sensor.
 
-    Parameters
-    ----------
-    cutoff_hz : float
-        Cutoff (-6 dB) of the FIR filter: the middle of the printed transition, 4 to 4.5 Hz or 10 to 10.5 Hz.
-    min_frequency_hz, max_frequency_hz : float
-        Where the dominant frequency is looked for: strides of a foot, steps elsewhere.
-    harmonic_part : float
-        f_D is the lowest line of the spectrum that stands out and has this part of the highest: the empirical
-        threshold against harmonics.
-    min_maximum_mps2 : float
-        Smallest T_L.
+    f_D is the lowest line of the spectrum that stands out and has `harmonic_part` of the highest: the empirical
+    threshold against harmonics.
     """
 
-    cutoff_hz: float
-    min_frequency_hz: float
+    cutoff_hz: float  # -6 dB, of the FIR filter: the middle of the printed transition, 4 to 4.5 or 10 to 10.5 Hz
+    min_frequency_hz: float  # where f_D is looked for: strides of a foot, steps elsewhere
     max_frequency_hz: float
     harmonic_part: float
-    min_maximum_mps2: float
+    min_maximum_mps2: float  # smallest T_L
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -22,24 +22,16 @@ Where the numbers come from:
   w and b are the logistic regression on the rounded ones (mean log loss + 0.0005 sum_i w_i^2), rounded. Which eight
   features was decided by log loss on people and sets left out, without people 7 to 13.
 
-What is known of it, on the seven other people (7 to 13) of the same data (tests/benchmarks/irregular_motion.py); the
-90 % intervals are by resampling people:
-
-=====================================  ====================  ====================
-..                                     with gyroscope        accelerometer alone
-=====================================  ====================  ====================
-area under the ROC curve               0.990 (0.984, 0.996)  0.987 (0.977, 0.996)
-irregular found at 1 % false alarms    0.886 (0.78, 0.95)    0.802 (0.69, 0.94)
-irregular found at p > 0.5             0.926                 0.911
-false alarms at p > 0.5                2.4 %                 3.6 %
-=====================================  ====================  ====================
+On the seven other people of the same data (7 to 13; tests/benchmarks/irregular_motion.py) it finds 0.89 of irregular
+windows at 1 % false alarms with gyroscope (90 % interval 0.78 to 0.95) and 0.80 (0.69 to 0.94) without; at p > 0.5 it
+finds 0.93 and 0.91 at 2.4 % and 3.6 % false alarms.
 
 Limits:
 
 - One protocol: people who handle a phone before and after a walk. Handling it while walking is not in the data.
 - Slow shuffling counts as irregular: below 0.5 m/s 45 % of the moving windows with gyroscope, 67 % without (Tyrex).
-- A phone that swings in the hand is hard to tell without gyroscope: false alarms 24 % in Tyrex, 38 % with Tyrex left
-  out of the fit (oxford: 4 % both times); with gyroscope 1 %.
+- A phone that swings in the hand is hard to recognise without gyroscope: false alarms 24 % in Tyrex, 38 % with Tyrex
+  left out of the fit (oxford: 4 % both times); with gyroscope 1 %.
 - Fidgeting while sitting or standing counts as irregular: 99 % of the moving windows of MotionSense's sitting and
   standing.
 - The features change with how the attitude was found, and each gate is for its own: where the attitude had a gyroscope
@@ -121,7 +113,7 @@ def _gate(rows: dict[str, tuple[float, float, float]], intercept: float, still: 
     return IrregularGate(tuple(rows), mean, scale, weight, intercept, tuple(still), np.array(list(still.values())))
 
 
-# Feature: mean, scale, weight; fitted as the module's docstring says.
+# Feature: mean, scale, weight; fitted as in the module's docstring.
 #
 # Stillness: a vertical standard deviation below exp(-1) - 0.02 = 0.35 m/s2, and a rate about the main axis of rotation
 # below exp(-1.6) - 0.005 = 0.20 rad/s or, without gyroscope, a horizontal standard deviation below 0.35 m/s2 as well

@@ -46,7 +46,7 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
         return memory
 
     def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities, and what the models say of a window."""
+        """New carrying-mode probabilities, and the context of a window."""
         return self.models.step(memory, window)
 
 

@@ -32,7 +32,7 @@ _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowContext:
-    """What the classifiers say of a window: of the samples from `start_s` to `time_s`."""
+    """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
 
     time_s: float  # end of the window
     prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
@@ -48,7 +48,7 @@ class WindowContext:
 
 
 class ContextStage(Protocol):
-    """A causal stage that says of each window what the person does and where the phone is.
+    """A causal stage that finds, window by window, what the person does and where the phone is.
 
     Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
     into blocks.
@@ -108,7 +108,7 @@ class WindowStage(ABC, Generic[W, X, M]):
 
     @abstractmethod
     def assess(self, memory: M, window: X) -> tuple[M, WindowContext]:
-        """New memory, and what is said of a window."""
+        """New memory, and the result for a window."""
 
     def memory_after_gap(self, memory: M) -> M:
         """What lasts over a time without samples: nothing."""
@@ -137,7 +137,7 @@ class WindowStage(ABC, Generic[W, X, M]):
 def known_context(
     time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
 ) -> WindowContext:
-    """What a rule says of a window: probabilities by name, those not named zero.
+    """The result of a rule: probabilities by name, those not named zero.
 
     `contexts` are all those that the rule distinguishes, alike before it has seen anything. Where the carrying mode
     is unknown (an empty mapping) all modes are alike.
@@ -154,26 +154,15 @@ class ContextModels:
 
     Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
     of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
-    in which a window counts by how much of it is motion.
-
-    Parameters
-    ----------
-    with_gyroscope, without_gyroscope : ContextModel
-        Of the context.
-    carrying_with_gyroscope, carrying_without_gyroscope : ContextModel, optional
-        Of the carrying mode; without them all modes stay equally probable.
-    carrying_stay_prob : float
-        That the mode is the same a window later.
-    carrying_exponent : float
-        Of a window's evidence.
+    in which a window counts by how much of it is motion. Without a model of it all modes stay equally probable.
     """
 
     with_gyroscope: ContextModel
     without_gyroscope: ContextModel
     carrying_with_gyroscope: ContextModel | None = None
     carrying_without_gyroscope: ContextModel | None = None
-    carrying_stay_prob: float = CARRYING_STAY_PROB
-    carrying_exponent: float = CARRYING_EXPONENT
+    carrying_stay_prob: float = CARRYING_STAY_PROB  # that the mode is the same a window later
+    carrying_exponent: float = CARRYING_EXPONENT  # of a window's evidence
 
     def __post_init__(self) -> None:
         carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
@@ -195,7 +184,7 @@ class ContextModels:
         return read_only(known / known.sum())
 
     def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities (5,), and what is said of the window."""
+        """New carrying-mode probabilities (5,), and the result for the window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         prob, unknown = model.assess(_features(model, window))
         prob = (1 - unknown) * prob + unknown * model.training_prior

@@ -1,9 +1,9 @@
-"""Features that tell where a moving person carries the phone: its attitude, how it turns and what shakes it.
+"""Features that show where a moving person carries the phone: its attitude, how it turns and what shakes it.
 
 Held for reading, the screen looks up and the phone barely turns. At the ear it stands on its edge, its long axis
 aslant. In a swinging hand it tilts by tens of degrees once a stride about one axis, at the end of a lever, the arm. In
 a trouser pocket it tilts with the thigh about the pocket's axis, and heel strikes reach it hard, sideways too. Angles
-tell these apart better than angular rates: a rate mixes the angle with the pace. They come from the spectrum of the
+distinguish these better than angular rates: a rate mixes the angle with the pace. They come from the spectrum of the
 rate, each bin divided by 2 pi f, so neither drift nor the start of the window matters. Taken relative to the vertical
 acceleration, the step itself, they do not grow with the pace.
 
@@ -81,7 +81,7 @@ _FACES_UP = 0.5
 # The lowest that the screen faces up: below it for a tenth of the window, which one knock is not.
 _LOWEST = 0.1
 # A heel strike is a blow of some 20 ms, so its power is above the harmonics of the step; how much of it is left, and in
-# which band, says what lies between heel and phone. Above 20 Hz phones that give 50 Hz have nothing.
+# which band, shows what lies between heel and phone. Above 20 Hz phones that give 50 Hz have nothing.
 _BLOWS_HZ: tuple[tuple[float, float], ...] = ((4.0, 7.5), (7.5, 12.0), (12.0, 20.0))
 # Angles: from the slowest stride to the fastest step; slower is turning round a corner, and drift.
 _ANGLE_HZ = (0.5, 3.5)

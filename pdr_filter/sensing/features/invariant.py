@@ -5,7 +5,7 @@ of the tilting, of the device's own main axes of rotation, how regular the steps
 follow each other. No feature depends on the device's attitude, on its handedness or on north: signed angles and axes
 memorise a person's habit and fail on the next one (docs/benchmarks.md).
 
-What tells stairs from walking is when in the step things happen: the swing of the limb that carries the phone against
+Stairs differ from walking in when in the step things happen: the swing of the limb that carries the phone against
 the bounce of the body. The limb swings about a horizontal axis that is found as the main axis of the angular rate. The
 sign of that axis is arbitrary, so it is either squared away (the limb swings once a stride, its square once a step,
 like the bounce), or both the swing and the acceleration across the axis are taken, whose product has no sign, or the
@@ -313,7 +313,7 @@ def _swing_timing(
     across = np.asarray(np.cross(mean_up, axis), dtype=np.float64)
     across_force, along_force = _along(across, centred_force), _along(axis, centred_force)
     angle = np.cumsum(swing_rate, axis=1) / rate_hz
-    # from its first to its last value a straight line is taken away: what a window cannot tell from drift
+    # from its first to its last value a straight line is taken away: a window cannot show whether it is drift
     angle = about_mean(angle - (angle[:, -1:] - angle[:, :1]) * np.linspace(0.0, 1.0, n))
 
     swing_std = np.sqrt((swing_rate * swing_rate).mean(axis=1)) + _FLOOR_RADPS

@@ -89,7 +89,7 @@ class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
     min_interval : float
         Smallest interval in periods of the wavelet. Heel strike and push-off are closer.
     min_running_interval : float
-        The same from `running_hz` on: there a step is one blow, and R tells less of the frequency.
+        The same from `running_hz` on: there a step is one blow, and R shows less of the frequency.
     running_hz : float
         Wavelet frequency of a run, or of the hardest walking (R = 3.5 m/s2).
     rate_hz, max_interval_s, first_step_s : float

@@ -36,7 +36,7 @@ class StepLogState:
     """The signals of the last seconds, and the last contact."""
 
     n_samples: int  # seen so far in this segment
-    # (6, H): time, magnitude, vertical, device heading, samples without angular rate so far, deviation of the yaw bias
+    # (6, H): time, magnitude, vertical, device heading, samples without angular rate so far, std of the yaw bias
     signals: FloatArray
     last_contact: int  # number of the sample; negative before the first
     last_contact_s: float
@@ -282,5 +282,5 @@ def amplitude_of_one_period(values: FloatArray) -> float:
     """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
     n = len(values)
     phase = 2 * np.pi * np.arange(n) / n
-    deviation = values - values.mean()
-    return 2 / n * float(np.hypot((deviation * np.cos(phase)).sum(), (deviation * np.sin(phase)).sum()))
+    centred = values - values.mean()
+    return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))
