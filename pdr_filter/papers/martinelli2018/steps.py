@@ -25,28 +25,24 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
-    DetectorState,
-    StepDetector,
-    local_maxima,
+    ResponseState,
+    ResponseStepDetector,
     specific_force_magnitude,
-    vertex,
 )
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WaveletDetectorState(DetectorState):
-    """The last magnitudes and their smoothed squared distances from gravity, filter memory, and the last peaks."""
+class WaveletDetectorState(ResponseState):
+    """The last magnitudes and their power, the last values of the transform, filter memory, and the last peaks."""
 
     power_zi: FloatArray  # (1, 2) of the low-pass of the squared magnitude
-    response: FloatArray  # (2,) last values of the transform
     peak_level_mps2: float  # running mean of accepted peaks
 
 
 @dataclass(frozen=True)
-class WaveletStepDetector(StepDetector[WaveletDetectorState]):
+class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     """Causal step detector; a step is reported `latency_s`, 0.8 s, after its contact.
 
     Parameters
@@ -100,13 +96,12 @@ class WaveletStepDetector(StepDetector[WaveletDetectorState]):
         return len(self._kernels[0]) // 2
 
     @property
-    def latency_s(self) -> float:
-        """Time from a contact to its detection."""
-        return (self._delay_samples + 1) / self.rate_hz
+    def _min_response(self) -> float:
+        return self.min_peak_mps2
 
     def init(self) -> WaveletDetectorState:
         """State before the first sample of a segment."""
-        return WaveletDetectorState(self._log.init(), np.empty((2, 0)), np.zeros((1, 2)), np.zeros(2), 0.0)
+        return WaveletDetectorState(self._log.init(), np.empty((2, 0)), np.zeros((1, 2)), np.zeros((1, 2)), 0.0)
 
     @property
     def _n_line(self) -> int:
@@ -120,39 +115,21 @@ class WaveletStepDetector(StepDetector[WaveletDetectorState]):
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
         return replace(state, power_zi=power_zi), np.stack([magnitude, power])
 
-    def _detect(
-        self, state: WaveletDetectorState, line: FloatArray, first: int
-    ) -> tuple[WaveletDetectorState, list[tuple[int, Step]]]:
+    def _response(self, line: FloatArray) -> FloatArray:
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         walking, running = (np.convolve(line[0], kernel, mode="valid") for kernel in self._kernels)
         n_before = self._delay_samples
         is_running = line[1, n_before : n_before + len(walking)] > self.running_rms_mps2**2
-        response = np.concatenate([state.response, np.where(is_running, running, walking)])
-        is_peak = local_maxima(response) & (response[1:-1] >= self.min_peak_mps2)
-        steps: list[tuple[int, Step]] = []
-        for i in np.flatnonzero(is_peak).tolist():
-            # value i + 2 of the response was made by sample first + i
-            state, step = self._accept(state, response[i : i + 3], first + i)
-            if step is not None:
-                steps.append((first + i, step))
-        return replace(state, response=response[-2:]), steps
+        return np.where(is_running, running, walking)[None]
 
-    def _accept(
-        self, state: WaveletDetectorState, peak: FloatArray, known: int
-    ) -> tuple[WaveletDetectorState, Step | None]:
-        """The step that a local maximum of the response makes, if it makes one."""
-        contact = known - 1 - self._delay_samples
-        if not self._log.can_end(state.log, contact):
-            return state, None
-        fraction = vertex(peak)
-        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
-        new_bout = self._log.starts_bout(state.log, contact_s)
+    def _accepted(
+        self, state: WaveletDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
+    ) -> WaveletDetectorState | None:
+        response = float(peak[0])
         level = 0.0 if new_bout else state.peak_level_mps2
-        if contact_s - state.log.last_contact_s < self.min_interval_s or peak[1] < self.relative_peak * level:
-            return state, None
-        log, step = self._log.add(state.log, contact, known, fraction)
-        level = float(peak[1]) if new_bout else 0.7 * level + 0.3 * float(peak[1])
-        return replace(state, log=log, peak_level_mps2=level), step
+        if interval_s < self.min_interval_s or response < self.relative_peak * level:
+            return None
+        return replace(state, peak_level_mps2=response if new_bout else 0.7 * level + 0.3 * response)
 
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:

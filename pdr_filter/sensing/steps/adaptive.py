@@ -34,15 +34,12 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
-    DetectorState,
-    StepDetector,
-    local_maxima,
+    ResponseState,
+    ResponseStepDetector,
     specific_force_magnitude,
-    vertex,
 )
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
@@ -58,15 +55,14 @@ class Rhythm:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AdaptiveDetectorState(DetectorState):
-    """The last |f| less gravity, and the last steps."""
+class AdaptiveDetectorState(ResponseState):
+    """The last |f| less gravity, the last values of the transform and of R, and the last steps."""
 
-    response: FloatArray  # (2, 2) last values of the transform, and of R
     rhythm: Rhythm
 
 
 @dataclass(frozen=True)
-class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
+class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     """Causal step detector; a step is reported `latency_s`, 0.88 s, after its contact.
 
     Parameters
@@ -135,9 +131,12 @@ class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
         return round(self.after_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
-    def latency_s(self) -> float:
-        """Time from a contact to its detection."""
-        return (self._n_after + 1) / self.rate_hz
+    def _delay_samples(self) -> int:
+        return self._n_after
+
+    @property
+    def _min_response(self) -> float:
+        return self.rhythm_share * self.min_peak_mps2
 
     def init(self) -> AdaptiveDetectorState:
         """State before the first sample of a segment."""
@@ -153,21 +152,11 @@ class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
         """|f| less gravity, (1, N)."""
         return state, specific_force_magnitude(block.specific_force_mps2)[None] - STANDARD_GRAVITY_MPS2
 
-    def _detect(
-        self, state: AdaptiveDetectorState, line: FloatArray, first: int
-    ) -> tuple[AdaptiveDetectorState, list[tuple[int, Step]]]:
-        rms = self._rms(line[0])
-        response = np.concatenate([state.response, np.stack([self._response(line[0], rms), rms])], axis=1)
-        is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self.rhythm_share * self.min_peak_mps2)
-        steps: list[tuple[int, Step]] = []
-        for i in np.flatnonzero(is_peak).tolist():
-            # column i + 2 of the response was made by sample first + i
-            state, step = self._accept(state, response[0, i : i + 3], float(response[1, i + 1]), first + i)
-            if step is not None:
-                steps.append((first + i, step))
-        return replace(state, response=response[:, -2:]), steps
-
     # Every value below is a dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+
+    def _response(self, line: FloatArray) -> FloatArray:
+        rms = self._rms(line[0])
+        return np.stack([self._transform(line[0], rms), rms])
 
     def _rms(self, line: FloatArray) -> FloatArray:
         """R at each sample that has enough samples around it."""
@@ -177,7 +166,7 @@ class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
         mean = np.convolve(smooth, box, mode="valid")
         return np.sqrt(np.maximum(np.convolve(smooth * smooth, box, mode="valid") - mean * mean, 0.0))
 
-    def _response(self, line: FloatArray, rms: FloatArray) -> FloatArray:
+    def _transform(self, line: FloatArray, rms: FloatArray) -> FloatArray:
         """Transform at the scale that R asks for, between two members of the bank."""
         place = np.interp(rms, self._bank_rms_mps2, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
@@ -192,25 +181,17 @@ class AdaptiveStepDetector(StepDetector[AdaptiveDetectorState]):
             response = np.add(response, share * np.convolve(part, kernel, mode="valid"), dtype=float)
         return response
 
-    def _accept(
-        self, state: AdaptiveDetectorState, peak: FloatArray, rms: float, known: int
-    ) -> tuple[AdaptiveDetectorState, Step | None]:
-        """The step that a local maximum of the response makes, if it makes one."""
-        contact = known - 1 - self._n_after
-        if not self._log.can_end(state.log, contact):
-            return state, None
-        fraction = vertex(peak)
-        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
-        new_bout = self._log.starts_bout(state.log, contact_s)
+    def _accepted(
+        self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
+    ) -> AdaptiveDetectorState | None:
+        response, rms = peak.tolist()
         rhythm = Rhythm(0.0, 0.0, 0) if new_bout else state.rhythm
-        interval_s = contact_s - state.log.last_contact_s
         share = self.rhythm_share if self._is_expected(rhythm, interval_s) else 1.0
-        if peak[1] < share * max(self.min_peak_mps2, self.relative_peak * rhythm.peak_level_mps2):
-            return state, None
+        if response < share * max(self.min_peak_mps2, self.relative_peak * rhythm.peak_level_mps2):
+            return None
         if interval_s < self._min_interval_s(rms):
-            return state, None
-        log, step = self._log.add(state.log, contact, known, fraction)
-        return replace(state, log=log, rhythm=_with_step(rhythm, float(peak[1]), interval_s, new_bout)), step
+            return None
+        return replace(state, rhythm=_with_step(rhythm, response, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
         if rhythm.n_intervals < 2 or interval_s <= 0:

@@ -233,6 +233,68 @@ class StepDetector(ABC, Generic[S]):
         return replace(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseState(DetectorState):
+    """Its last signals, and the last values of the response."""
+
+    response: FloatArray  # (K, 2)
+
+
+R = TypeVar("R", bound=ResponseState)
+
+
+@dataclass(frozen=True)
+class ResponseStepDetector(StepDetector[R]):
+    """Steps as local maxima of a response, which is `_delay_samples` late and may come with further values."""
+
+    @property
+    @abstractmethod
+    def _delay_samples(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def _min_response(self) -> float:
+        """Lower maxima are no steps in any case."""
+
+    @abstractmethod
+    def _response(self, line: FloatArray) -> FloatArray:
+        """The response and what comes with it, (K, N), from signals (R, L + N)."""
+
+    @abstractmethod
+    def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
+        """New state if a maximum (K,) that comes so long after the last step is a step, else None."""
+
+    @property
+    def latency_s(self) -> float:
+        """Time from a contact to its detection."""
+        return (self._delay_samples + 1) / self.rate_hz
+
+    def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
+        response = np.concatenate([state.response, self._response(line)], axis=1)
+        is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self._min_response)
+        steps: list[tuple[int, Step]] = []
+        for i in np.flatnonzero(is_peak).tolist():
+            # column i + 2 was made by sample first + i
+            state, step = self._step_at(state, response[:, i : i + 3], first + i)
+            if step is not None:
+                steps.append((first + i, step))
+        return replace(state, response=response[:, -2:]), steps
+
+    def _step_at(self, state: R, values: FloatArray, known: int) -> tuple[R, Step | None]:
+        """The step that a local maximum of the response, the middle of (K, 3), makes, if it makes one."""
+        contact = known - 1 - self._delay_samples
+        if not self._log.can_end(state.log, contact):
+            return state, None
+        fraction = vertex(values[0])
+        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
+        interval_s, new_bout = contact_s - state.log.last_contact_s, self._log.starts_bout(state.log, contact_s)
+        accepted = self._accepted(state, values[:, 1], interval_s, new_bout)
+        if accepted is None:
+            return state, None
+        log, step = self._log.add(state.log, contact, known, fraction)
+        return replace(accepted, log=log), step
+
+
 def local_maxima(values: FloatArray) -> BoolArray:
     """Whether each value but the first and the last of (..., N) is a local maximum, (..., N - 2)."""
     middle = values[..., 1:-1]

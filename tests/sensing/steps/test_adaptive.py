@@ -89,7 +89,7 @@ def test_between_two_hats_of_the_bank_a_sinusoid_of_the_expected_frequency_keeps
     for rms_mps2 in np.geomspace(0.3, 8.0, 9):
         frequency_hz = DETECTOR.frequency_at_1_mps2_hz * rms_mps2**DETECTOR.frequency_exponent
         line = np.sqrt(2) * rms_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
-        response = DETECTOR._response(line, DETECTOR._rms(line))
+        response = DETECTOR._transform(line, DETECTOR._rms(line))
         assert response.max() == pytest.approx(np.sqrt(2) * rms_mps2, rel=0.15)
 
 
