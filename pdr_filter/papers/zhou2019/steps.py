@@ -324,12 +324,8 @@ def _window_samples(period_s: float, rate_hz: float) -> int:
 
 # Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.
 FOOT = ReferenceLineStepDetector(
-    walking=EventSearch(
-        cutoff_hz=4.25, min_frequency_hz=0.45, max_frequency_hz=1.25, harmonic_part=0.2, min_maximum_mps2=1.5
-    ),
-    running=EventSearch(
-        cutoff_hz=10.25, min_frequency_hz=0.9, max_frequency_hz=2.0, harmonic_part=0.2, min_maximum_mps2=4.0
-    ),
+    walking=EventSearch(4.25, 0.45, 1.25, harmonic_part=0.2, min_maximum_mps2=1.5),
+    running=EventSearch(10.25, 0.9, 2.0, harmonic_part=0.2, min_maximum_mps2=4.0),
     steps_per_event=2,
     relative_maximum=0.25,
     min_line_part=0.2,
@@ -338,12 +334,8 @@ FOOT = ReferenceLineStepDetector(
 
 # Chosen on persons 1 to 6 of ubicomp13, who carry phones in seven places; running has no recordings with known steps.
 CARRIED = ReferenceLineStepDetector(
-    walking=EventSearch(
-        cutoff_hz=4.25, min_frequency_hz=1.2, max_frequency_hz=2.6, harmonic_part=0.4, min_maximum_mps2=0.5
-    ),
-    running=EventSearch(
-        cutoff_hz=10.25, min_frequency_hz=2.0, max_frequency_hz=4.0, harmonic_part=0.4, min_maximum_mps2=3.0
-    ),
+    walking=EventSearch(4.25, 1.2, 2.6, harmonic_part=0.4, min_maximum_mps2=0.5),
+    running=EventSearch(10.25, 2.0, 4.0, harmonic_part=0.4, min_maximum_mps2=3.0),
     steps_per_event=1,
     relative_maximum=0.35,
     min_line_part=0.15,
