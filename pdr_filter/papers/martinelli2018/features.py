@@ -86,15 +86,8 @@ def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
 class MagnitudeFeatures:
     """The 28 features as a `FeatureSet`."""
 
-    @property
-    def name(self) -> str:
-        """What model cards call it."""
-        return "martinelli"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the features."""
-        return NAMES
+    name: str = "martinelli"
+    names: tuple[str, ...] = NAMES
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""

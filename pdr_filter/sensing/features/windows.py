@@ -48,15 +48,8 @@ class FeatureSet(Protocol):
 class AttitudeFreeFeatures:
     """Features that do not change with the phone's attitude: for the context, then for the carrying mode."""
 
-    @property
-    def name(self) -> str:
-        """What model cards call it."""
-        return "invariant"
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names of the features."""
-        return (*invariant.NAMES, *carrying.NAMES)
+    name: str = "invariant"
+    names: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
