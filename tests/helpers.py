@@ -16,6 +16,7 @@ from pdr_filter.filter.tracker import TrackerOutput
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording
+from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
@@ -141,7 +142,8 @@ def sensed(sensing: Sensing, blocks: Sequence[ImuBlock]) -> list[tuple[float, Ev
 
 
 def steps_of(recording: Recording) -> list[Step]:
-    return [e for _, e in sensed(Sensing(), [merge_streams(recording)]) if isinstance(e, Step)]
+    sensing = Sensing(steps=WaveletStepDetector())
+    return [e for _, e in sensed(sensing, [merge_streams(recording)]) if isinstance(e, Step)]
 
 
 def a_step(

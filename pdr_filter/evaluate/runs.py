@@ -16,7 +16,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track
 from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import steps_of
 from pdr_filter.values.track_rows import TrackRows
 
 
@@ -68,13 +68,8 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     if sorted(m.context for m in modes) != sorted(track.contexts):
         raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")
     fit = {m.context: m.step_length for m in modes}
-    steps = [_step(row) for row in track.steps]
+    steps = steps_of(track.steps)
     length_m = np.array([[fit[c].predict(s)[0] for c in track.contexts] for s in steps]).reshape(-1, len(fit))
     ends_s = track.windows.time_s
     each = [walked_m(track.time_s, length_m[:, c], ends_s[:-1], ends_s[1:]) for c in range(len(fit))]
     return np.column_stack(each), track.windows.context_prob
-
-
-def _step(row: np.record) -> Step:
-    values = {name: float(row[name]) for name in row.dtype.names or () if name != "from_rest"}
-    return Step(**values, from_rest=bool(row["from_rest"]))

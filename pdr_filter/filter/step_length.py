@@ -16,26 +16,23 @@ from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
 
-class LinearStepLengthModel(Protocol):
-    """A model that is linear in its parameters: length = regressors(step) @ theta."""
-
+class _Parameters(Protocol):
     @property
     def n_params(self) -> int:
         """Number of parameters p."""
         ...
+
+
+class LinearStepLengthModel(_Parameters, Protocol):
+    """A model that is linear in its parameters: length = regressors(step) @ theta."""
 
     def regressors(self, step: Step) -> FloatArray:
         """Regressors of one step, shape (p,): also the derivative of the length with respect to theta."""
         ...
 
 
-class SmoothStepLengthModel(Protocol):
+class SmoothStepLengthModel(_Parameters, Protocol):
     """A model that is not linear in its parameters; theta may have any leading axes."""
-
-    @property
-    def n_params(self) -> int:
-        """Number of parameters p."""
-        ...
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
         """Length in m under theta (..., p), shape (...)."""
@@ -70,6 +67,9 @@ def _is_linear(model: StepLengthModel) -> TypeGuard[LinearStepLengthModel]:
 def _is_smooth(model: StepLengthModel) -> TypeGuard[SmoothStepLengthModel]:
     return hasattr(model, "jacobian")
 
+
+# Height of somebody of whom it is not known, m: between the means of women and men.
+USUAL_HEIGHT_M = 1.70
 
 # --- models from papers ---------------------------------------------------------------------------------------------
 
@@ -137,17 +137,6 @@ class WeinbergStepLength:
     def regressors(self, step: Step) -> FloatArray:
         """((a_max - a_min)^(1/4),)."""
         return np.array([step.vertical_range_mps2**0.25])
-
-
-@dataclass(frozen=True)
-class WeinbergOffsetStepLength:
-    """L = k0 + k1 (a_max - a_min)^(1/4), a vertical, theta = (k0, k1): Weinberg's model with an offset."""
-
-    n_params: int = 2
-
-    def regressors(self, step: Step) -> FloatArray:
-        """(1, (a_max - a_min)^(1/4))."""
-        return np.array([1.0, step.vertical_range_mps2**0.25])
 
 
 @dataclass(frozen=True)
@@ -244,26 +233,17 @@ class BounceStepLength:
 
     r is for the steps that are shorter than the person's usual ones: where A is below its usual value B, r =
     (A / B)^(1/4), as when people stop, turn on the spot or shuffle; and a step from rest, which begins with the feet
-    together, is half a step, r = 1/2. Among the same person's steps of one walk the amplitude tells more than between
+    together, is half a step, r = 1/2. Among the same person's steps of one walk the amplitude shows more than between
     people and places, so that it has a larger power there.
 
-    Parameters
-    ----------
-    height_m : float
-        Of the person; where it is unknown 1.70 m, between the means of men and women.
-    max_amplitude_mps2 : float
-        A larger amplitude counts as this one: it is the give of a soft arm, not the body's.
-    min_amplitude_mps2 : float
-        A smaller one counts as this one.
-    min_frequency_hz, max_frequency_hz : float
-        Cadences of walking, 72 to 144 steps a minute: beyond, a step was missed or found twice.
+    Amplitudes and frequencies beyond the limits count as the limits.
     """
 
-    height_m: float = 1.70
-    max_amplitude_mps2: float = 3.0
+    height_m: float = USUAL_HEIGHT_M
+    max_amplitude_mps2: float = 3.0  # a larger one is the give of a soft arm, not the body's
     min_amplitude_mps2: float = 0.3
-    min_frequency_hz: float = 1.2
-    max_frequency_hz: float = 2.4
+    min_frequency_hz: float = 1.2  # cadences of walking, 72 to 144 steps a minute: beyond, a step was missed
+    max_frequency_hz: float = 2.4  # or found twice
     n_params: int = 1
 
     def regressors(self, step: Step) -> FloatArray:
@@ -285,24 +265,12 @@ class BounceStepLength:
 
 @dataclass(frozen=True, eq=False)
 class StepLengthFit:
-    """A model with its parameters, their covariance, and what it leaves unexplained.
-
-    Parameters
-    ----------
-    model : StepLengthModel
-        Length of a step given the parameters.
-    theta : (p,)
-        Parameters.
-    theta_cov : (p, p)
-        Their covariance.
-    residual_std_m : float
-        Standard deviation of a single step about the model.
-    """
+    """A model with its parameters, their covariance, and what it leaves unexplained."""
 
     model: StepLengthModel
-    theta: FloatArray
-    theta_cov: FloatArray
-    residual_std_m: float
+    theta: FloatArray  # (p,)
+    theta_cov: FloatArray  # (p, p)
+    residual_std_m: float  # standard deviation of a single step about the model
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "theta", read_only(self.theta))
@@ -374,35 +342,17 @@ def known_length(length_m: float, std_m: float) -> StepLengthFit:
     return StepLengthFit(FrequencyVarianceStepLength(), np.array([length_m, 0.0, 0.0]), np.zeros((3, 3)), std_m)
 
 
-# k of men and women: Tian et al. 2016, text of eq. 2 and 9. Where the gender is not known, their mean.
-_STATIC_K = {"M": 0.415, "F": 0.413}
-_TIAN_K = {"M": 0.3139, "F": 0.2975}
-# Of the distances of ten people over 28 m (Tian et al. 2016, Table VII: 3.58 m and 2.30 m).
-_STATIC_RELATIVE_STD = 3.58 / 28
-_TIAN_RELATIVE_STD = 2.30 / 28
 # Single steps of one person about any of the models.
-_RESIDUAL_STD_M = 0.06
+RESIDUAL_STD_M = 0.06
+# k of men and women, text of eq. 2 of Tian et al. 2016; the distances of ten people over 28 m have a standard deviation
+# of 3.58 m (Table VII).
+_STATIC_K = {"M": 0.415, "F": 0.413}
+_STATIC_RELATIVE_STD = 3.58 / 28
 
 
 def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """The static model with the printed k; gender "M", "F" or unknown. Tian uses it for the first step from rest."""
-    return _one_parameter_fit(StaticStepLength(height_m), _of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
-
-
-def tian_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
-    """Tian's model with the printed k; gender "M", "F" or unknown."""
-    return _one_parameter_fit(TianStepLength(height_m), _of_gender(_TIAN_K, gender), _TIAN_RELATIVE_STD)
-
-
-def chen_fit(height_m: float) -> StepLengthFit:
-    """Chen's model for a person of whom only the height is known: a = 0.371, b = 0.227 m s, c = 1 +- 0.08.
-
-    a and b are the values in general use for walking; Guo et al. do not print them. How far people differ from them is
-    put into c alone.
-    """
-    return StepLengthFit(
-        ChenStepLength(height_m), np.array([0.371, 0.227, 1.0]), np.diag([0.0, 0.0, 0.08]) ** 2, _RESIDUAL_STD_M
-    )
+    """The static model with the printed k; gender "M", "F" or unknown."""
+    return one_parameter_fit(StaticStepLength(height_m), of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
 
 
 # Of `BounceStepLength`: fitted to 298 legs of known displacement, two sites alike (humolire, ms_indoor;
@@ -420,9 +370,11 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-def _of_gender(values: dict[str, float], gender: str | None) -> float:
+def of_gender(values: dict[str, float], gender: str | None) -> float:
+    """The value for a gender "M" or "F"; their mean where it is not known."""
     return values.get(gender or "", sum(values.values()) / len(values))
 
 
-def _one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
-    return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), _RESIDUAL_STD_M)
+def one_parameter_fit(model: StepLengthModel, k: float, relative_std: float) -> StepLengthFit:
+    """A model with one parameter k, which differs between people by a share of it."""
+    return StepLengthFit(model, np.array([k]), np.array([[(k * relative_std) ** 2]]), RESIDUAL_STD_M)

@@ -165,7 +165,7 @@ class AttitudeEstimator:
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
-    """What a whole window says of the bias."""
+    """What the bias needs of a whole window."""
     mean = rows.mean(axis=0)
     away = rows[:, :6] - mean[:6]
     variance = (away * away).mean(axis=0)

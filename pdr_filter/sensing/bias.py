@@ -1,32 +1,30 @@
 """What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
 
-An error of 0.003 rad/s is 10 degrees a minute. Four things tell of it, each weakly, so each enters a Kalman filter as a
-measurement with its own variance, and each may be wrong, so that an outlier hardly moves the estimate:
+An error of 0.003 rad/s is 10 degrees a minute. Four kinds of measurement enter a Kalman filter, each weak, each with a
+variance of its own, and each perhaps wrong, so that an outlier hardly moves the estimate:
 
 1. Still windows. The mean angular rate of a window in which nothing moves is the bias. A standing hand turns: its means
-   scatter by about half the deviation within the window, and it may turn evenly, as if it were a bias.
-2. Straight walking. Somebody who walks from corner to corner turned little in between, by 0.16 rad perhaps. That is
-   vague: it finds a phone that is off by 0.02 rad/s in a few corridors and hardly moves one that is off by 0.003. A
-   long curve counts as one walk, or the bias would follow it.
+   scatter by about half the standard deviation within the window, and it may turn evenly, as if it were a bias.
+2. Straight walking. Somebody who walks from corner to corner turned little in between, by 0.16 rad perhaps. That finds
+   a phone that is off by 0.02 rad/s in a few corridors and hardly moves one that is off by 0.003. A long curve counts
+   as one walk, or the bias would follow it.
 3. Right angles. Where walks before and after corners differ by whole right angles, time after time, there are
    corridors or streets with two axes, and what is missing to the right angle is drift. Whether a place is like that is
-   not known: one half of the filters says so, the other half not, and they are weighted like the rest. Only walks in
-   new directions count, so that a place without corners proves nothing.
+   not known: one half of the filters assumes it, and they are weighted like the rest. Only walks in new directions
+   count, so that a place without corners proves nothing.
 4. The magnetic field. Where it stands still it should not turn in the attitude's frame. Only its drift counts, never
-   where it points, and how far it is trusted follows from the scatter of its horizontal and vertical parts: iron and
-   currents that change these by so much turn it by as much again. A jump begins it anew.
+   where it points. How far it is trusted follows from the scatter of its horizontal and vertical parts: iron and
+   currents that change these by so much turn it by as much again. After a jump it starts again.
 
 The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
 goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the
-prior is a mixture of normal distributions, each carried by a Kalman filter of its own and weighted by how well it
-predicts (D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control
-10(4), 1965, doi:10.1109/TAC.1965.1098191). Outliers: each measurement is one of the bias or one of something else, and
-enters with the probability of the former, and the doubt that leaves is added to the covariance (Y. Bar-Shalom,
-F. Daum, J. Huang, "The probabilistic data association filter", IEEE Control Systems 29(6), 2009, for a single
-measurement, doi:10.1109/MCS.2009.934469). Walking as a measurement: J. Borenstein, L. Ojeda,
-"Heuristic drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010, who steer towards the
-axes of a building with a fixed gain; here a walk has a variance, and there is doubt whether there are axes. Figures:
-tests/benchmarks/heading_drift.py.
+prior is a mixture of normal distributions, each with a Kalman filter of its own, weighted by how well it predicts
+(D. T. Magill, "Optimal adaptive estimation of sampled stochastic processes", IEEE Trans. Automatic Control 10(4), 1965,
+doi:10.1109/TAC.1965.1098191). A measurement enters with the probability that it is no outlier, and the doubt that
+leaves is added to the covariance (Y. Bar-Shalom, F. Daum, J. Huang, "The probabilistic data association filter", IEEE
+Control Systems 29(6), 2009, doi:10.1109/MCS.2009.934469). Walking as a measurement: J. Borenstein, L. Ojeda, "Heuristic
+drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010, who steer towards the axes of a
+building with a fixed gain. Figures: tests/benchmarks/heading_drift.py.
 """
 
 from __future__ import annotations
@@ -88,15 +86,15 @@ class GyroBiasState:
     log_weight: FloatArray  # (M,) largest is 0
     bias_radps: FloatArray  # (3,) mean of the mixture
     bias_cov_radps2: FloatArray  # (3, 3) of the mixture
-    corrected_rad: float  # what the estimates so far have turned the heading by
-    n_still: int  # still windows in a row
-    walk: StraightWalk | None
-    field: FieldScatter | None
-    field_tracked: bool
-    n_field_outliers: int  # in a row
-    axis_tracked: bool
-    axis_heading_rad: float  # corrected, of the last walk that was compared with the axes
-    n_axis_outliers: int  # in a row
+    corrected_rad: float = 0.0  # what the estimates so far have turned the heading by
+    n_still: int = 0  # still windows in a row
+    walk: StraightWalk | None = None
+    field: FieldScatter | None = None
+    field_tracked: bool = False
+    n_field_outliers: int = 0  # in a row
+    axis_tracked: bool = False
+    axis_heading_rad: float = 0.0  # corrected, of the last walk that was compared with the axes
+    n_axis_outliers: int = 0  # in a row
 
 
 @dataclass(frozen=True)
@@ -116,17 +114,16 @@ class GyroBias:
     walk_radps_per_sqrt_s : float
         Random walk of the bias: 0.002 rad/s in five minutes of warming up.
     still_gyr_radps, still_acc_mps2 : float
-        A window is still below both deviations, and used if the one before was too.
+        A window is still below both standard deviations, and used if the one before was too.
     still_max_radps : float
         No bias is above this; what is still and faster turns evenly.
     still_std_radps, still_std_share : float
-        Standard deviation of the mean of a still window: the sum of a constant and a share of the deviation within. On
-        people who stand with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their
-        correlation over time.
+        Standard deviation of the mean of a still window: a constant and a share of that within it. On people who stand
+        with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their correlation in time.
     still_outlier_prob, turning_radps : float
         How often a still phone turns evenly, and how fast.
     walking_acc_mps2 : float
-        Above this deviation somebody walks.
+        Above this standard deviation somebody walks.
     corner_rad, tilted_rad : float
         A change of direction from the last two windows, and of gravity since the first, that ends a straight walk.
     straight_s : tuple of float
@@ -148,7 +145,7 @@ class GyroBias:
     field_memory_s : float
         Time constant of the mean and the scatter of the field.
     field_correlation_s : float
-        How long a disturbance lasts while somebody walks past it: windows closer than that tell nothing new.
+        How long a disturbance lasts while somebody walks past it: windows closer than that are not independent.
     field_scatter_weight : float
         Variance of the direction for the variance of the field's parts, relative to the horizontal field.
     field_std_rad : float
@@ -157,7 +154,7 @@ class GyroBias:
         Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
         a corridor of a minute, smoothly and with hardly a change of its size.
     field_jump_rad : float
-        A direction that changed by more since the last window begins anew: no bias does that.
+        After a larger change since the last window the direction starts again: no bias does that.
     field_outlier_prob : float
         How often the direction is anything.
     """
@@ -213,22 +210,7 @@ class GyroBias:
         cov[:, _BIAS, _BIAS] = np.tile(np.square(self.prior_std_radps), 2)[:, None, None] * np.eye(3)
         log_weight = np.log(np.outer([1.0 - self.rectangular_prob, self.rectangular_prob], self.prior_prob).ravel())
         bias, bias_cov = _mixture(mean, cov, log_weight)
-        return GyroBiasState(
-            mean=mean,
-            cov=cov,
-            log_weight=log_weight - log_weight.max(),
-            bias_radps=bias,
-            bias_cov_radps2=bias_cov,
-            corrected_rad=0.0,
-            n_still=0,
-            walk=None,
-            field=None,
-            field_tracked=False,
-            n_field_outliers=0,
-            axis_tracked=False,
-            axis_heading_rad=0.0,
-            n_axis_outliers=0,
-        )
+        return GyroBiasState(mean, cov, log_weight - log_weight.max(), bias, bias_cov)
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
         """State that keeps the bias and forgets what the windows before a time without samples were."""
@@ -336,7 +318,7 @@ class GyroBias:
     ) -> tuple[_Bank, GyroBiasState]:
         """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be.
 
-        Where the axes are not known to a sixth of that, a walk tells nothing of the bias, only where they may be.
+        Where the axes are not known to a sixth of that, a walk shows nothing of the bias, only where they may be.
         """
         mean, cov, _ = bank
         n_outliers, lost = 0, np.full(len(mean), True)
@@ -380,7 +362,7 @@ class GyroBias:
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, replace(state, n_field_outliers=n_outliers)
-            # another place, another field: begin anew
+            # another place, another field: start again
         start = np.full(len(mean), direction_rad)
         bank = _restart(bank, _FIELD, start, variance, np.full(len(mean), True))
         return bank, replace(state, field_tracked=True, n_field_outliers=0)

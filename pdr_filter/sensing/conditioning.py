@@ -226,7 +226,7 @@ class Conditioner:
         return clock, np.array(accepted).reshape(-1, rows.shape[1]), n_dropped, n_jumps
 
     def _believe(self, clock: ClockState, row: FloatArray) -> tuple[ClockState, list[FloatArray], int, int]:
-        """One row: accepted, dropped, or held until the next tells whether its time is a jump or a gap."""
+        """One row: accepted, dropped, or held until the next shows whether its time is a jump or a gap."""
         moved = row.copy()
         moved[0] += clock.offset_s
         out: list[FloatArray] = []

@@ -8,13 +8,12 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
 from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
-from pdr_filter.sensing.steps.detector import ModeBlock, StepDetector
+from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.samples import ImuBlock
@@ -56,10 +55,10 @@ class Sensing:
 
     Parameters
     ----------
+    steps : StepDetector
+        Finds steps; it gets the context and the carrying mode of each sample from `contexts`.
     conditioner, attitude
         Uniform samples, and which way is up.
-    steps : StepDetector
-        Finds steps; it is told what `contexts` says of each sample.
     contexts : ContextStage, optional
         What the person does and where the phone is; nothing is known without.
     heading : HeadingStage, optional
@@ -68,9 +67,9 @@ class Sensing:
         Holds back steps that nobody walked.
     """
 
+    steps: StepDetector[Any]
     conditioner: Conditioner = field(default_factory=Conditioner)
     attitude: AttitudeEstimator = field(default_factory=AttitudeEstimator)
-    steps: StepDetector = field(default_factory=WaveletStepDetector)
     contexts: ContextStage | None = None
     heading: HeadingStage | None = None
     gate: StepGate | None = None
@@ -133,13 +132,13 @@ class Sensing:
         n = len(part.time_s)
         context = _held(state.context, [(i - n_before, _likely(w.prob)) for i, w in windows], n)
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
-        modes = ModeBlock(context, carrying_mode)
-        step_state, steps = self.steps.step(state.steps, part, attitude, modes)
+        contexts = ContextBlock(context, carrying_mode)
+        step_state, steps = self.steps.step(state.steps, part, attitude, contexts)
         heading_state, gate_state = None, None
         if self.gate:
             gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
         if self.heading:
-            heading_state, steps = self.heading.step(state.heading, part, attitude, modes, steps)
+            heading_state, steps = self.heading.step(state.heading, part, attitude, contexts, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order = sorted([*windows, *steps], key=lambda e: e[0])
         state = SensingState(

@@ -27,7 +27,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import CARRYING_EXPONENT, CARRYING_STAY_PROB, follow_mode
 from pdr_filter.sensing.features import carrying, invariant
-from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.features.windows import N_MAGNITUDES, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate.people import MODES
 from pdr_filter.training.machines import fit_softmax
@@ -176,14 +176,16 @@ def carrying_windows(
     return LabelledWindows.joined(parts)
 
 
-class SignalWindows(FeatureWindows):
-    """Windows whose features are their samples, `invariant.SIGNALS`, one row after the other."""
+@dataclass(frozen=True)
+class RawSignals:
+    """Features that are the samples of a window, `invariant.SIGNALS`, one row after the other."""
 
-    def _describe(self, samples: FloatArray) -> list[FeatureWindow]:
-        return [
-            replace(window, features=signals.ravel())
-            for window, signals in zip(super()._describe(samples), samples[:, 7:], strict=True)
-        ]
+    name: str = "signals"
+    names: tuple[str, ...] = invariant.SIGNALS
+
+    def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
+        """Samples (W, 12 N) of the signals of windows (W, N_SIGNALS, N)."""
+        return windows[:, N_MAGNITUDES:].reshape(len(windows), -1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -216,7 +218,7 @@ def _windows_of(plan: CarryingPlan, recording: Recording, dataset: str, person: 
 
 def _signals(plan: CarryingPlan, recording: Recording) -> list[_Signals]:
     """What of a recording the plan is made of, by carrying mode."""
-    stage = SignalWindows("invariant")
+    stage = FeatureWindows(features=RawSignals())
     recording = recording if plan.has_gyroscope else replace(recording, gyroscope=None)
     rows: dict[str, list[tuple[FloatArray, str, str, bool]]] = {}
     for window in feature_windows(stage, [merge_streams(recording)]):

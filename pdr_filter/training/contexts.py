@@ -21,7 +21,7 @@ from pdr_filter.io.formats import read
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features import invariant
-from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureSet, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors
 from pdr_filter.training.protocol import (
@@ -42,6 +42,8 @@ from pdr_filter.training.protocol import (
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CONTEXTS
 
+FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
+
 # The model of the default recipe: transitions and tempering are estimated for it.
 DEFAULT_MODEL = "context"
 # A site of fewer people is not used for calibration.
@@ -60,7 +62,7 @@ class ContextPlan(Plan):
 
     def features(self, windows: LabelledWindows) -> FloatArray:
         """The model's features of windows with all features of the set, (W, F)."""
-        names = FEATURE_SETS[self.feature_set]
+        names = FEATURE_SETS[self.feature_set].names
         return windows.features[:, [names.index(name) for name in self.feature_names]]
 
     def of(self, windows: LabelledWindows) -> LabelledWindows:
@@ -186,7 +188,7 @@ def labelled_windows(
     paths: Sequence[Path], progress: Progress = silent, feature_set: str = "martinelli", with_gyroscope: bool = True
 ) -> LabelledWindows:
     """Windows of recordings that lie wholly inside a label with a known context, with or without their gyroscopes."""
-    stage = FeatureWindows(feature_set)
+    stage = FeatureWindows(features=FEATURE_SETS[feature_set])
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
         recording = read(path)

@@ -4,12 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
-from typing import TYPE_CHECKING
 
 import numpy as np
 
-if TYPE_CHECKING:
-    pass
 from pdr_filter.values.arrays import Table, table
 
 
@@ -58,3 +55,9 @@ class Step:
 def step_table(steps: Sequence[Step]) -> Table:
     """Return one row for each step, one float column for each field of `Step`."""
     return table({f.name: np.array([getattr(s, f.name) for s in steps], dtype=float) for f in fields(Step)})
+
+
+def steps_of(rows: Table) -> tuple[Step, ...]:
+    """Return the steps of a table, the inverse of `step_table`; further columns of the table are left out."""
+    columns = {f.name: rows[f.name].astype(bool if f.type == "bool" else float).tolist() for f in fields(Step)}
+    return tuple(Step(*values) for values in zip(*columns.values(), strict=True))

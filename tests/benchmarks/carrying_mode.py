@@ -21,8 +21,9 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.sensing.features import invariant
+from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.training.carrying import FEATURE_NAMES, MODES, PLANS, SignalWindows, features_of
+from pdr_filter.training.carrying import FEATURE_NAMES, MODES, PLANS, RawSignals, features_of
 from tests.benchmarks.common import ROOT, Tables, options, recordings
 
 
@@ -45,7 +46,7 @@ def left_out(card: dict[str, Any]) -> list[list[str]]:
 def features_while_walking(recording: pdr.Recording) -> np.ndarray:
     """Features (W, F) of the windows inside the walk interval."""
     walk = recording.truth.segments[0]
-    stage = SignalWindows("invariant")
+    stage = FeatureWindows(features=RawSignals())
     windows = [
         window.features.reshape(len(invariant.SIGNALS), -1)
         for window in feature_windows(stage, [pdr.merge_streams(recording)])

@@ -23,8 +23,7 @@ from matplotlib.figure import Figure
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.probability_calibration import reliability
 from pdr_filter.papers.martinelli2018 import features as martinelli
-from pdr_filter.sensing.features.windows import FEATURE_SETS
-from pdr_filter.training.contexts import PLANS, ContextPlan, labelled_windows
+from pdr_filter.training.contexts import FEATURE_SETS, PLANS, ContextPlan, labelled_windows
 from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
 from pdr_filter.training.protocol import LabelledWindows, recordings_of, score
 from pdr_filter.values.arrays import BoolArray, FloatArray

@@ -25,13 +25,13 @@ from sklearn.metrics import log_loss, roc_auc_score
 
 import pdr_filter as pdr
 from pdr_filter.sensing.contexts.irregular import irregular_prob
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]
 
-WINDOWS = FeatureWindows("invariant")
+WINDOWS = FeatureWindows(features=ATTITUDE_FREE)
 OTHER_SETS = ("humolire", "motionsense", "ms_indoor", "oxford", "tyrex")
 SLOW_MPS = 0.5
 

@@ -25,7 +25,7 @@ from pdr_filter import evaluate
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.sensing.steps.detector import unknown_modes
+from pdr_filter.sensing.steps.detector import unknown_contexts
 from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence
 from pdr_filter.values.step import Step
 from tests.benchmarks.common import Tables, options, recordings
@@ -95,7 +95,7 @@ def find(recording: pdr.Recording) -> Found:
     for blocks, steps in found.segments:
         state = DETECTOR.init()
         for block in blocks:
-            state, known = DETECTOR.step(state, block, flat(block), unknown_modes(len(block.time_s)))
+            state, known = DETECTOR.step(state, block, flat(block), unknown_contexts(len(block.time_s)))
             steps.append(known)
         steps.append(DETECTOR.finish(state))
     recorder = Recorder()

@@ -18,8 +18,8 @@ on a straight stretch (tyrex: the sway of body and phone is the same at both end
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
@@ -32,7 +32,7 @@ import pdr_filter as pdr
 from pdr_filter.filter import step_length as models
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import Step, steps_of
 from tests.benchmarks.common import Tables, options, paths
 
 FloatArray = NDArray[np.float64]
@@ -140,10 +140,9 @@ def walks_of(legs: list[Leg]) -> dict[str, list[Leg]]:
 # --- reading --------------------------------------------------------------------------------------------------------
 
 
-def steps_of(recording: pdr.Recording) -> list[Step]:
+def steps_in(recording: pdr.Recording) -> Sequence[Step]:
     """Steps of the default detector."""
-    table = pdr.detect_steps(recording)
-    return [Step(**{f.name: float(row[f.name]) for f in fields(Step)}) for row in table]
+    return steps_of(pdr.detect_steps(recording))
 
 
 def height_of(recording: pdr.Recording) -> float:
@@ -151,7 +150,7 @@ def height_of(recording: pdr.Recording) -> float:
     return recording.subject.height_m or UNKNOWN_HEIGHT_M
 
 
-def legs_between_landmarks(path: Path, detected: Callable[[pdr.Recording], list[Step]] = steps_of) -> list[Leg]:
+def legs_between_landmarks(path: Path, detected: Callable[[pdr.Recording], Sequence[Step]] = steps_in) -> list[Leg]:
     """Legs of a walk of humolire or ms_indoor with at least four steps."""
     recording = pdr.read(path)
     site = str(recording.meta["dataset"])
@@ -189,7 +188,7 @@ def strides_in_motion_capture(path: Path) -> list[Leg]:
     smooth = sosfiltfilt(butter(2, 0.8, fs=50, output="sos"), position, axis=0)
     along = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
     lost = truth.time_s[:-1][np.diff(truth.time_s) > 0.2]
-    steps = steps_of(recording)
+    steps = steps_in(recording)
     legs: list[Leg] = []
     for first, second in pairwise(steps):
         start_s, end_s = first.time_s - first.duration_s, second.time_s
@@ -222,7 +221,7 @@ def route_of(path: Path) -> Route:
     """A walk of ubicomp13."""
     recording = pdr.read(path)
     walk = recording.truth.segments[0]
-    inside = [s for s in steps_of(recording) if walk["start_s"] + 0.3 < s.time_s < walk["end_s"] + 0.3]
+    inside = [s for s in steps_in(recording) if walk["start_s"] + 0.3 < s.time_s < walk["end_s"] + 0.3]
     _, person, _, place = path.stem.split("_", 3)
     return Route(person, place, height_of(recording), float(walk["n_steps"]), tuple(inside))
 

@@ -13,7 +13,7 @@ import numpy as np
 
 import pdr_filter as pdr
 from pdr_filter.recipes import default
-from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values.samples import Samples
 from tests.benchmarks.common import Tables, options
 
@@ -39,7 +39,7 @@ def long_walk(hours: float) -> pdr.Recording:
 
 def features_s(recording: pdr.Recording) -> tuple[float, int]:
     """Time of all features of a recording, the signals given, and the number of windows."""
-    sensing, stage = default().sensing, FeatureWindows("invariant")
+    sensing, stage = default().sensing, FeatureWindows(features=ATTITUDE_FREE)
     _, uniform = sensing.conditioner.step(sensing.conditioner.init(), pdr.merge_streams(recording))
     state, parts = sensing.attitude.init(), []
     for part in uniform:
@@ -67,7 +67,7 @@ def main() -> None:
         times = recording.duration_s / best
         rows.append([f"an hour, `{weighting}`, {track.n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
     best, n_windows = min(features_s(recording) for _ in range(3))
-    rows.append([f"{len(FEATURE_SETS['invariant'])} features of its {n_windows} windows", f"{best:.2f} s"])
+    rows.append([f"{len(ATTITUDE_FREE.names)} features of its {n_windows} windows", f"{best:.2f} s"])
     block = pdr.merge_streams(recording)
     online = pdr.OnlineFilter()
     cost: list[float] = []

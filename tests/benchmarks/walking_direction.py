@@ -38,7 +38,7 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.heading.walking_direction import WalkingDirection
-from pdr_filter.sensing.steps.detector import ModeBlock, unknown_modes
+from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
 from pdr_filter.values.angles import circular_mean, wrap_angle
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.step import Step
@@ -81,14 +81,14 @@ class Walk:
         _, blocks = conditioner.step(conditioner.init(), merge_streams(recording))
         block = max(blocks, key=lambda b: len(b.time_s))
         _, attitude = estimator.step(estimator.init(), block)
-        state, steps = detector.step(detector.init(), block, attitude, unknown_modes(len(block.time_s)))
+        state, steps = detector.step(detector.init(), block, attitude, unknown_contexts(len(block.time_s)))
         return cls(recording, block, attitude, steps + detector.finish(state))
 
     def annotated(self, stage: WalkingDirection, carrying_mode: str) -> list[Step]:
         """Steps with their directions; the carrying mode is known at once, or never if it is empty."""
         n = len(self.block.time_s)
         mode = CARRYING_MODES.index(carrying_mode) if carrying_mode else -1
-        modes = ModeBlock(np.full(n, -1), np.full(n, mode))
+        modes = ContextBlock(np.full(n, -1), np.full(n, mode))
         _, steps = stage.step(stage.init(), self.block, self.attitude, modes, self.steps)
         return [step for _, step in steps]
 
@@ -285,7 +285,7 @@ def agreement(tables: Tables, data: Path, stage: WalkingDirection) -> None:
             if (kind := path.stem.split("_")[2]) in away:
                 walk = Walk.of(pdr.read(path))
                 n = len(walk.block.time_s)
-                modes = ModeBlock(np.full(n, -1), np.full(n, CARRYING_MODES.index("pocket")))
+                modes = ContextBlock(np.full(n, -1), np.full(n, CARRYING_MODES.index("pocket")))
                 state, _ = stage.step(stage.init(), walk.block, walk.attitude, modes, walk.steps)
                 if state.place is not None and state.up is not None:
                     forward, right = state.place.vectors[1]

@@ -99,7 +99,7 @@ def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> No
     contexts = config.sensing.contexts
     assert isinstance(contexts, LearnedContexts)
     assert contexts.models.with_gyroscope.name == "context_martinelli_forest"
-    assert contexts.windows.feature_set == "martinelli"
+    assert contexts.windows.features.name == "martinelli"
     assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
     assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()
 

@@ -13,7 +13,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.stage import WindowContext, known_context
 from pdr_filter.sensing.front_end import Gap, Sensing
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.samples import Samples
@@ -55,7 +55,7 @@ class Announcements:
 class Listener(WaveletStepDetector):
     """A step detector that keeps what it hears of modes."""
 
-    heard: list[ModeBlock]
+    heard: list[ContextBlock]
 
     def step(self, state, block, attitude, modes):  # type: ignore[no-untyped-def]
         self.heard.append(modes)
@@ -147,7 +147,28 @@ def test_events_come_in_the_order_in_which_they_became_known_and_steps_before_th
 
 def test_stages_of_different_rates_are_refused() -> None:
     with pytest.raises(ValueError, match="one rate_hz"):
-        Sensing(attitude=AttitudeEstimator(rate_hz=50.0))
+        Sensing(steps=WaveletStepDetector(), attitude=AttitudeEstimator(rate_hz=50.0))
+
+
+@pytest.mark.parametrize(
+    ("name", "window_s", "hop_s"),
+    [
+        ("default", 2.0, 1.0),
+        ("martinelli2018", 2.0, 1.0),
+        ("guo2018", 0.6, 0.6),
+        ("susi2013", 2.56, 1.28),
+        ("zhou2019", 2.0, 1.0),
+    ],
+)
+def test_a_window_knows_where_its_samples_begin_and_how_long_after_the_last_window_it_ends(
+    name: str, window_s: float, hop_s: float
+) -> None:
+    walk = pdr.merge_streams(simulate([Leg("walking", distance_m=20.0)]))
+    windows = [e for _, e in sensed(recipes.RECIPES[name](None).sensing, [walk]) if isinstance(e, WindowContext)]
+    assert len(windows) > 5
+    np.testing.assert_allclose([w.time_s - w.start_s for w in windows], window_s, atol=1e-9)
+    np.testing.assert_allclose(np.diff([w.time_s for w in windows]), hop_s, atol=1e-9)
+    assert {w.hop_s for w in windows} == {hop_s}
 
 
 def test_a_recipe_for_the_foot_does_not_say_that_it_fits_no_foot() -> None:

@@ -10,9 +10,7 @@ import numpy as np
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.step import Step
 
 # Height of somebody of whom it is not known: between the means of women and men, as in the recipes.
 HEIGHT_M = 1.70
@@ -63,9 +61,3 @@ def even_way(recording: Recording, every_s: float) -> tuple[FloatArray, FloatArr
 def with_subject(recording: Recording, **known: object) -> Recording:
     """The recording of a person of whom this is known too, such as `id`."""
     return replace(recording, meta={**recording.meta, "subject": {**recording.meta["subject"], **known}})
-
-
-def steps_of(track: Track) -> tuple[Step, ...]:
-    """The steps of a track, as models of step length take them."""
-    names = track.steps.dtype.names or ()
-    return tuple(Step(**dict(zip(names, row, strict=True))) for row in track.steps.tolist())

@@ -23,10 +23,10 @@ from threadpoolctl import threadpool_limits
 from pdr_filter.evaluate.classification import accuracy, macro_recall, recall
 from pdr_filter.evaluate.comparison import second_over_first
 from pdr_filter.evaluate.distance import distance_scores, percent_error
-from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, WITHOUT_MAGNETOMETER
+from pdr_filter.papers.martinelli2018.features import NAMES, SELECTED_18, TABLE_II, WITHOUT_MAGNETOMETER
 from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.training.protocol import DUPLICATES
 from pdr_filter.values.arrays import IntArray
 from pdr_filter.values.contexts import CONTEXTS
@@ -270,8 +270,8 @@ def _notes(real: Sequence[Walk], simulated: Sequence[Walk]) -> list[str]:
 
 def _real(data: Path, size: Size) -> tuple[list[StudyTable], list[StudyFigure], list[Walk]]:
     """Tables and figures of real recordings, and the walks put together of them."""
-    stages = {f"{s:g}": FeatureWindows("martinelli", window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
-    stages["invariant"] = FeatureWindows("invariant")
+    stages = {f"{s:g}": FeatureWindows(features=TABLE_II, window_s=s, hop_s=s / 2) for s in (*size.window_s, 2.0)}
+    stages["invariant"] = FeatureWindows(features=ATTITUDE_FREE)
     walks = (r for r in recordings(data, "motionsense") if r.name not in DUPLICATES)
     examples = examples_of(walks, stages, size.n_windows)
     if not examples or len(np.unique(examples["2"].person)) < 3:
@@ -356,7 +356,7 @@ def _simulated(size: Size) -> tuple[list[StudyTable], list[Walk]]:
     """Tables III to VI of simulated people with six contexts and a magnetometer, and their walks."""
     people = {f"{i + 1:02d}": i for i in range(size.n_simulated)}
     short = (simulated_person(short_segments(), i, name) for name, i in people.items())
-    examples = examples_of(short, {"2": FeatureWindows("martinelli")}, size.n_windows)["2"]
+    examples = examples_of(short, {"2": FeatureWindows(features=TABLE_II)}, size.n_windows)["2"]
     models = of_subgroups(examples, partial(relevance_machine, names=NAMES))
     walks: list[Walk] = []
     for part, model in models:

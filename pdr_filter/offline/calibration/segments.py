@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
 from pdr_filter.values.arrays import FloatArray, IntArray
 from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import Step, steps_of
 from pdr_filter.values.track_rows import TrackRows
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
@@ -234,8 +234,7 @@ def segments_of(
     if recording.gyroscope is None and stretches and measure == "displacement":
         measure = "length"
         notes.append("no gyroscope, so no headings: summed step lengths instead of displacement")
-    names = track.steps.dtype.names or ()
-    steps = tuple(Step(**dict(zip(names, row, strict=True))) for row in cast(Any, track.steps).tolist())
+    steps = steps_of(track.steps)
     prob = step_contexts(track)
     subject = recording.subject
     segments: list[Segment] = []

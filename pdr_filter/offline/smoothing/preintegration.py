@@ -32,7 +32,7 @@ from pdr_filter.filter.motion import (
 )
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.values.arrays import FloatArray, IntArray, Table, read_only
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])
@@ -99,8 +99,7 @@ def increments(
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
-    names = steps.dtype.names or ()
-    found = [lengths.predict(Step(**dict(zip(names, row, strict=True)))) for row in steps.tolist()]
+    found = [lengths.predict(step) for step in steps_of(steps)]
     moves = np.array([m.moves for m in modes])
     length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
     variance = np.array([f[1] for f in found]).reshape(n, len(modes))

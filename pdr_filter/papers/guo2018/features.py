@@ -7,7 +7,8 @@ Deviations, where the text is silent or cannot be meant:
 - It does not say how the angles are computed: here from the direction of up in the sensor frame, in radians.
 - Roll jumps by a full turn when the phone passes face down, and a mean over such a jump points nowhere. Within a
   window roll is therefore made continuous, and the whole window moved by full turns until its mean is in [-pi, pi).
-- A phone without light or proximity sensor has the first 12 features only (`WITHOUT_LIGHT_AND_PROXIMITY`).
+- No recording here has light or proximity among its uniform samples, so windows have the first 12 features only
+  (`WITHOUT_LIGHT_AND_PROXIMITY`); `pose_features` knows all 18.
 - Windows of the pose follow each other without overlap: it is detected every 0.6 s (section 2).
 - The level of motion is computed at every sample, as the step detector's pseudocode has it (Table 2). It adds m2/s4 and
   rad2/s2 with a factor of 9.8 between them, and without a gyroscope it is the first half alone.
@@ -18,11 +19,13 @@ Roll is undefined where the y-axis is vertical, and noisy near it, as in a trous
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import check_window, take_windows
+from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.values.arrays import BoolArray, FloatArray
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
@@ -85,95 +88,6 @@ def _continuous(angle_rad: FloatArray) -> FloatArray:
     return continuous - 2 * np.pi * turns
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseWindow:
-    """Features of one window."""
-
-    time_s: float  # end of the window
-    features: FloatArray  # (18,), or (12,) where light or proximity is missing anywhere in the window
-
-    @property
-    def has_light_and_proximity(self) -> bool:
-        """False if only pitch and roll are described."""
-        return len(self.features) == len(NAMES)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class PoseWindowState:
-    """Samples that later windows still need."""
-
-    first: int  # index of the first sample in the buffer
-    buffer: FloatArray  # (5, B): time, pitch, roll, light, proximity
-
-
-@dataclass(frozen=True)
-class PoseWindows:
-    """Windows of pitch, roll, light and proximity, and their features; causal.
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate of the samples.
-    window_s, hop_s : float
-        Length and advance; the hop is at most the window.
-    """
-
-    rate_hz: float = 100.0
-    window_s: float = 0.6
-    hop_s: float = 0.6
-
-    def __post_init__(self) -> None:
-        check_window(self.window_samples, self.hop_samples)
-
-    @property
-    def window_samples(self) -> int:
-        """Length in samples."""
-        return round(self.window_s * self.rate_hz)
-
-    @property
-    def hop_samples(self) -> int:
-        """Advance in samples."""
-        return round(self.hop_s * self.rate_hz)
-
-    def init(self) -> PoseWindowState:
-        """State at the start of a segment."""
-        return PoseWindowState(0, np.empty((5, 0)))
-
-    def step(
-        self,
-        state: PoseWindowState,
-        time_s: FloatArray,
-        up_sensor: FloatArray,
-        light_lux: FloatArray | None = None,
-        proximity_cm: FloatArray | None = None,
-    ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
-        """New state and the windows that became complete, each with the index of its last sample.
-
-        Parameters
-        ----------
-        state : PoseWindowState
-            What the step before returned.
-        time_s : (N,)
-            Middle of each sample's interval.
-        up_sensor : (N, 3)
-            Unit vector up in the sensor frame (`AttitudeBlock.up_sensor`).
-        light_lux, proximity_cm : (N,), optional
-            NaN, or not given, where unknown.
-        """
-        unknown = np.full(len(time_s), np.nan)
-        light = unknown if light_lux is None else light_lux
-        proximity = unknown if proximity_cm is None else proximity_cm
-        new = np.stack([time_s, *pitch_and_roll(up_sensor), light, proximity])
-        buffer = np.concatenate([state.buffer, new], axis=1)
-        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
-        windows = [(last, self._describe(samples)) for last, samples in cut]
-        return PoseWindowState(first, buffer), windows
-
-    def _describe(self, samples: FloatArray) -> PoseWindow:
-        n_rows = 5 if np.isfinite(samples[3:]).all() else 3
-        return PoseWindow(float(samples[0, -1]) + 0.5 / self.rate_hz, pose_features(samples[1:n_rows]))
-
-
 # alpha of eq. 1
 RATE_SCALE = 9.8
 
@@ -230,3 +144,64 @@ class MotionLevel:
         # The difference of two numbers near g squared: nothing but rounding is negative.
         level = np.maximum(force - (x * x + y * y + z * z), 0.0) + np.where(has_rate, RATE_SCALE * rate, 0.0)
         return MotionLevelState(state.n_samples + len(known), line[:, len(known) :]), level, has_rate
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindow(DescribedWindow):
+    """Features of one window."""
+
+    features: FloatArray  # (12,)
+    level: float  # of motion, over this window
+    has_gyroscope: bool
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PoseWindowState:
+    """Samples that later windows still need."""
+
+    level: MotionLevelState
+    buffer: WindowBuffer  # of pitch, roll, level of motion, whether it has an angular rate
+
+
+@dataclass(frozen=True)
+class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
+    """Windows of pitch and roll, their features and the level of motion; causal.
+
+    Parameters
+    ----------
+    rate_hz, window_s, hop_s : float
+        Of every `SlidingWindows`.
+    """
+
+    window_s: float = 0.6
+    hop_s: float = 0.6
+
+    @cached_property
+    def _level(self) -> MotionLevel:
+        return MotionLevel(self.rate_hz, self.window_s)
+
+    def init(self) -> PoseWindowState:
+        """State at the start of a segment."""
+        return PoseWindowState(self._level.init(), no_samples(4))
+
+    def step(
+        self, state: PoseWindowState, block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[PoseWindowState, list[tuple[int, PoseWindow]]]:
+        """New state and the windows that became complete, each with the index of its last sample."""
+        level_state, level, has_rate = self._level.step(state.level, block)
+        signals = np.vstack([*pitch_and_roll(attitude.up_sensor), level, has_rate.astype(float)])
+        buffer, windows = self.cut(state.buffer, block.time_s, signals)
+        found = [
+            (
+                w.last,
+                PoseWindow(
+                    start_s=w.start_s,
+                    time_s=w.end_s,
+                    features=pose_features(w.samples[:2]),
+                    level=float(w.samples[2, -1]),
+                    has_gyroscope=bool(w.samples[3, -1]),
+                ),
+            )
+            for w in windows
+        ]
+        return PoseWindowState(level_state, buffer), found

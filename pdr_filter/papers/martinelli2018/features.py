@@ -1,16 +1,22 @@
 """The 28 motion features of Martinelli et al. 2018, Table II, of one window of magnitudes.
 
+F6, F10 and F14 of the low-passed |a| are about the mean of |a| itself, as printed.
+
 Deviations, each an error or a silence of the printed table: F2 is the range of the low-passed accelerometer (printed
-m); F9 to F16 are the standardised third and fourth moments (as printed they are not); F18 is the energy of the
-low-passed |a|; the spectra and the zero-crossing rates are of the magnitude less its mean, because a magnitude never
-crosses zero and its largest Fourier coefficient is always the mean; the frequencies F24 to F26 are in hertz (index
-divided by the window's length). The low-pass is Butterworth, second order, 5 Hz (`FeatureWindows.low_pass_hz`).
+m); F9 to F16 are the standardised third and fourth moments (as printed they are not), those of the low-passed |a| by
+F6; F18 is the energy of the low-passed |a|; the spectra and the zero-crossing rates are of the magnitude less its mean,
+because a magnitude never crosses zero and its largest Fourier coefficient is always the mean; the frequencies F24 to
+F26 are in hertz (index divided by the window's length). The low-pass is Butterworth, second order, 5 Hz
+(`FeatureWindows.low_pass_hz`).
 """
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
+from pdr_filter.sensing.features.windows import N_MAGNITUDES
 from pdr_filter.values.arrays import FloatArray
 
 _OF = ("acc", "acc_f", "gyro", "magn")
@@ -50,11 +56,12 @@ def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
     n = magnitudes.shape[1]
     mean = magnitudes.mean(axis=1)
     centred = magnitudes - mean[:, None]
-    squared = centred * centred
+    deviation = magnitudes - mean[[0, 0, 2, 3], None]  # of the low-passed |a| from the mean of |a|
+    squared = deviation * deviation
     variance = squared.mean(axis=1)
     std = np.sqrt(variance)
     safe_std = np.where(std > _MIN_STD, std, np.inf)
-    skewness = (squared * centred).mean(axis=1) / safe_std**3
+    skewness = (squared * deviation).mean(axis=1) / safe_std**3
     kurtosis = (squared * squared).mean(axis=1) / safe_std**4
     energy = (magnitudes * magnitudes).sum(axis=1)
     spectrum = np.abs(np.fft.rfft(centred[:3], axis=1))
@@ -73,3 +80,18 @@ def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
             crossings,
         ]
     )
+
+
+@dataclass(frozen=True)
+class MagnitudeFeatures:
+    """The 28 features as a `FeatureSet`."""
+
+    name: str = "martinelli"
+    names: tuple[str, ...] = NAMES
+
+    def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
+        """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""
+        return np.array([features_28(window, rate_hz) for window in windows[:, :N_MAGNITUDES]])
+
+
+TABLE_II = MagnitudeFeatures()

@@ -27,8 +27,8 @@ Where the numbers come from, and with which weights of the training sets:
   people 1 to 6 (50 %), Tyrex (30 %), humolire (20 %).
 - Probabilities are the purities of the leaves on the training windows, every class with the same mass.
 
-Without angular rate (the paper always has it) nothing tells a swinging arm: one test of three values tells walking from
-irregular motion, and the four ways to hold a device stay equally probable.
+Without angular rate (the paper always has it) nothing shows a swinging arm: one test of three values separates walking
+from irregular motion, and the four ways to hold a device stay equally probable.
 
 Deviations: the paper's thresholds are not printed, and its tree has no probabilities; the dominance of the peaks and
 the energy of |omega| itself are numbers for what section 6.2 says in words (see `pdr_filter.papers.susi2013.features`).
@@ -42,9 +42,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.papers.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.stage import WindowContext, known_context
+from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
 from pdr_filter.values.arrays import FloatArray
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
@@ -95,26 +93,14 @@ class Node:
 
 @dataclass(frozen=True)
 class MotionModeTree:
-    """Thresholds and leaves of the decision tree; one with, one without angular rate.
+    """Thresholds and leaves of the decision tree; one with, one without angular rate."""
 
-    Parameters
-    ----------
-    name : str
-        What windows say of who classified them.
-    static_variance_acc, static_variance_gyro : float
-        Variances, (m/s2)^2 and (rad/s)^2, below both of which a device is static.
-    walking, swinging : Node
-        Walking, not irregular; and of walking, with a swinging arm.
-    leaves : 4 x 4 floats
-        Probability of each of `MODES` (columns) in the leaf of each (rows).
-    """
-
-    name: str
-    static_variance_acc: float
-    static_variance_gyro: float
-    walking: Node
-    swinging: Node
-    leaves: tuple[tuple[float, ...], ...]
+    name: str  # on the windows that it classified
+    static_variance_acc: float  # below this in (m/s2)^2, and
+    static_variance_gyro: float  # below this in (rad/s)^2, a device is static
+    walking: Node  # not irregular
+    swinging: Node  # walking with a swinging arm
+    leaves: tuple[tuple[float, ...], ...]  # probability of each of `MODES` (columns) in the leaf of each (rows)
 
     def classify(self, window: MotionWindow) -> str:
         """The motion mode, one of `MODES`."""
@@ -127,7 +113,7 @@ class MotionModeTree:
         return "swinging" if self.swinging.passes(features) else "arm_at_rest"
 
     def prob(self, mode: str) -> dict[str, float]:
-        """Probability of each of `MODES` where the tree says `mode`."""
+        """Probability of each of `MODES` in the leaf of `mode`."""
         return dict(zip(MODES, self.leaves[MODES.index(mode)], strict=True))
 
 
@@ -150,8 +136,8 @@ TREE_ACCELEROMETER = MotionModeTree(
 )
 
 
-@dataclass(frozen=True)
-class MotionModes:
+@dataclass(frozen=True, eq=False)
+class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     """Motion mode of every window as context, carrying mode and irregular motion; a `ContextStage`.
 
     Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
@@ -170,30 +156,11 @@ class MotionModes:
     with_gyroscope: MotionModeTree = TREE
     without_gyroscope: MotionModeTree = TREE_ACCELEROMETER
 
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        return self.windows.rate_hz
+    def first_memory(self) -> None:
+        """Every window stands alone."""
 
-    def init(self) -> MotionWindowState:
-        """State before the first sample."""
-        return self.windows.init()
-
-    def after_gap(self, state: MotionWindowState) -> MotionWindowState:
-        """State at the start of a new segment: nothing lasts, every window stands alone."""
-        del state
-        return self.windows.init()
-
-    def step(
-        self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[MotionWindowState, list[tuple[int, WindowContext]]]:
-        """New state and the windows that became known, each with the number of its last sample."""
-        del attitude  # norms do not depend on it
-        state, windows = self.windows.step(state, block)
-        return state, [(last, self.assess(window)) for last, window in windows]
-
-    def assess(self, window: MotionWindow) -> WindowContext:
-        """What is said of a window."""
+    def assess(self, memory: None, window: MotionWindow) -> tuple[None, WindowContext]:
+        """The result for a window."""
         tree = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         p = tree.prob(tree.classify(window))
         walking = p["arm_at_rest"] + p["swinging"]
@@ -201,4 +168,4 @@ class MotionModes:
         swinging = p["swinging"] / walking if walking > 0.5 else 0.25
         carrying = {"swinging": swinging, **dict.fromkeys(_AT_REST, (1 - swinging) / len(_AT_REST))}
         known = known_context(window.time_s, context, carrying, _CONTEXTS, tree.name)
-        return replace(known, irregular_prob=p["irregular"])
+        return memory, replace(known, irregular_prob=p["irregular"])

@@ -28,11 +28,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi
 from scipy.signal.windows import hann
 
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import check_window, take_windows
+from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.values.arrays import FloatArray
 
@@ -105,11 +106,16 @@ def _dominance(signal: FloatArray) -> float:
     return float(power[near].sum()) / total
 
 
+def filtered_norms(sos: FloatArray, components: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """|f| and |omega|, (2, N), of the filtered components (6, N) of both (eq. 2), and the new filter memory."""
+    low_passed, zi = filtered(sos, components, zi)
+    return np.stack([specific_force_magnitude(low_passed[:3].T), specific_force_magnitude(low_passed[3:].T)]), zi
+
+
 @dataclass(frozen=True, slots=True, eq=False)
-class MotionWindow:
+class MotionWindow(DescribedWindow):
     """Features of one window."""
 
-    time_s: float  # end of the window
     features: FloatArray  # (10,)
     has_gyroscope: bool
     dominance: FloatArray  # (2,) of |f| and |omega|, see `dominance`
@@ -121,79 +127,55 @@ class MotionWindowState:
     """Filter memory, and samples that later windows still need."""
 
     n_samples: int
-    zi: FloatArray | None  # (5, 2, 6); None before the first sample
+    zi: FloatArray | None  # (5, 6, 2); None before the first sample
     delay_line: FloatArray  # (2, L - 1) filtered norms, for the moving mean
-    first: int  # index of the first sample in the buffer
-    buffer: FloatArray  # (5, B): time, norms less their moving mean, |omega|, angular rate known
+    buffer: WindowBuffer  # of norms less their moving mean, |omega|, angular rate known
 
 
 @dataclass(frozen=True)
-class MotionWindows:
+class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
     """Filtered norms, windows of them and their features; causal.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks, more than twice the cutoff.
-    window_s, hop_s : float
-        Length and advance: 256 and 128 samples at 100 Hz. The hop is at most the window.
+    rate_hz, window_s, hop_s : float
+        Of every `SlidingWindows`: 256 and 128 samples at 100 Hz.
     low_pass_hz : float
         Cutoff of the 10th-order Butterworth low-pass. At 15 Hz its delay is about 0.07 s.
     """
 
-    rate_hz: float = 100.0
     window_s: float = 2.56
     hop_s: float = 1.28
     low_pass_hz: float = 15.0
 
     def __post_init__(self) -> None:
-        check_window(self.window_samples, self.hop_samples)
-        if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
-            raise ValueError(
-                f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz: "
-                "resample to a higher rate or lower the cutoff"
-            )
-
-    @property
-    def window_samples(self) -> int:
-        """Length in samples, also of the moving mean."""
-        return round(self.window_s * self.rate_hz)
-
-    @property
-    def hop_samples(self) -> int:
-        """Advance in samples."""
-        return round(self.hop_s * self.rate_hz)
+        super().__post_init__()
+        _ = self._sos  # a wrong cutoff shows at once
 
     @cached_property
     def _sos(self) -> FloatArray:
-        return np.asarray(butter(10, self.low_pass_hz, fs=self.rate_hz, output="sos"))
+        return butterworth(10, self.low_pass_hz, self.rate_hz)
 
     def init(self) -> MotionWindowState:
         """State at the start of a segment."""
-        return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), 0, np.empty((5, 0)))
+        return MotionWindowState(0, None, np.zeros((2, self.window_samples - 1)), no_samples(4))
 
     def step(
-        self, state: MotionWindowState, block: UniformBlock
+        self, state: MotionWindowState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[MotionWindowState, list[tuple[int, MotionWindow]]]:
-        """New state and the windows that became complete, each with the index of its last sample."""
-        zi, norms = self._filtered_norms(state.zi, block)
-        line = np.concatenate([state.delay_line, norms], axis=1)
-        deviation = norms - self._moving_mean(line, state.n_samples)
-        new = np.vstack([block.time_s, deviation, norms[1], block.angular_rate_known.astype(float)])
-        buffer = np.concatenate([state.buffer, new], axis=1)
-        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
-        windows = [(last, self._describe(samples)) for last, samples in cut]
-        n_samples = state.n_samples + norms.shape[1]
-        return MotionWindowState(n_samples, zi, line[:, norms.shape[1] :], first, buffer), windows
+        """New state and the windows that became complete, each with the index of its last sample.
 
-    def _filtered_norms(self, zi: FloatArray | None, block: UniformBlock) -> tuple[FloatArray, FloatArray]:
-        """New filter memory and the norms (2, N) of the filtered components (eq. 2)."""
-        components = np.column_stack([block.specific_force_mps2, block.angular_rate_radps])
-        if zi is None:
-            # What was before the first sample is taken to be like it: a zero there would look like a blow.
-            zi = np.asarray(sosfilt_zi(self._sos))[:, :, None] * components[0]
-        filtered, after = sosfilt(self._sos, components, axis=0, zi=zi)
-        return after, np.stack([specific_force_magnitude(filtered[:, :3]), specific_force_magnitude(filtered[:, 3:])])
+        The norms do not depend on the attitude.
+        """
+        components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
+        norms, zi = filtered_norms(self._sos, components, state.zi)
+        line = np.concatenate([state.delay_line, norms], axis=1)
+        centred = norms - self._moving_mean(line, state.n_samples)
+        signals = np.vstack([centred, norms[1], block.angular_rate_known.astype(float)])
+        buffer, windows = self.cut(state.buffer, block.time_s, signals)
+        n = norms.shape[1]
+        state = MotionWindowState(state.n_samples + n, zi, line[:, n:], buffer)
+        return state, [(window.last, self._describe(window)) for window in windows]
 
     def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
         """Mean over the last L samples, or those so far, of each sample after the delay line (eq. 3)."""
@@ -203,13 +185,13 @@ class MotionWindows:
         seen = np.minimum(n_before + 1 + np.arange(sums.shape[1]), length)
         return sums / seen
 
-    def _describe(self, samples: FloatArray) -> MotionWindow:
-        # contiguous, so that reductions take the same path for every window
-        deviation = np.ascontiguousarray(samples[1:3])
+    def _describe(self, window: SampleWindow) -> MotionWindow:
+        norms, omega, known = window.samples[:2], window.samples[2], window.samples[3]
         return MotionWindow(
-            time_s=float(samples[0, -1]) + 0.5 / self.rate_hz,
-            features=motion_features(deviation, self.rate_hz),
-            has_gyroscope=bool(samples[4].all()),
-            dominance=dominance(deviation),
-            rotation_energy=float((samples[3] * samples[3]).mean()),
+            start_s=window.start_s,
+            time_s=window.end_s,
+            features=motion_features(norms, self.rate_hz),
+            has_gyroscope=bool(known.all()),
+            dominance=dominance(norms),
+            rotation_energy=float((omega * omega).mean()),
         )

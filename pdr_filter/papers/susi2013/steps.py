@@ -31,16 +31,15 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import butter, sosfilt, sosfilt_zi, sosfreqz
 
+from pdr_filter.papers.susi2013.features import filtered_norms
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.detector import (
-    ModeBlock,
-    StepLog,
-    StepLogState,
-    specific_force_magnitude,
-    unknown_modes,
+    ContextBlock,
+    DetectorState,
+    StepDetector,
 )
 from pdr_filter.values.arrays import BoolArray, FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -66,28 +65,22 @@ class Trough:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class NormMinimaState:
-    """Filter memory, the last window of filtered norms, and the troughs they are in."""
+class NormMinimaState(DetectorState):
+    """The last window of signals (`NormMinimaStepDetector._signals`), filter memory, and the troughs of the norms."""
 
-    log: StepLogState
-    n_samples: int  # that went through the filter
-    zi: FloatArray | None  # (5, 2, 6); None before the first sample
+    zi: FloatArray | None  # (5, 6, 2); None before the first sample
     last: FloatArray  # (6,) last specific force and angular rate
-    line: FloatArray  # (4, W - 1): filtered norms, one where there is a sample, one where its angular rate is known
-    modes: tuple[int, int]  # last context and carrying mode
     troughs: tuple[Trough, Trough]  # of |f| and |omega|
 
 
 @dataclass(frozen=True)
-class NormMinimaStepDetector:
+class NormMinimaStepDetector(StepDetector[NormMinimaState]):
     """Causal step detector; it needs to know the motion mode, and without angular rate it looks at |f| alone.
 
     Where the mode is unknown it takes somebody to walk whose arm does not swing.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     low_pass_hz : float
         Cutoff of the 10th-order Butterworth low-pass. Steps faster than this (running) are lost.
     window_s : float
@@ -102,13 +95,10 @@ class NormMinimaStepDetector:
         Two contacts closer than this are one step; the low-pass leaves nothing faster.
     max_wait_s : float
         A trough ends so long after its lowest sample, if the signal does not rise before.
-    max_interval_s : float
-        After a longer pause a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    rate_hz, max_interval_s, first_step_s : float
+        Of every `StepDetector`.
     """
 
-    rate_hz: float = 100.0
     low_pass_hz: float = 3.0
     window_s: float = 2.56
     force_depth: float = 0.5
@@ -117,24 +107,20 @@ class NormMinimaStepDetector:
     min_rate_std_radps: float = 0.1
     min_interval_s: float = 0.3
     max_wait_s: float = 0.5
-    max_interval_s: float = 2.0
-    first_step_s: float = 0.6
 
     def __post_init__(self) -> None:
-        if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
-            raise ValueError(f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz")
+        _ = self._sos  # a wrong cutoff shows at once
 
     @cached_property
     def _sos(self) -> FloatArray:
-        return np.asarray(butter(10, self.low_pass_hz, fs=self.rate_hz, output="sos"))
+        return butterworth(10, self.low_pass_hz, self.rate_hz)
 
     @cached_property
     def _delays(self) -> tuple[FloatArray, FloatArray]:
         """Frequencies up to the cutoff, Hz, and the phase delay of the filter at them, s."""
         # 0.01 of the cutoff to the next keeps the phase below pi between neighbours
         frequency_hz = np.linspace(0.0, self.low_pass_hz, 101)[1:]
-        response = np.asarray(sosfreqz(self._sos, worN=frequency_hz, fs=self.rate_hz)[1])
-        return frequency_hz, -np.unwrap(np.angle(response)) / (2 * np.pi * frequency_hz)
+        return frequency_hz, phase_delay_s(self._sos, frequency_hz, self.rate_hz)
 
     def delay_s(self, frequency_hz: float) -> float:
         """Phase delay of the low-pass at a frequency, s; beyond the cutoff that of the cutoff."""
@@ -154,86 +140,51 @@ class NormMinimaStepDetector:
         slowest_s = 0.5 * _MAX_STEP_S + float(self._delays[1].max())
         return slowest_s + (self._half_samples + self._wait_samples + 2) / self.rate_hz
 
-    @cached_property
-    def _log(self) -> StepLog:
-        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
-
     def init(self) -> NormMinimaState:
         """State before the first sample of a segment."""
-        return NormMinimaState(
-            log=self._log.init(),
-            n_samples=0,
-            zi=None,
-            last=np.zeros(6),
-            line=np.zeros((4, 2 * self._half_samples - 1)),
-            modes=(-1, -1),
-            troughs=(Trough(), Trough()),
-        )
+        # where there is no sample all rows are zero
+        return NormMinimaState(self._log.init(), np.zeros((6, self._n_line)), None, np.zeros(6), (Trough(), Trough()))
 
-    def step(
-        self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
-    ) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
-        if len(block.time_s) == 0:
-            return state, []
-        components = np.column_stack([block.specific_force_mps2, block.angular_rate_radps])
-        state = replace(state, log=self._log.extend(state.log, block, attitude))
-        state, norms = self._filtered_norms(state, components)
-        rows = np.stack([*norms, np.ones(len(components)), block.angular_rate_known.astype(float)])
-        state, steps = self._detect(state, rows, modes)
-        last_modes = int(modes.context[-1]), int(modes.carrying_mode[-1])
-        return replace(state, log=self._log.trim(state.log), last=components[-1].copy(), modes=last_modes), steps
+    @property
+    def _n_line(self) -> int:
+        return 2 * self._half_samples - 1
 
-    def finish(self, state: NormMinimaState) -> list[tuple[int, Step]]:
-        """Steps that would have needed more samples, when a gap or the end comes; the last sample is taken to stay."""
-        if state.n_samples == 0:
-            return []
-        end = state.n_samples
-        last_s = self._log.time_s(state.log, end - 1)
+    def _signals(
+        self, state: NormMinimaState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[NormMinimaState, FloatArray]:
+        """|f| and |omega|, one where there is a sample, one where the rate is known, context, mode; (6, N)."""
+        components = np.vstack([block.specific_force_mps2.T, block.angular_rate_radps.T])
+        norms, zi = filtered_norms(self._sos, components, state.zi)
+        known = np.stack([block.angular_rate_known, contexts.context, contexts.carrying_mode]).astype(float)
+        signals = np.vstack([norms, np.ones(norms.shape[1]), known])
+        return replace(state, zi=zi, last=components[:, -1].copy()), signals
+
+    def _continued(self, state: NormMinimaState) -> FloatArray:
+        """The last sample stays until it is through the filter; then there is none, which ends every trough too."""
         n_stay = round(self.delay_s(self.low_pass_hz) * self.rate_hz)
-        state, norms = self._filtered_norms(state, np.tile(state.last, (n_stay, 1)))
-        stay = np.stack([*norms, np.ones(n_stay), np.full(n_stay, state.line[3, -1])])
-        # where there is no sample, then, all rows are zero; it ends every trough too
-        nothing = np.zeros((4, self._half_samples + self._wait_samples + 1))
-        rows = np.concatenate([stay, nothing], axis=1)
-        modes = unknown_modes(rows.shape[1])
-        modes = ModeBlock(modes.context * 0 + state.modes[0], modes.carrying_mode * 0 + state.modes[1])
-        _, steps = self._detect(state, rows, modes)
-        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
-
-    def _filtered_norms(
-        self, state: NormMinimaState, components: FloatArray
-    ) -> tuple[NormMinimaState, tuple[FloatArray, FloatArray]]:
-        """New state, and |f| and |omega| of the low-passed components (N, 6)."""
-        # What was before the first sample is taken to be like it: a zero there would look like a blow.
-        before = np.asarray(sosfilt_zi(self._sos))[:, :, None] * components[0] if state.zi is None else state.zi
-        filtered, zi = sosfilt(self._sos, components, axis=0, zi=before)
-        norms = specific_force_magnitude(filtered[:, :3]), specific_force_magnitude(filtered[:, 3:])
-        return replace(state, zi=zi), norms
+        norms, _ = filtered_norms(self._sos, np.tile(state.last[:, None], n_stay), state.zi)
+        n_nothing = self._half_samples + self._wait_samples + 1
+        rows = np.repeat(state.line[:, -1:], n_stay + n_nothing, axis=1)
+        rows[:2, :n_stay] = norms
+        rows[:4, n_stay:] = 0.0
+        return rows
 
     def _detect(
-        self, state: NormMinimaState, rows: FloatArray, modes: ModeBlock
+        self, state: NormMinimaState, line: FloatArray, first: int
     ) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
-        """Detect in further samples (4, N) of the rows of `line`."""
-        line = np.concatenate([state.line, rows], axis=1)
-        n_new, half = rows.shape[1], self._half_samples
+        half, n_new = self._half_samples, line.shape[1] - self._n_line
         middle = line[:, half - 1 : half - 1 + n_new]  # samples whose windows are complete
-        walking = modes.context != _STATIONARY
-        swinging = (modes.carrying_mode == _SWINGING) & (middle[3] > 0)
-        first = state.n_samples - half
+        context, carrying_mode = line[4:, self._n_line :]
+        walking = context != _STATIONARY
+        swinging = (carrying_mode == _SWINGING) & (middle[3] > 0)
         minima: list[tuple[int, int, Trough]] = []
         troughs: list[Trough] = []
         for norm, chosen in ((_FORCE, walking & ~swinging), (_RATE, walking & swinging)):
             high, low = self._above_and_below(line[norm], line[2], middle, norm)
-            trough, ended = self._follow(state.troughs[norm], first, middle[norm], high, low, chosen)
+            trough, ended = self._follow(state.troughs[norm], first - half, middle[norm], high, low, chosen)
             troughs.append(trough)
             minima += [(known + half, norm, each) for known, each in ended]
-        state = replace(
-            state,
-            n_samples=state.n_samples + n_new,
-            line=line[:, n_new:].copy(),
-            troughs=(troughs[_FORCE], troughs[_RATE]),
-        )
+        state = replace(state, troughs=(troughs[_FORCE], troughs[_RATE]))
         steps: list[tuple[int, Step]] = []
         for known, norm, trough in sorted(minima, key=lambda m: m[:2]):
             state, step = self._accept(state, known, norm, trough)
@@ -291,9 +242,7 @@ class NormMinimaStepDetector:
             early_s = self.delay_s(0.5 * frequency_hz)
         contact = trough.sample - early_s * self.rate_hz
         whole = int(np.floor(contact))
-        if whole <= max(self._log.first_sample(state.log), state.log.last_contact, 0):
-            return state, None
-        if whole >= state.log.n_samples:
+        if not self._log.can_end(state.log, whole):
             return state, None
         if self._log.time_s(state.log, contact) - state.log.last_contact_s < self.min_interval_s:
             return state, None

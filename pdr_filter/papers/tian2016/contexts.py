@@ -1,7 +1,7 @@
 """How the phone is carried, as a machine of four states: Tian et al. 2016, section III-B, Table I.
 
 HOLDING, SWING and POCKET are left when the phone is turned fast; two seconds of TRANS follow, in which the direction
-of gravity tells what comes next. As printed the machine never returns to the mode that it left: a phone that is
+of gravity shows what comes next. As printed the machine never returns to the mode that it left: a phone that is
 turned in the hand ends in the pocket, and stays there. Ours may return to HOLDING (`held_again_s`).
 
 HOLDING is our `texting`, SWING `swinging`, POCKET `pocket`, and in TRANS the carrying mode is unknown. A person walks
@@ -31,7 +31,7 @@ from pdr_filter.papers.tian2016.steps import (
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.stage import WindowContext, known_context
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
 
@@ -183,29 +183,29 @@ def _first(condition: BoolArray, start: int, stop: int) -> int:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class TianContextsState:
-    """The machine, its steps, and what was said last."""
+    """The machine, its steps, and the last report."""
 
     machine: MachineState
     detector: TianDetectorState
     n_samples: int  # of this segment
     last_contact: int  # number of the sample that revealed the last step; negative before the first
     walking: bool
-    said_mode: int  # -1 before the first
-    n_silent: int  # samples since something was said
+    reported_mode: int  # -1 before the first
+    n_silent: int  # samples since the last report
 
 
 @dataclass(frozen=True)
 class TianContexts:
     """Context stage: the machine's mode, and walking or stationary.
 
-    What it says is certain (one probability is 1), at every change and once a second.
+    It reports at every change and once a second, and is certain: one probability is 1.
 
     Parameters
     ----------
     machine : CarryingMachine
         Of the carrying mode.
     steps : TianStepDetector
-        Its steps tell walking from standing; the same detector as that of the recipe.
+        Whoever makes steps walks; the same detector as that of the recipe.
     stationary_s : float
         No step for so long, outside transitions, is standing: the step frequency is zero.
     """
@@ -235,34 +235,44 @@ class TianContexts:
     def step(
         self, state: TianContextsState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[TianContextsState, list[tuple[int, WindowContext]]]:
-        """New state and what is said, each with the number of its last sample."""
+        """New state and the reports, each with the number of its last sample."""
         n = len(block.time_s)
         machine, modes = self.machine.step(
             state.machine, block.angular_rate_radps, block.angular_rate_known, attitude.up_sensor
         )
         carrying = np.array([CARRYING_MODES.index(_CARRYING_MODE[m]) if m in _CARRYING_MODE else -1 for m in range(4)])
-        known = ModeBlock(np.full(n, -1), carrying[modes])
+        known = ContextBlock(np.full(n, -1), carrying[modes])
         detector, steps = self.steps.step(state.detector, block, attitude, known)
         walking, last_contact = self._walking(state, modes, [number - state.n_samples for number, _ in steps])
-        said: list[tuple[int, WindowContext]] = []
-        before = np.concatenate([[state.said_mode], modes[:-1]])
+        reports: list[tuple[int, WindowContext]] = []
+        before = np.concatenate([[state.reported_mode], modes[:-1]])
         changed = (modes != before) | (walking != np.concatenate([[state.walking], walking[:-1]]))
         n_silent = state.n_silent
         for i in range(n):
             n_silent += 1
             if changed[i] or n_silent >= self.rate_hz:
-                mode, n_silent = int(modes[i]), 0
-                said.append((state.n_samples + i, _say(float(block.time_s[i]), mode, bool(walking[i]))))
+                window = known_context(
+                    float(block.time_s[i]),
+                    {"walking" if walking[i] else "stationary": 1.0},
+                    {_CARRYING_MODE[mode]: 1.0} if (mode := int(modes[i])) in _CARRYING_MODE else {},
+                    ("stationary", "walking"),
+                    "tian2016",
+                )
+                # a change is of its own sample, all else of the samples since the last report
+                n_described = 1 if changed[i] else n_silent
+                start_s = window.time_s - (n_described - 0.5) / self.rate_hz
+                reports.append((state.n_samples + i, replace(window, start_s=start_s, hop_s=n_silent / self.rate_hz)))
+                n_silent = 0
         state = TianContextsState(
             machine=machine,
             detector=detector,
             n_samples=state.n_samples + n,
             last_contact=last_contact,
             walking=bool(walking[-1]),
-            said_mode=int(modes[-1]),
+            reported_mode=int(modes[-1]),
             n_silent=n_silent,
         )
-        return state, said
+        return state, reports
 
     def _walking(self, state: TianContextsState, modes: IntArray, revealed: list[int]) -> tuple[BoolArray, int]:
         """Whether each sample of a block is of a walk, and the number of the sample that revealed the last step."""
@@ -278,9 +288,3 @@ class TianContexts:
                 is_walking = False
             walking[i] = is_walking
         return walking, last
-
-
-def _say(time_s: float, mode: int, walking: bool) -> WindowContext:
-    carrying_mode = {_CARRYING_MODE[mode]: 1.0} if mode in _CARRYING_MODE else {}
-    context = {"walking" if walking else "stationary": 1.0}
-    return known_context(time_s, context, carrying_mode, ("stationary", "walking"), "tian2016")

@@ -13,20 +13,21 @@ In a pocket every step has the mean of itself and the step before, in place of o
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from pdr_filter.papers.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Carried, CarriedState
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.angles import circular_mean, wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.step import Step
 
-# Deviation of an angle of which nothing is known: uniform over the circle.
+# Standard deviation of an angle of which nothing is known: uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
+_NAN = float("nan")
 # Longer than the longest step, 2 s, and the longest time until one is reported, that of a transition.
 _MEMORY_S = 6.0
 
@@ -60,19 +61,20 @@ class OffsetCompensationState:
     """What the samples of the last seconds showed, and the offset or its training."""
 
     carried: CarriedState
-    n_samples: int  # of this segment
-    recent: FloatArray  # (3, n): time, state, and viewing direction less device heading, of the last samples
-    viewing_zero_rad: float  # viewing direction less device heading at the first held step; NaN before it
-    mode: int  # main mode of the last step
-    moving: bool  # whether the last step was in a transition
-    direction_rad: float  # of the last step; NaN if unknown
-    baseline_rad: float  # O_b: that of the last step before the transition
-    n_since: int  # steps since the transition
-    training_rad: FloatArray  # step orientations with the offset included
-    offset_rad: float  # trained; NaN before
-    last_heading_rad: float  # device heading of the step before, the other half of a pair in a pocket; NaN without
-    last_duration_s: float
-    last_time_s: float
+    n_samples: int = 0  # of this segment
+    # (3, n): time, state, and viewing direction less device heading, of the last samples
+    recent: FloatArray = field(default_factory=lambda: np.empty((3, 0)))
+    viewing_zero_rad: float = _NAN  # viewing direction less device heading at the first held step
+    mode: int = HOLDING  # main mode of the last step
+    moving: bool = False  # whether the last step was in a transition
+    direction_rad: float = _NAN  # of the last step; NaN if unknown
+    baseline_rad: float = _NAN  # O_b: that of the last step before the transition
+    n_since: int = 0  # steps since the transition
+    training_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # step orientations with the offset included
+    offset_rad: float = _NAN  # NaN before it is trained
+    last_heading_rad: float = _NAN  # device heading of the step before, the other half of a pair in a pocket
+    last_duration_s: float = _NAN
+    last_time_s: float = _NAN
 
 
 @dataclass(frozen=True)
@@ -80,8 +82,8 @@ class OffsetCompensation:
     """Heading stage: adaptive offset compensation.
 
     `walking_direction_rad` is that of the device while it is held; the direction before the transition while steps
-    are filled in or an offset is trained; that of the device less the offset from then on. It is unknown (its deviation
-    is infinite) without angular rate, and after a gap until the phone is held again.
+    are filled in or an offset is trained; that of the device less the offset from then on. It is unknown (its standard
+    deviation is infinite) without angular rate, and after a gap until the phone is held again.
 
     Parameters
     ----------
@@ -118,23 +120,7 @@ class OffsetCompensation:
 
     def init(self) -> OffsetCompensationState:
         """State before the first sample."""
-        nan = float("nan")
-        return OffsetCompensationState(
-            carried=self._carried.init(),
-            n_samples=0,
-            recent=np.empty((3, 0)),
-            viewing_zero_rad=nan,
-            mode=HOLDING,
-            moving=False,
-            direction_rad=nan,
-            baseline_rad=nan,
-            n_since=0,
-            training_rad=np.empty(0),
-            offset_rad=nan,
-            last_heading_rad=nan,
-            last_duration_s=nan,
-            last_time_s=nan,
-        )
+        return OffsetCompensationState(self._carried.init())
 
     def after_gap(self, state: OffsetCompensationState) -> OffsetCompensationState:
         """State after a time without samples: only the zero of the viewing direction lasts."""
@@ -145,11 +131,11 @@ class OffsetCompensation:
         state: OffsetCompensationState,
         block: UniformBlock,
         attitude: AttitudeBlock,
-        modes: ModeBlock,
+        contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
         """New state and the steps of a block with their walking directions."""
-        carried, states = self._carried.step(state.carried, modes.carrying_mode)
+        carried, states = self._carried.step(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
         state = replace(
@@ -158,11 +144,8 @@ class OffsetCompensation:
             n_samples=state.n_samples + len(states),
             recent=np.concatenate([state.recent, new], axis=1),
         )
-        out: list[tuple[int, Step]] = []
-        for number, step in steps:
-            state, annotated = self._annotate(state, number, step)
-            out.append((number, annotated))
-        return replace(state, recent=state.recent[:, -round(_MEMORY_S * self.rate_hz) :]), out
+        state, steps = self.finish(state, steps)
+        return replace(state, recent=state.recent[:, -round(_MEMORY_S * self.rate_hz) :]), steps
 
     def finish(
         self, state: OffsetCompensationState, steps: list[tuple[int, Step]]
@@ -182,7 +165,7 @@ class OffsetCompensation:
         mode = int(samples[1, -1]) if samples.shape[1] else state.mode
         if step.heading_unknown_s > 0.5 * step.duration_s:
             # a baseline or an offset is of no use to a heading that stood still meanwhile
-            return replace(self._forget(state), direction_rad=float("nan"), baseline_rad=float("nan")), step
+            return replace(self._forget(state), direction_rad=_NAN, baseline_rad=_NAN), step
         if mode == TRANS:
             # filled in: the yaw is of the hand that moves the phone
             return replace(state, moving=True), self._directed(step, state.direction_rad, moved=True)
@@ -210,13 +193,12 @@ class OffsetCompensation:
 
     def _forget(self, state: OffsetCompensationState) -> OffsetCompensationState:
         """Without offset, before any training."""
-        nan = float("nan")
-        return replace(state, n_since=0, training_rad=np.empty(0), offset_rad=nan, last_heading_rad=nan)
+        return replace(state, n_since=0, training_rad=np.empty(0), offset_rad=_NAN, last_heading_rad=_NAN)
 
     def _compensated(self, state: OffsetCompensationState, step: Step) -> tuple[OffsetCompensationState, float]:
         """New state and the direction of a step in a swinging hand or in a pocket (Table V)."""
         if np.isnan(state.baseline_rad):
-            return state, float("nan")
+            return state, _NAN
         heading_rad = step.device_heading_rad
         # the first step after a pause has no other half
         follows = step.time_s - step.duration_s <= state.last_time_s + 0.01

@@ -21,11 +21,17 @@ from functools import cached_property
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
-from scipy.signal import butter, sosfilt, sosfilt_zi
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock, StepLog, StepLogState
+from pdr_filter.sensing.filters import butterworth, filtered
+from pdr_filter.sensing.steps.detector import (
+    ContextBlock,
+    DetectorState,
+    StepDetector,
+    local_maxima,
+    vertex,
+)
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -110,26 +116,21 @@ class Carried:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class TianDetectorState:
-    """Filter memories, the samples that wait for their future, the last contact, and the transition that is on."""
+class TianDetectorState(DetectorState):
+    """The samples that wait for their future, filter memories, and the transition that is on."""
 
-    log: StepLogState
     carried: CarriedState
-    n_samples: int  # seen so far, and those that `finish` adds
-    low_pass_zi: FloatArray  # (n_sections, 3, 2)
-    delay_line: FloatArray  # (4, n): the three filtered signals and the state of each sample; empty at the start
+    low_pass_zi: FloatArray | None  # (n_sections, 3, 2); None before the first sample
     transition_start: int  # number of its first sample; -1 outside
     step_hz: float  # frequency of the last step; zero for the first from rest
 
 
 @dataclass(frozen=True)
-class TianStepDetector:
+class TianStepDetector(StepDetector[TianDetectorState]):
     """Causal mode-aware step detector; a step is reported 0.2 s after its contact or after the transition.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     holding_peak_g, swing_peak_g, pocket_peak_g : float
         Smallest peak that is a step. The paper prints one only, the 0.2 g of the walk in a pocket of Fig. 7, which
         loses a fifth of the steps of other people.
@@ -141,13 +142,10 @@ class TianStepDetector:
         A peak followed by one of the other sense within this time is false: criterion 2; 6 and 3 samples at 50 Hz.
     transition_s : float
         Longest transition.
-    max_interval_s : float
-        After a longer pause the step frequency is zero: a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    rate_hz, max_interval_s, first_step_s : float
+        Of every `StepDetector`; after `max_interval_s` the step frequency is zero.
     """
 
-    rate_hz: float = 100.0
     holding_peak_g: float = 0.05
     swing_peak_g: float = 0.15
     pocket_peak_g: float = 0.1
@@ -156,16 +154,10 @@ class TianStepDetector:
     held_rejection_s: float = 0.12
     pocket_rejection_s: float = 0.06
     transition_s: float = TRANSITION_S
-    max_interval_s: float = 2.0
-    first_step_s: float = 0.6
 
     @cached_property
     def _low_pass_sos(self) -> FloatArray:
-        return np.asarray(butter(2, self.low_pass_hz, fs=self.rate_hz, output="sos"))
-
-    @cached_property
-    def _steady_zi(self) -> FloatArray:
-        return np.asarray(sosfilt_zi(self._low_pass_sos))
+        return butterworth(2, self.low_pass_hz, self.rate_hz)
 
     @property
     def _filter_delay_s(self) -> float:
@@ -183,87 +175,62 @@ class TianStepDetector:
         return self.transition_s + self._n_ahead / self.rate_hz + self._filter_delay_s + 1.0 / self.rate_hz
 
     @cached_property
-    def _log(self) -> StepLog:
-        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
-
-    @cached_property
     def _carried(self) -> Carried:
         return Carried(self.rate_hz, self.transition_s)
 
     def init(self) -> TianDetectorState:
         """State before the first sample of a segment."""
-        return TianDetectorState(
-            log=self._log.init(),
-            carried=self._carried.init(),
-            n_samples=0,
-            low_pass_zi=np.zeros((len(self._low_pass_sos), 3, 2)),
-            delay_line=np.empty((4, 0)),
-            transition_start=-1,
-            step_hz=0.0,
-        )
+        return TianDetectorState(self._log.init(), np.empty((4, 0)), self._carried.init(), None, -1, 0.0)
 
-    def step(
-        self, state: TianDetectorState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
-    ) -> tuple[TianDetectorState, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
+    @property
+    def _n_line(self) -> int:
+        return self._n_ahead + 1
+
+    def _signals(
+        self, state: TianDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[TianDetectorState, FloatArray]:
+        """The three filtered signals and the state of each sample, (4, N)."""
         raw = step_signals(block.specific_force_mps2, attitude.up_sensor)
-        carried, states = self._carried.step(state.carried, modes.carrying_mode)
-        starts = state.delay_line.shape[1] == 0
-        # what was before the first sample is taken to be like it: no peak
-        zi = self._steady_zi[:, None, :] * raw[None, :, :1] if starts else state.low_pass_zi
-        signals, zi = sosfilt(self._low_pass_sos, raw, zi=zi)
-        state = replace(state, log=self._log.extend(state.log, block, attitude), carried=carried, low_pass_zi=zi)
-        if starts:
-            first = np.concatenate([raw[:, 0], states[:1]])
-            state = replace(state, delay_line=np.tile(first[:, None], self._n_ahead + 1))
-        state, steps = self._detect(state, np.vstack([signals, states.astype(float)]), state.log.n_samples)
-        return replace(state, log=self._log.trim(state.log)), steps
+        carried, states = self._carried.step(state.carried, contexts.carrying_mode)
+        signals, zi = filtered(self._low_pass_sos, raw, state.low_pass_zi)
+        return replace(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
-    def finish(self, state: TianDetectorState) -> list[tuple[int, Step]]:
-        """Steps in the last moments before a gap or the end, whose signals are taken to go on straight.
+    def _continued(self, state: TianDetectorState) -> FloatArray:
+        """The signals go on straight, in the same mode.
 
         A transition that has not ended is not filled in: nobody knows what comes after it.
         """
-        if state.log.n_samples == 0:
-            return []
-        end = state.log.n_samples
-        last_s = self._log.time_s(state.log, end - 1)
-        last, slope = state.delay_line[:, -1:], state.delay_line[:, -1:] - state.delay_line[:, -2:-1]
+        last, slope = state.line[:, -1:], state.line[:, -1:] - state.line[:, -2:-1]
         slope[3] = 0.0  # the mode stays
-        _, steps = self._detect(state, last + slope * np.arange(1, self._n_ahead + 1), end)
-        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+        return last + slope * np.arange(1, self._n_ahead + 1)
 
     def _detect(
-        self, state: TianDetectorState, new: FloatArray, n_known: int
+        self, state: TianDetectorState, line: FloatArray, first: int
     ) -> tuple[TianDetectorState, list[tuple[int, Step]]]:
-        """Decide on as many further samples as are new; `n_known` have specific force."""
-        line = np.concatenate([state.delay_line, new], axis=1)
-        n_new, n_ahead = new.shape[1], self._n_ahead
-        # Sample j of the line is number first + j; those decided on have one before them and n_ahead after.
-        first = state.n_samples - n_ahead - 1
+        # Those decided on have one sample before them and `_n_ahead` after.
+        n_new = line.shape[1] - self._n_line
         states = line[3, 1 : n_new + 1].astype(int)
         before = line[3, :n_new]
         peaks = self._peaks(line[:3], states)
         # before the first sample there are only repeats of it
         events = np.flatnonzero(peaks | ((states == TRANS) != (before == TRANS)))
         steps: list[tuple[int, Step]] = []
-        for i in events:
-            sample, known = first + 1 + int(i), state.n_samples + int(i)
+        for i in events.tolist():
+            sample, known = first - self._n_ahead + i, first + i
             if sample < 0:
                 continue
             state, filled = self._follow_transition(state, sample, int(states[i]), known)
             steps += [(known, s) for s in filled]
             if peaks[i]:
-                state, step = self._accept(state, line[int(states[i]), i : i + 3], sample, min(known, n_known - 1))
+                state, step = self._accept(state, line[int(states[i]), i : i + 3], sample, known)
                 steps += [] if step is None else [(known, step)]
-        return replace(state, n_samples=state.n_samples + n_new, delay_line=line[:, n_new:]), steps
+        return state, steps
 
     def _peaks(self, signals: FloatArray, states: IntArray) -> BoolArray:
         """Whether each sample that is decided on is a true peak of the signal of its mode."""
         n = len(states)
         middle = signals[:, 1:-1]
-        is_max = (middle > signals[:, :-2]) & (middle >= signals[:, 2:])
-        is_min = (middle < signals[:, :-2]) & (middle <= signals[:, 2:])
+        is_max, is_min = local_maxima(signals), local_maxima(-signals)
         smallest = (self.holding_peak_g, self.swing_peak_g, self.pocket_peak_g)
         rejection_s = (self.held_rejection_s, self.held_rejection_s, self.pocket_rejection_s)
         peaks = np.zeros(n, dtype=bool)
@@ -296,27 +263,25 @@ class TianStepDetector:
             log, step = self._log.add(log, int(at), known, at - int(at))
             # their length is that of the frequency which gave their number (section III-D)
             hz = state.step_hz
-            steps.append(replace(step, duration_s=1.0 / hz, frequency_hz=hz))
+            steps.append(replace(step, duration_s=1.0 / hz, frequency_hz=hz, from_rest=False))
         return replace(state, log=log, transition_start=-1), steps
 
     def _accept(
         self, state: TianDetectorState, peak: FloatArray, sample: int, known: int
     ) -> tuple[TianDetectorState, Step | None]:
         """The step that a peak makes, if it makes one."""
-        # vertex of the parabola through the three values: contact times finer than the sampling interval
-        curvature = peak[0] - 2 * peak[1] + peak[2]
-        vertex = float(0.5 * (peak[0] - peak[2]) / curvature) if curvature != 0 else 0.0
-        at = sample + vertex - self._filter_delay_s * self.rate_hz
+        at = sample + vertex(peak) - self._filter_delay_s * self.rate_hz
         contact = int(np.floor(at))
-        if contact <= max(self._log.first_sample(state.log), 0):
+        if not self._log.can_end(state.log, contact):
             return state, None
         contact_s = self._log.time_s(state.log, contact) + (at - contact) / self.rate_hz
-        if contact_s - state.log.last_contact_s < self.min_interval_s or contact <= state.log.last_contact:
+        if contact_s - state.log.last_contact_s < self.min_interval_s:
             return state, None
         first_of_bout = self._log.starts_bout(state.log, contact_s)
         log, step = self._log.add(state.log, contact, known, at - contact)
-        # of the first step from rest no frequency is known: it is zero (section III-C)
-        return replace(state, log=log, step_hz=0.0 if first_of_bout else step.frequency_hz), step
+        # of the first step from rest, and of it alone, no frequency is known: it is zero (section III-C)
+        step_hz = 0.0 if first_of_bout else step.frequency_hz
+        return replace(state, log=log, step_hz=step_hz), replace(step, from_rest=first_of_bout)
 
 
 def n_filled_in(transition_s: float, step_frequency_hz: float) -> int:

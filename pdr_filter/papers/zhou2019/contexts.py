@@ -1,7 +1,7 @@
 """Standing, walking, running or irregular swing by a state machine: Zhou et al. 2019, section III, Table 1.
 
 The machine keeps its behaviour while the maximum of the filtered acceleration stays as it was (Condition 1). When it
-changes (Condition 2), features decide anew: running by the DC component (6), else walking by variance and energy (5),
+changes (Condition 2), features decide again: running by the DC component (6), else walking by variance and energy (5),
 else irregular swing by the DC component and energy (4), else standing (3). See docs/methods/zhou2019.md.
 
 Deviations, where the text is silent or would not hold:
@@ -18,9 +18,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field, replace
 
 from pdr_filter.papers.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.stage import WindowContext, known_context
+from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
 from pdr_filter.values.arrays import FloatArray
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
@@ -32,26 +30,14 @@ _NAME = "Zhou et al. 2019, Table 1"
 
 @dataclass(frozen=True)
 class BehaviourThresholds:
-    """Thresholds of Table 1 for one place of the sensor.
+    """Thresholds of Table 1 for one place of the sensor."""
 
-    Parameters
-    ----------
-    max_change_mps2 : float
-        T_a of Condition 1.
-    running_dc_mps2 : float
-        T_f^R of Condition 6.
-    walking_variance, walking_energy : float
-        T_sigma^W in m2/s4 and T_E^W in m/s2 of Condition 5.
-    irregular_dc_mps2, irregular_energy : float
-        T_f^I and T_E^I of Condition 4, m/s2.
-    """
-
-    max_change_mps2: float
-    running_dc_mps2: float
-    walking_variance: float
-    walking_energy: float
-    irregular_dc_mps2: float
-    irregular_energy: float
+    max_change_mps2: float  # T_a of Condition 1
+    running_dc_mps2: float  # T_f^R of Condition 6
+    walking_variance: float  # T_sigma^W of Condition 5, m2/s4
+    walking_energy: float  # T_E^W of Condition 5, m/s2
+    irregular_dc_mps2: float  # T_f^I of Condition 4
+    irregular_energy: float  # T_E^I of Condition 4, m/s2
 
     def classify(self, features: FloatArray) -> str:
         """Behaviour of the features (3,) of a window: Conditions 6, 5, 4, 3, in this order."""
@@ -94,30 +80,29 @@ CARRIED = BehaviourThresholds(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class BehaviourStageState:
-    """The windows' memory, and where the machine is."""
+@dataclass(frozen=True, slots=True)
+class BehaviourMemory:
+    """Where the machine is."""
 
-    windows: BehaviourState
     behaviour: str  # of BEHAVIOURS; empty before the first window
     last_max_mps2: tuple[float, ...]  # of the windows of the last window length, oldest first
     n_transition: int  # windows that the transition state still lasts
 
 
-@dataclass(frozen=True)
-class BehaviourStage:
-    """Causal stage of the behaviours; a `ContextStage`.
+@dataclass(frozen=True, eq=False)
+class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemory]):
+    """Causal stage of the behaviours; a `ContextStage`. After a gap the behaviour has to show again.
 
     Parameters
     ----------
-    thresholds : BehaviourThresholds
-        For the place of the sensor.
     windows : BehaviourWindows
         Filter and windows; the window is a whole number of hops.
+    thresholds : BehaviourThresholds
+        For the place of the sensor.
     """
 
-    thresholds: BehaviourThresholds = FOOT
     windows: BehaviourWindows = field(default_factory=lambda: BehaviourWindows(hop_s=1.0))
+    thresholds: BehaviourThresholds = field(kw_only=True)
 
     def __post_init__(self) -> None:
         if self.windows.window_samples % self.windows.hop_samples:
@@ -125,50 +110,25 @@ class BehaviourStage:
                 f"window_s must be a whole number of hops, got {self.windows.window_s} and {self.windows.hop_s}"
             )
 
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        return self.windows.rate_hz
+    def first_memory(self) -> BehaviourMemory:
+        """No behaviour has shown."""
+        return BehaviourMemory("", (), 0)
 
-    @property
-    def _n_overlapping(self) -> int:
-        """Windows from one to the first that shares no sample with it."""
-        return self.windows.window_samples // self.windows.hop_samples
-
-    def init(self) -> BehaviourStageState:
-        """State before the first sample."""
-        return BehaviourStageState(self.windows.init(), "", (), 0)
-
-    def after_gap(self, state: BehaviourStageState) -> BehaviourStageState:
-        """State at the start of a new segment: the accelerometer's bias stays, the behaviour has to show anew."""
-        return BehaviourStageState(self.windows.after_gap(state.windows), "", (), 0)
-
-    def step(
-        self, state: BehaviourStageState, block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[BehaviourStageState, list[tuple[int, WindowContext]]]:
-        """New state and the behaviours of the windows that became complete, each with the number of its last sample."""
-        windows, found = self.windows.step(state.windows, block)
-        behaviour, last_max, n_transition = state.behaviour, state.last_max_mps2, state.n_transition
-        contexts: list[tuple[int, WindowContext]] = []
-        for last, window in found:
-            behaviour, last_max, n_transition = self._cycle(behaviour, last_max, n_transition, window)
-            contexts.append((last, context_of(behaviour, window.time_s)))
-        return BehaviourStageState(windows, behaviour, last_max, n_transition), contexts
-
-    def _cycle(
-        self, behaviour: str, last_max: tuple[float, ...], n_transition: int, window: BehaviourWindow
-    ) -> tuple[str, tuple[float, ...], int]:
-        """One cycle of Table 1: behaviour, maxima and what is left of the transition state after a window."""
-        n = self._n_overlapping
+    def assess(self, memory: BehaviourMemory, window: BehaviourWindow) -> tuple[BehaviourMemory, WindowContext]:
+        """One cycle of Table 1."""
+        # windows from one to the first that shares no sample with it
+        n = self.windows.window_samples // self.windows.hop_samples
+        behaviour, last_max, n_transition = memory.behaviour, memory.last_max_mps2, memory.n_transition
         is_known = len(last_max) == n  # whether there is a previous window
         is_kept = is_known and abs(window.max_mps2 - last_max[0]) < self.thresholds.max_change_mps2  # Condition 1
         n_transition = max(n_transition - 1, 0) if is_kept else n
         if n_transition or not is_kept:
             behaviour = self.thresholds.classify(window.features)
-        return behaviour, (*last_max, window.max_mps2)[-n:], n_transition
+        memory = BehaviourMemory(behaviour, (*last_max, window.max_mps2)[-n:], n_transition)
+        return memory, context_of(behaviour, window.time_s)
 
 
 def context_of(behaviour: str, time_s: float) -> WindowContext:
-    """What a behaviour says of the window that ends at a time."""
+    """The context of a behaviour, of the window that ends at a time."""
     known = known_context(time_s, {_CONTEXT_OF[behaviour]: 1.0}, {}, _CONTEXTS_KNOWN, _NAME)
     return replace(known, irregular_prob=float(behaviour == "irregular"))

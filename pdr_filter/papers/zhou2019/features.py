@@ -1,8 +1,8 @@
 """Behaviour features of a foot-mounted accelerometer: Zhou et al. 2019, section III.
 
 Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) is low-passed by a linear-phase FIR
-filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) tell standing, walking, running
-and irregular swing apart.
+filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
+running and irregular swing.
 
 Deviations, where the text is silent or would not hold on another device:
 
@@ -24,10 +24,11 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import firwin
 
+from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features.sliding import check_window, take_windows
+from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
+from pdr_filter.sensing.filters import low_pass_kernel
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -67,10 +68,9 @@ def behaviour_features(acceleration_mps2: FloatArray) -> FloatArray:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class BehaviourWindow:
-    """Features of one window."""
+class BehaviourWindow(DescribedWindow):
+    """Features of one window; its times are those of the motion, less the filter's delay."""
 
-    time_s: float  # end of the motion that it describes: the filter's delay before its last sample arrived
     features: FloatArray  # (3,)
     max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
 
@@ -82,20 +82,17 @@ class BehaviourState:
     waiting: FloatArray  # (B, 4): time, specific force; empty once the bias is known
     bias_mps2: FloatArray | None  # (3,); None before it is known
     delay_line: FloatArray  # (L - 1,) acceleration; empty before the first sample
-    first: int  # index of the first sample in the buffer
-    buffer: FloatArray  # (2, B): time, filtered acceleration
+    buffer: WindowBuffer  # of filtered acceleration
 
 
 @dataclass(frozen=True)
-class BehaviourWindows:
+class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
     """Filtered acceleration, windows of it and their features; causal.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
-    window_s, hop_s : float
-        Length and advance; the hop is at most the window.
+    rate_hz, window_s, hop_s : float
+        Of every `SlidingWindows`.
     static_s : float
         Length of the static start, at most the window, so that no window is late for it.
     static_std_mps2 : float
@@ -107,8 +104,6 @@ class BehaviourWindows:
         Its length; it delays by half of this. 0.5 s of Hamming window roll off within 6.6 Hz.
     """
 
-    rate_hz: float = 100.0
-    window_s: float = 2.0
     hop_s: float = 2.0
     static_s: float = 1.0
     static_std_mps2: float = 0.3
@@ -116,21 +111,11 @@ class BehaviourWindows:
     low_pass_s: float = 0.5
 
     def __post_init__(self) -> None:
-        check_window(self.window_samples, self.hop_samples)
+        super().__post_init__()
         if not 1 <= self.static_samples <= self.window_samples:
             raise ValueError(f"static_s must be positive and at most window_s, got {self.static_s} and {self.window_s}")
         if not 0 < self.low_pass_hz < 0.5 * self.rate_hz:
             raise ValueError(f"low_pass_hz must be below half the rate, got {self.low_pass_hz} at {self.rate_hz} Hz")
-
-    @property
-    def window_samples(self) -> int:
-        """Length in samples."""
-        return round(self.window_s * self.rate_hz)
-
-    @property
-    def hop_samples(self) -> int:
-        """Advance in samples."""
-        return round(self.hop_s * self.rate_hz)
 
     @property
     def static_samples(self) -> int:
@@ -144,19 +129,18 @@ class BehaviourWindows:
 
     @cached_property
     def _taps(self) -> FloatArray:
-        n_taps = 2 * round(0.5 * self.low_pass_s * self.rate_hz) + 1
-        return np.asarray(firwin(n_taps, self.low_pass_hz, window="hamming", fs=self.rate_hz), dtype=float)
+        return low_pass_kernel(self.low_pass_hz, self.rate_hz, self.low_pass_s)
 
     def init(self) -> BehaviourState:
         """State at the start of a recording."""
-        return BehaviourState(np.empty((0, 4)), None, np.empty(0), 0, np.empty((2, 0)))
+        return BehaviourState(np.empty((0, 4)), None, np.empty(0), no_samples(1))
 
     def after_gap(self, state: BehaviourState) -> BehaviourState:
         """State at the start of a segment that keeps the bias: nobody stands still after every gap."""
         return replace(self.init(), bias_mps2=state.bias_mps2)
 
     def step(
-        self, state: BehaviourState, block: UniformBlock
+        self, state: BehaviourState, block: UniformBlock, attitude: AttitudeBlock
     ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
         """New state and the windows that became complete, each with the index of the sample that completed it."""
         rows = np.concatenate([state.waiting, np.column_stack([block.time_s, block.specific_force_mps2])])
@@ -170,22 +154,20 @@ class BehaviourWindows:
         before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
         line = np.concatenate([before, a])
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
-        new = np.stack([rows[:, 0], np.convolve(line, self._taps, mode="valid")])
-        buffer = np.concatenate([state.buffer, new], axis=1)
-        buffer, first, cut = take_windows(buffer, state.first, self.window_samples, self.hop_samples)
-        windows = [(last, self._describe(samples)) for last, samples in cut]
-        return BehaviourState(np.empty((0, 4)), bias, line[len(a) :], first, buffer), windows
+        buffer, windows = self.cut(state.buffer, rows[:, 0], np.convolve(line, self._taps, mode="valid")[None])
+        state = BehaviourState(np.empty((0, 4)), bias, line[len(a) :], buffer)
+        return state, [(window.last, self._describe(window)) for window in windows]
 
     def _bias(self, start_mps2: FloatArray) -> FloatArray:
         magnitude = specific_force_magnitude(start_mps2)
         is_static = magnitude.std() <= self.static_std_mps2 and magnitude.mean() > 0.5 * STANDARD_GRAVITY_MPS2
         return static_bias(start_mps2) if is_static else np.zeros(3)
 
-    def _describe(self, samples: FloatArray) -> BehaviourWindow:
-        # contiguous, so that reductions take the same path for every window
-        filtered = np.ascontiguousarray(samples[1])
+    def _describe(self, window: SampleWindow) -> BehaviourWindow:
+        acceleration_mps2 = window.samples[0]
         return BehaviourWindow(
-            time_s=float(samples[0, -1]) + 0.5 / self.rate_hz - self.latency_s,
-            features=behaviour_features(filtered),
-            max_mps2=float(filtered.max()),
+            start_s=window.start_s - self.latency_s,
+            time_s=window.end_s - self.latency_s,
+            features=behaviour_features(acceleration_mps2),
+            max_mps2=float(acceleration_mps2.max()),
         )

@@ -6,7 +6,7 @@ event reaches from the first rise through R_M to the next fall through R_S (stag
 not counted; what happens there waits until the behaviour is known to have been walking or running.
 
 An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
-and an event is a step. `steps_per_event` says which; `FOOT` and `CARRIED` are the detectors for either.
+and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
 
 Deviations, where the text is silent or would not hold, with figures in docs/methods/zhou2019.md:
 
@@ -24,12 +24,18 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import firwin
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock, StepLog, StepLogState, specific_force_magnitude
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.sensing.filters import low_pass_kernel
+from pdr_filter.sensing.steps.detector import (
+    ContextBlock,
+    DetectorState,
+    StepDetector,
+    local_maxima,
+    specific_force_magnitude,
+)
+from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
@@ -45,54 +51,42 @@ _QUIET_STD_MPS2 = 0.05
 class EventSearch:
     """What differs between walking and running, and with the place of the sensor.
 
-    Parameters
-    ----------
-    cutoff_hz : float
-        Cutoff (-6 dB) of the FIR filter: the middle of the printed transition, 4 to 4.5 Hz or 10 to 10.5 Hz.
-    min_frequency_hz, max_frequency_hz : float
-        Where the dominant frequency is looked for: strides of a foot, steps elsewhere.
-    harmonic_part : float
-        f_D is the lowest line of the spectrum that stands out and has this part of the highest: the empirical
-        threshold against harmonics.
-    min_maximum_mps2 : float
-        Smallest T_L.
+    f_D is the lowest line of the spectrum that stands out and has `harmonic_part` of the highest: the empirical
+    threshold against harmonics.
     """
 
-    cutoff_hz: float
-    min_frequency_hz: float
+    cutoff_hz: float  # -6 dB, of the FIR filter: the middle of the printed transition, 4 to 4.5 or 10 to 10.5 Hz
+    min_frequency_hz: float  # where f_D is looked for: strides of a foot, steps elsewhere
     max_frequency_hz: float
     harmonic_part: float
-    min_maximum_mps2: float
+    min_maximum_mps2: float  # smallest T_L
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ReferenceLines:
     """The lines of a window, and the event that is under way."""
 
-    large_mps2: float | None  # R_L; None while there was no maximum
-    small_mps2: float | None  # R_S
-    start: int | None  # filtered sample of START; None before it
-    last_end: float  # filtered sample of the END of the last event
+    large_mps2: float | None = None  # R_L; None while there was no maximum
+    small_mps2: float | None = None  # R_S
+    start: int | None = None  # filtered sample of START; None before it
+    last_end: float = -np.inf  # filtered sample of the END of the last event
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ReferenceLineState:
-    """Filter memories, the window that is being filled, its lines, and events of which the behaviour is not known."""
+class ReferenceLineState(DetectorState):
+    """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
 
-    log: StepLogState
-    n_samples: int  # that were filtered
-    delay_line: FloatArray  # (L - 1,) acceleration; empty at the start
-    buffer: FloatArray  # (3, B) filtered for walking, for running, context
-    window_start: int  # filtered sample
     period_s: float  # 1 / f_D, the length of the window
-    is_running: bool  # in this window
-    lines: ReferenceLines
-    last_event: float  # sample of the last event that was given
+    buffer: FloatArray  # (3, B) filtered for walking, for running, context
     waiting: FloatArray  # (W, 2) sample of an event, dominant period in s
+    window_start: int = 0  # filtered sample
+    is_running: bool = False  # in this window
+    lines: ReferenceLines = ReferenceLines()
+    last_event: float = -np.inf  # sample of the last event that was given
 
 
-@dataclass(frozen=True)
-class ReferenceLineStepDetector:
+@dataclass(frozen=True, kw_only=True)
+class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     """Causal step detector; a step is usually reported a window and 0.25 s after its contact, at most `latency_s`.
 
     A contact is dated END, which on the foot of a slow walker may fall into the swing, half a stride early. Contacts of
@@ -111,18 +105,14 @@ class ReferenceLineStepDetector:
         R_S is at least this part of the way from the minimum to R_L.
     min_period_part : float
         Least time between ENDs as a part of the dominant period.
-    rate_hz : float
-        Sampling rate of the blocks.
     low_pass_s : float
         Length of the FIR filters; they delay by half of this.
     spectrum_s : float
         Time before a window from which its dominant frequency comes.
     hold_s : float
         How long an event waits for walking or running, which is known only after a window of mostly that.
-    max_interval_s : float
-        Between contacts; after a longer pause a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks.
+    rate_hz, max_interval_s, first_step_s : float
+        Of every `StepDetector`.
     """
 
     walking: EventSearch
@@ -131,12 +121,9 @@ class ReferenceLineStepDetector:
     relative_maximum: float
     min_line_part: float
     min_period_part: float
-    rate_hz: float = 100.0
     low_pass_s: float = 0.5
     spectrum_s: float = 4.0
     hold_s: float = 2.75
-    max_interval_s: float = 2.0
-    first_step_s: float = 0.6
 
     def __post_init__(self) -> None:
         if self.steps_per_event < 1:
@@ -150,11 +137,8 @@ class ReferenceLineStepDetector:
 
     @cached_property
     def _taps(self) -> tuple[FloatArray, FloatArray]:
-        n_taps = 2 * round(0.5 * self.low_pass_s * self.rate_hz) + 1
-        walking, running = (
-            np.asarray(firwin(n_taps, search.cutoff_hz, window="hamming", fs=self.rate_hz), dtype=float)
-            for search in (self.walking, self.running)
-        )
+        cutoffs_hz = (self.walking.cutoff_hz, self.running.cutoff_hz)
+        walking, running = (low_pass_kernel(cutoff, self.rate_hz, self.low_pass_s) for cutoff in cutoffs_hz)
         return walking, running
 
     @property
@@ -177,71 +161,47 @@ class ReferenceLineStepDetector:
         within_event_s = (self.steps_per_event - 1) * self.max_interval_s
         return self.hold_s + longest_window_s + within_event_s + (self._delay_samples + 1) / self.rate_hz
 
-    @cached_property
-    def _log(self) -> StepLog:
-        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
-
     def init(self) -> ReferenceLineState:
         """State before the first sample of a segment."""
-        return ReferenceLineState(
-            log=self._log.init(),
-            n_samples=0,
-            delay_line=np.empty(0),
-            buffer=np.empty((3, 0)),
-            window_start=0,
-            period_s=2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz),
-            is_running=False,
-            lines=ReferenceLines(None, None, None, -np.inf),
-            last_event=-np.inf,
-            waiting=np.empty((0, 2)),
-        )
+        period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
+        return ReferenceLineState(self._log.init(), np.empty((2, 0)), period_s, np.empty((3, 0)), np.empty((0, 2)))
 
-    def step(
-        self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
-    ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
+    @property
+    def _n_line(self) -> int:
+        return len(self._taps[0]) - 1
+
+    def _signals(
+        self, state: ReferenceLineState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[ReferenceLineState, FloatArray]:
+        """Acceleration and context, (2, N)."""
         a = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
-        state = replace(state, log=self._log.extend(state.log, block, attitude))
-        if state.n_samples == 0:
-            # What was before the first sample is taken to be like it: a zero there would look like a blow.
-            state = replace(state, delay_line=np.full(len(self._taps[0]) - 1, a[0]))
-        state, steps = self._detect(state, a, modes.context)
-        return replace(state, log=self._log.trim(state.log)), steps
+        return state, np.vstack([a, contexts.context.astype(float)])
 
-    def finish(self, state: ReferenceLineState) -> list[tuple[int, Step]]:
-        """Steps of the window that a gap or the end cuts short; the last value is taken to stay."""
-        if state.n_samples == 0:
-            return []
-        last = state.n_samples - 1
-        last_s = self._log.time_s(state.log, last)
+    def _continued(self, state: ReferenceLineState) -> FloatArray:
+        """The last values stay until the window is complete."""
         n_more = self._delay_samples + _window_samples(state.period_s, self.rate_hz)
-        context = np.full(n_more, round(state.buffer[2, -1]))
-        _, steps = self._detect(state, np.full(n_more, state.delay_line[-1]), context)
-        return [(last, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+        return np.repeat(state.line[:, -1:], n_more, axis=1)
 
     def _detect(
-        self, state: ReferenceLineState, acceleration: FloatArray, context: IntArray
+        self, state: ReferenceLineState, line: FloatArray, first: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """Detect in further samples."""
-        line = np.concatenate([state.delay_line, acceleration])
         # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
-        new = np.stack([*(np.convolve(line, taps, mode="valid") for taps in self._taps), context])
-        state = replace(
-            state,
-            n_samples=state.n_samples + len(acceleration),
-            delay_line=line[len(acceleration) :],
-            buffer=np.concatenate([state.buffer, new], axis=1),
-        )
+        filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
+        new = np.stack([*filtered, line[1, self._n_line :]])
+        n_samples = first + new.shape[1]
+        state = replace(state, buffer=np.concatenate([state.buffer, new], axis=1))
         steps: list[tuple[int, Step]] = []
-        while state.window_start + _window_samples(state.period_s, self.rate_hz) <= state.n_samples:
-            state, found = self._window(state)
+        while state.window_start + _window_samples(state.period_s, self.rate_hz) <= n_samples:
+            state, found = self._window(state, n_samples - state.buffer.shape[1])
             steps += found
-        n_kept = state.n_samples - state.window_start + self._spectrum_samples
+        n_kept = n_samples - state.window_start + self._spectrum_samples
         return replace(state, buffer=state.buffer[:, -n_kept:]), steps
 
-    def _window(self, state: ReferenceLineState) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """A complete window: its lines, the events that end in it, and the length of the next."""
-        first = state.n_samples - state.buffer.shape[1]
+    def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        """A complete window: its lines, the events that end in it, and the length of the next.
+
+        `first` is the number of the buffer's first sample.
+        """
         window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
         begin, end = state.window_start - first, window_end - first
         search = self.running if state.is_running else self.walking
@@ -266,11 +226,11 @@ class ReferenceLineStepDetector:
         self, lines: ReferenceLines, samples: FloatArray, mean_mps2: float, search: EventSearch
     ) -> ReferenceLines:
         """R_L and R_S after the extrema in the samples (eq. 6; rules 1 to 3)."""
-        before, middle, after = samples[:-2], samples[1:-1], samples[2:]
+        middle = samples[1:-1]
         large, small = lines.large_mps2, lines.small_mps2
         threshold = max(search.min_maximum_mps2, self.relative_maximum * (large or 0.0))  # T_L
-        maxima = middle[(before < middle) & (middle >= after) & (middle > threshold)]
-        minima = middle[(before > middle) & (middle <= after) & (middle < mean_mps2)]  # T_S
+        maxima = middle[local_maxima(samples) & (middle > threshold)]
+        minima = middle[local_maxima(-samples) & (middle < mean_mps2)]  # T_S
         if len(maxima):
             large = float(maxima.max())
         if len(minima) and large is not None:
@@ -326,8 +286,7 @@ class ReferenceLineStepDetector:
     def _contact(self, state: ReferenceLineState, sample: float, known: int) -> tuple[ReferenceLineState, Step | None]:
         """The step that a contact ends; None if there is no signal of it."""
         contact = int(np.floor(sample))
-        oldest = max(self._log.first_sample(state.log), 0, state.log.last_contact)
-        if contact <= oldest or contact >= state.log.n_samples:
+        if not self._log.can_end(state.log, contact):
             return state, None
         log, step = self._log.add(state.log, contact, known, sample - contact)
         return replace(state, log=log), step
@@ -365,12 +324,8 @@ def _window_samples(period_s: float, rate_hz: float) -> int:
 
 # Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.
 FOOT = ReferenceLineStepDetector(
-    walking=EventSearch(
-        cutoff_hz=4.25, min_frequency_hz=0.45, max_frequency_hz=1.25, harmonic_part=0.2, min_maximum_mps2=1.5
-    ),
-    running=EventSearch(
-        cutoff_hz=10.25, min_frequency_hz=0.9, max_frequency_hz=2.0, harmonic_part=0.2, min_maximum_mps2=4.0
-    ),
+    walking=EventSearch(4.25, 0.45, 1.25, harmonic_part=0.2, min_maximum_mps2=1.5),
+    running=EventSearch(10.25, 0.9, 2.0, harmonic_part=0.2, min_maximum_mps2=4.0),
     steps_per_event=2,
     relative_maximum=0.25,
     min_line_part=0.2,
@@ -379,12 +334,8 @@ FOOT = ReferenceLineStepDetector(
 
 # Chosen on persons 1 to 6 of ubicomp13, who carry phones in seven places; running has no recordings with known steps.
 CARRIED = ReferenceLineStepDetector(
-    walking=EventSearch(
-        cutoff_hz=4.25, min_frequency_hz=1.2, max_frequency_hz=2.6, harmonic_part=0.4, min_maximum_mps2=0.5
-    ),
-    running=EventSearch(
-        cutoff_hz=10.25, min_frequency_hz=2.0, max_frequency_hz=4.0, harmonic_part=0.4, min_maximum_mps2=3.0
-    ),
+    walking=EventSearch(4.25, 1.2, 2.6, harmonic_part=0.4, min_maximum_mps2=0.5),
+    running=EventSearch(10.25, 2.0, 4.0, harmonic_part=0.4, min_maximum_mps2=3.0),
     steps_per_event=1,
     relative_maximum=0.35,
     min_line_part=0.15,

@@ -2,26 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from functools import cache
 
-from pdr_filter.sensing.attitude import AttitudeBlock
-from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext
-from pdr_filter.sensing.features.windows import FeatureWindows, WindowState
+from pdr_filter.classifiers.model import ContextModel, load_model
+from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, WindowStage
+from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows, WindowState
 from pdr_filter.values.arrays import FloatArray
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class LearnedContextState:
-    """Samples of open windows, and what lasts from window to window."""
-
-    windows: WindowState
-    carrying_prob: FloatArray  # (5,) of `CARRYING_MODES`
-
-
 @dataclass(frozen=True, eq=False)
-class LearnedContexts:
+class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
     """Context stage that classifies feature windows with trained models.
+
+    What lasts from window to window are the probabilities (5,) of `CARRYING_MODES`, over a gap, too.
 
     Parameters
     ----------
@@ -36,34 +30,27 @@ class LearnedContexts:
 
     def __post_init__(self) -> None:
         for model in self.models.models:
-            missing = sorted(set(model.feature_names) - set(self.windows.names))
+            missing = sorted(set(model.feature_names) - set(self.windows.features.names))
             if missing:
                 raise ValueError(
-                    f"context model {model.name!r} needs features {missing[:5]}, which feature_set "
-                    f"{self.windows.feature_set!r} does not have; use a model and windows of one set"
+                    f"context model {model.name!r} needs features {missing[:5]}, which the feature set "
+                    f"{self.windows.features.name!r} does not have; use a model and windows of one set"
                 )
 
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        return self.windows.rate_hz
+    def first_memory(self) -> FloatArray:
+        """All carrying modes that the models know, alike."""
+        return self.models.init()
 
-    def init(self) -> LearnedContextState:
-        """State before the first sample."""
-        return LearnedContextState(self.windows.init(), self.models.init())
+    def memory_after_gap(self, memory: FloatArray) -> FloatArray:
+        """The phone is where it was."""
+        return memory
 
-    def after_gap(self, state: LearnedContextState) -> LearnedContextState:
-        """State at the start of a new segment: windows start afresh, the phone is where it was."""
-        return replace(state, windows=self.windows.init())
+    def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
+        """New carrying-mode probabilities, and the context of a window."""
+        return self.models.step(memory, window)
 
-    def step(
-        self, state: LearnedContextState, block: UniformBlock, attitude: AttitudeBlock
-    ) -> tuple[LearnedContextState, list[tuple[int, WindowContext]]]:
-        """New state and the windows that became known, each with the number of its last sample."""
-        windows, found = self.windows.step(state.windows, block, attitude)
-        carrying_prob = state.carrying_prob
-        contexts: list[tuple[int, WindowContext]] = []
-        for i, window in found:
-            carrying_prob, context = self.models.step(carrying_prob, window)
-            contexts.append((i, context))
-        return LearnedContextState(windows, carrying_prob), contexts
+
+@cache
+def shipped_model(name: str) -> ContextModel:
+    """A model of the package, read once."""
+    return load_model(name)

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import lru_cache
-from typing import Any, Protocol
+from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -14,6 +15,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
+from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
 from pdr_filter.values.arrays import FloatArray, IntArray, read_only
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -30,7 +32,7 @@ _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 @dataclass(frozen=True, slots=True, eq=False)
 class WindowContext:
-    """What the classifiers say of a window."""
+    """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
 
     time_s: float  # end of the window
     prob: FloatArray  # (C,) of `CONTEXTS`; the unknown share of it is the classifier's prior
@@ -41,6 +43,8 @@ class WindowContext:
     model: str = ""  # name of the context model
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
     has_gyroscope: bool = True  # that angular rate was measured all through the window
+    start_s: float = np.nan  # of the first sample that it describes
+    hop_s: float = 1.0  # its end less that of the window before, where none is missing
 
     @property
     def middle_s(self) -> float:
@@ -49,7 +53,7 @@ class WindowContext:
 
 
 class ContextStage(Protocol):
-    """A causal stage that says of each window what the person does and where the phone is.
+    """A causal stage that finds, window by window, what the person does and where the phone is.
 
     Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
     into blocks.
@@ -75,12 +79,72 @@ class ContextStage(Protocol):
         ...
 
 
+M = TypeVar("M")  # what lasts from window to window
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WindowStageState(Generic[W, M]):
+    """Samples of open windows, and what lasts from window to window."""
+
+    windows: W
+    memory: M
+
+
+@dataclass(frozen=True, eq=False)
+class WindowStage(ABC, Generic[W, X, M]):
+    """A context stage that judges windows one after the other.
+
+    Parameters
+    ----------
+    windows : SlidingWindows
+        Where the windows come from.
+    """
+
+    windows: SlidingWindows[W, X]
+
+    @property
+    def rate_hz(self) -> float:
+        """Sampling rate of the blocks."""
+        return self.windows.rate_hz
+
+    @abstractmethod
+    def first_memory(self) -> M:
+        """What lasts from window to window, before the first."""
+
+    @abstractmethod
+    def assess(self, memory: M, window: X) -> tuple[M, WindowContext]:
+        """New memory, and the result for a window."""
+
+    def memory_after_gap(self, memory: M) -> M:
+        """What lasts over a time without samples: nothing."""
+        return self.first_memory()
+
+    def init(self) -> WindowStageState[W, M]:
+        """State before the first sample."""
+        return WindowStageState(self.windows.init(), self.first_memory())
+
+    def after_gap(self, state: WindowStageState[W, M]) -> WindowStageState[W, M]:
+        """State at the start of a new segment."""
+        return WindowStageState(self.windows.after_gap(state.windows), self.memory_after_gap(state.memory))
+
+    def step(
+        self, state: WindowStageState[W, M], block: UniformBlock, attitude: AttitudeBlock
+    ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
+        """New state and the windows that became known, each with the number of its last sample."""
+        windows, found = self.windows.step(state.windows, block, attitude)
+        memory, contexts = state.memory, list[tuple[int, WindowContext]]()
+        for last, window in found:
+            memory, context = self.assess(memory, window)
+            contexts.append((last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s)))
+        return WindowStageState(windows, memory), contexts
+
+
 def known_context(
     time_s: float, context: Mapping[str, float], carrying_mode: Mapping[str, float], contexts: Sequence[str], name: str
 ) -> WindowContext:
-    """What a rule says of a window: probabilities by name, those not named zero.
+    """The result of a rule: probabilities by name, those not named zero.
 
-    `contexts` are all those that the rule can tell apart, alike before it has seen anything. Where the carrying mode
+    `contexts` are all those that the rule distinguishes, alike before it has seen anything. Where the carrying mode
     is unknown (an empty mapping) all modes are alike.
     """
     prob = np.array([context.get(c, 0.0) for c in CONTEXTS])
@@ -95,33 +159,22 @@ class ContextModels:
 
     Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
     of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
-    in which a window counts by how much of it is motion.
-
-    Parameters
-    ----------
-    with_gyroscope, without_gyroscope : ContextModel
-        Of the context.
-    carrying_with_gyroscope, carrying_without_gyroscope : ContextModel, optional
-        Of the carrying mode; without them all modes stay equally probable.
-    carrying_stay_prob : float
-        That the mode is the same a window later.
-    carrying_exponent : float
-        Of a window's evidence.
+    in which a window counts by how much of it is motion. Without a model of it all modes stay equally probable.
     """
 
     with_gyroscope: ContextModel
     without_gyroscope: ContextModel
     carrying_with_gyroscope: ContextModel | None = None
     carrying_without_gyroscope: ContextModel | None = None
-    carrying_stay_prob: float = CARRYING_STAY_PROB
-    carrying_exponent: float = CARRYING_EXPONENT
+    carrying_stay_prob: float = CARRYING_STAY_PROB  # that the mode is the same a window later
+    carrying_exponent: float = CARRYING_EXPONENT  # of a window's evidence
 
     def __post_init__(self) -> None:
         carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
         heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
         for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:
             if model.head != head:
-                raise ValueError(f"model {model.name!r} tells the {model.head} apart, not the {head}; give another one")
+                raise ValueError(f"model {model.name!r} classifies the {model.head}, not the {head}; give another one")
 
     @property
     def models(self) -> tuple[ContextModel, ...]:
@@ -136,7 +189,7 @@ class ContextModels:
         return read_only(known / known.sum())
 
     def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
-        """New carrying-mode probabilities (5,), and what is said of the window."""
+        """New carrying-mode probabilities (5,), and the result for the window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         prob, unknown = model.assess(_features(model, window))
         prob = (1 - unknown) * prob + unknown * model.training_prior

@@ -1,4 +1,4 @@
-"""The climb rate from a barometer, and what it says about stairs.
+"""The climb rate from a barometer, and its evidence for stairs.
 
 Height differences come from the hydrostatic relation, dh = -(R T / (g M)) dp / p: air of 15 degrees has a scale height
 of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. An absolute height is not needed and never formed: weather moves the
@@ -57,7 +57,7 @@ class ClimbState:
 class ClimbRate:
     """Least-squares slope of the height over a trailing window; causal, samples at any rate.
 
-    A window ends with the sample nearest to each hop, as far as the spacing of the last two tells, and has at least
+    A window ends with the sample nearest to each hop, as far as the spacing of the last two shows, and has at least
     three samples. It never spans a gap: after one, windows start afresh, the first when it is full. Duplicate and
     backward times are dropped, NaN and failed readings left out.
 
@@ -176,8 +176,8 @@ STAIR_CADENCE_HZ, STAIR_CADENCE_STD_HZ = 1.6, 0.3
 # Elsewhere: ramps (1.3 m/s on 4 % are 0.05 m/s; 6 % is the steepest that DIN 18040 allows) and draughts: 0.05 m/s over
 # 4 s are 0.024 hPa, which a door or a gust does.
 OTHER_STD_MPS = 0.05
-# Lifts (0.5 to 2.5 m/s), doors that slam, a sensor that heats up: the share of windows of any context whose rate says
-# nothing about it, even over what lifts do. It bounds the evidence: between two contexts a window says at most
+# Lifts (0.5 to 2.5 m/s), doors that slam, a sensor that heats up: the share of windows of any context whose rate shows
+# nothing of it, even over what lifts do. It bounds the evidence: between two contexts a window weighs at most
 # log(1 + (1 - 0.1) / 0.1 * 5 m/s / (sqrt(2 pi) 0.05 m/s)) = 5.9 nats.
 OUTLIER_SHARE = 0.1
 LIFT_MAX_MPS = 2.5
@@ -196,9 +196,9 @@ def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
 
     log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.07 m/s, downstairs -0.27 +- 0.07 m/s, the
     others 0 +- 0.05 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
-    are equally likely, and the other sensors tell standing from stairs. A slow lift (0.5 m/s) still says 1 nat for
+    are equally likely, and the other sensors distinguish standing from stairs. A slow lift (0.5 m/s) is still 1 nat for
     stairs, each lift passes their rate on the way to its own, and an escalator keeps it: so the evidence is bounded,
-    and must not be the only one. A rate with a large `std_mps` says nothing.
+    and must not be the only one. A rate with a large `std_mps` is no evidence.
 
     Windows overlap: of windows of 4 s every second, each should count a quarter (multiply by hop over window).
     """

@@ -1,9 +1,9 @@
-"""Features that tell where a moving person carries the phone: its attitude, how it turns and what shakes it.
+"""Features that show where a moving person carries the phone: its attitude, how it turns and what shakes it.
 
 Held for reading, the screen looks up and the phone barely turns. At the ear it stands on its edge, its long axis
 aslant. In a swinging hand it tilts by tens of degrees once a stride about one axis, at the end of a lever, the arm. In
 a trouser pocket it tilts with the thigh about the pocket's axis, and heel strikes reach it hard, sideways too. Angles
-tell these apart better than angular rates: a rate mixes the angle with the pace. They come from the spectrum of the
+distinguish these better than angular rates: a rate mixes the angle with the pace. They come from the spectrum of the
 rate, each bin divided by 2 pi f, so neither drift nor the start of the window matters. Taken relative to the vertical
 acceleration, the step itself, they do not grow with the pace.
 
@@ -21,6 +21,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.sensing.features.invariant import about_mean, hann_taper, in_groups
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 
@@ -73,8 +74,6 @@ _TURNING_NAMES: tuple[str, ...] = (
 WITHOUT_GYROSCOPE: tuple[str, ...] = (*ATTITUDE, *_FORCE_NAMES)
 NAMES: tuple[str, ...] = (*WITHOUT_GYROSCOPE, *_TURNING_NAMES)
 
-# Windows that are computed together: their lines fit the processor's cache. It changes no result.
-_WINDOWS_AT_ONCE = 32
 # Floors of amplitudes before the logarithm: the noise of a phone's sensors, and a tenth of a degree.
 _FLOOR_MPS2, _FLOOR_RADPS, _FLOOR_RAD = 0.02, 0.005, 0.002
 # The screen faces up when it leans less than 60 degrees from level: cos 60.
@@ -82,7 +81,7 @@ _FACES_UP = 0.5
 # The lowest that the screen faces up: below it for a tenth of the window, which one knock is not.
 _LOWEST = 0.1
 # A heel strike is a blow of some 20 ms, so its power is above the harmonics of the step; how much of it is left, and in
-# which band, says what lies between heel and phone. Above 20 Hz phones that give 50 Hz have nothing.
+# which band, shows what lies between heel and phone. Above 20 Hz phones that give 50 Hz have nothing.
 _BLOWS_HZ: tuple[tuple[float, float], ...] = ((4.0, 7.5), (7.5, 12.0), (12.0, 20.0))
 # Angles: from the slowest stride to the fastest step; slower is turning round a corner, and drift.
 _ANGLE_HZ = (0.5, 3.5)
@@ -104,8 +103,7 @@ def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
     the same bits alone and among others, for the reasons that `invariant.invariant_features` gives.
     """
-    groups = [windows[i : i + _WINDOWS_AT_ONCE] for i in range(0, len(windows), _WINDOWS_AT_ONCE)]
-    return np.concatenate([np.empty((0, len(NAMES))), *(_of_group(group, rate_hz) for group in groups)])
+    return in_groups(_of_group, windows, rate_hz, len(NAMES))
 
 
 def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
@@ -113,8 +111,8 @@ def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
     force, rate, up = windows[:, :3], windows[:, 3:6], windows[:, 6:9]
     yaw_rate = (rate * up).sum(axis=1)
     tilt_rate = rate - up * yaw_rate[:, None]
-    centred = _centred(np.concatenate([force, tilt_rate, yaw_rate[:, None]], axis=1))
-    spectrum = np.fft.rfft(centred * _taper(n))
+    centred = about_mean(np.concatenate([force, tilt_rate, yaw_rate[:, None]], axis=1))
+    spectrum = np.fft.rfft(centred * hann_taper(n))
     # Lines of power, which sum to the variance: vertical, horizontal, tilt rate, tilt angle, yaw angle.
     each = (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
     tilt, squared_omega = each[:, 3] + each[:, 4] + each[:, 5], _omega(n, rate_hz) ** 2
@@ -239,7 +237,7 @@ def _lever(
 
 def _shares(rate: FloatArray) -> FloatArray:
     """Shares (W, 3) of the turning about the phone's own axes."""
-    centred = _centred(rate)
+    centred = about_mean(rate)
     variance = (centred * centred).mean(axis=2)
     return variance / (variance.sum(axis=1) + _FLOOR_RADPS**2)[:, None]
 
@@ -255,19 +253,8 @@ def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatAr
     return at_stride, power[window, :, step - 1] + power[window, :, step] + power[window, :, step + 1]
 
 
-def _centred(lines: FloatArray) -> FloatArray:
-    return lines - lines.mean(axis=-1, keepdims=True)
-
-
 def _log_rms(power: FloatArray, floor: float) -> FloatArray:
     return np.asarray(0.5 * np.log(power + floor**2))
-
-
-@cache
-def _taper(n: int) -> FloatArray:
-    """Hann's, of unit power."""
-    taper = np.hanning(n + 2)[1:-1]
-    return np.asarray(taper / np.sqrt((taper**2).mean()))
 
 
 @cache

@@ -5,7 +5,7 @@ of the tilting, of the device's own main axes of rotation, how regular the steps
 follow each other. No feature depends on the device's attitude, on its handedness or on north: signed angles and axes
 memorise a person's habit and fail on the next one (docs/benchmarks.md).
 
-What tells stairs from walking is when in the step things happen: the swing of the limb that carries the phone against
+Stairs differ from walking in when in the step things happen: the swing of the limb that carries the phone against
 the bounce of the body. The limb swings about a horizontal axis that is found as the main axis of the angular rate. The
 sign of that axis is arbitrary, so it is either squared away (the limb swings once a stride, its square once a step,
 like the bounce), or both the swing and the acceleration across the axis are taken, whose product has no sign, or the
@@ -18,6 +18,7 @@ then needs no interactions for it.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import cache
 
 import numpy as np
@@ -56,8 +57,6 @@ LAGS_S: tuple[float, ...] = (-0.3, -0.2, -0.1, 0.0, 0.1, 0.2, 0.3)
 STEP_LAGS_S: tuple[float, ...] = (-0.4, -0.32, -0.24, -0.16, -0.08, 0.0, 0.08, 0.16, 0.24, 0.32, 0.4)
 # A swing repeats after a stride of 0.7 to 1.4 s and is opposite after half of it.
 SWING_LAGS_S: tuple[float, ...] = (0.2, 0.32, 0.44, 0.56, 0.68, 0.8, 0.92)
-# Windows that are computed together: their lines fit the processor's cache. It changes no result.
-_WINDOWS_AT_ONCE = 32
 # Floor of amplitudes before the logarithm: the noise of a phone's accelerometer and gyroscope.
 _FLOOR_MPS2, _FLOOR_RADPS = 0.02, 0.005
 
@@ -127,9 +126,23 @@ def _bands(n: int, rate_hz: float) -> FloatArray:
 
 
 @cache
-def _taper(n: int) -> FloatArray:
+def hann_taper(n: int) -> FloatArray:
+    """Of unit power."""
     taper = np.hanning(n + 2)[1:-1]
     return np.asarray(taper / np.sqrt((taper**2).mean()))
+
+
+def about_mean(lines: FloatArray) -> FloatArray:
+    """Lines (..., N) less their means."""
+    return lines - lines.mean(axis=-1, keepdims=True)
+
+
+def in_groups(
+    of_group: Callable[[FloatArray, float], FloatArray], windows: FloatArray, rate_hz: float, n_features: int
+) -> FloatArray:
+    """Features (W, F) of windows, computed 32 at a time: their lines fit the processor's cache. No result changes."""
+    groups = (of_group(windows[i : i + 32], rate_hz) for i in range(0, len(windows), 32))
+    return np.concatenate([np.empty((0, n_features)), *groups])
 
 
 def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
@@ -139,33 +152,32 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
     transforms are made window by window.
     """
-    groups = [windows[i : i + _WINDOWS_AT_ONCE] for i in range(0, len(windows), _WINDOWS_AT_ONCE)]
-    return np.concatenate([np.empty((0, len(NAMES))), *(_of_group(group, rate_hz) for group in groups)])
+    return in_groups(_of_group, windows, rate_hz, len(NAMES))
 
 
 def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
     n = windows.shape[2]
-    vertical = _centred(windows[:, 0])
-    horizontal = _centred(windows[:, 1:3])
+    vertical = about_mean(windows[:, 0])
+    horizontal = about_mean(windows[:, 1:3])
     rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
 
     forward, lateral = _main_axes(horizontal)
     yaw_rate = -(rate * up).sum(axis=1)
     tilt_rate = _norm(rate + up * yaw_rate[:, None])
-    centred_rate = _centred(rate)
+    centred_rate = about_mean(rate)
     axes, spread = _principal(centred_rate)
     main_axis = axes[:, :, 2]
     main_rate = _along(main_axis, centred_rate)
 
     lines = np.stack([vertical, forward, lateral, _norm(horizontal), yaw_rate, tilt_rate, main_rate], axis=1)
-    centred = _centred(lines)
+    centred = about_mean(lines)
     std = np.sqrt((centred * centred).mean(axis=2))
     power = _power(centred)
     bands = power[:, [0, 1, 2, 4, 5, 6]] @ _bands(n, rate_hz)
     order = np.sort(lines[:, [0, 3, 5]], axis=2)
     quantiles = order[:, :, _quantile_places(n)]
     regularity, lag_s, stride = _regularity(power[:, 0], n, rate_hz)
-    velocity = _centred(np.cumsum(vertical, axis=1) / rate_hz)
+    velocity = about_mean(np.cumsum(vertical, axis=1) / rate_hz)
     lagged = _lagged(vertical, STEP_LAGS_S, rate_hz)
 
     squares = np.stack([velocity * velocity, vertical * vertical], axis=1)
@@ -197,10 +209,6 @@ def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
         *_swing_timing(rate, up, sensor_force, lagged, std[:, 0], velocity, rate_hz),
     ]
     return np.column_stack([*force, *turning])
-
-
-def _centred(lines: FloatArray) -> FloatArray:
-    return lines - lines.mean(axis=-1, keepdims=True)
 
 
 def _norm(vectors: FloatArray) -> FloatArray:
@@ -253,7 +261,7 @@ def _moments(centred: FloatArray, std: FloatArray, floor: float) -> FloatArray:
 def _power(centred: FloatArray) -> FloatArray:
     """Power of each bin (..., N // 2 + 1) of tapered lines (..., N)."""
     n = centred.shape[-1]
-    spectrum = np.fft.rfft(centred * _taper(n))
+    spectrum = np.fft.rfft(centred * hann_taper(n))
     return (spectrum.real**2 + spectrum.imag**2) * (2.0 / n**2)
 
 
@@ -264,7 +272,7 @@ def _peak_hz(power: FloatArray, n: int, rate_hz: float) -> FloatArray:
 @cache
 def _taper_correlation(n: int) -> FloatArray:
     """Share of the taper's overlap at each lag, at least 0.05."""
-    overlap = np.fft.irfft(np.abs(np.fft.rfft(_taper(n))) ** 2, n)
+    overlap = np.fft.irfft(np.abs(np.fft.rfft(hann_taper(n))) ** 2, n)
     return np.maximum(overlap / overlap[0], 0.05)
 
 
@@ -298,15 +306,15 @@ def _swing_timing(
     n = rate.shape[2]
     mean_up = up.mean(axis=2)
     mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
-    level_rate = _centred(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
+    level_rate = about_mean(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
     axis = _principal(level_rate)[0][:, :, 2]
     swing_rate = _along(axis, level_rate)
-    centred_force = _centred(sensor_force)
+    centred_force = about_mean(sensor_force)
     across = np.asarray(np.cross(mean_up, axis), dtype=np.float64)
     across_force, along_force = _along(across, centred_force), _along(axis, centred_force)
     angle = np.cumsum(swing_rate, axis=1) / rate_hz
-    # from its first to its last value a straight line is taken away: what a window cannot tell from drift
-    angle = _centred(angle - (angle[:, -1:] - angle[:, :1]) * np.linspace(0.0, 1.0, n))
+    # from its first to its last value a straight line is taken away: a window cannot show whether it is drift
+    angle = about_mean(angle - (angle[:, -1:] - angle[:, :1]) * np.linspace(0.0, 1.0, n))
 
     swing_std = np.sqrt((swing_rate * swing_rate).mean(axis=1)) + _FLOOR_RADPS
     across_std = np.sqrt((across_force * across_force).mean(axis=1)) + _FLOOR_MPS2
@@ -333,7 +341,7 @@ def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, v
 
     Standard deviations are taken larger by a floor: of a phone that lies still the correlation is near zero.
     """
-    centred = _centred(lines)
+    centred = about_mean(lines)
     std = np.sqrt((centred * centred).mean(axis=2)) + floor
     product = centred @ lagged_vertical.transpose(0, 2, 1)
     return product / (lines.shape[2] * (vertical_std + _FLOOR_MPS2)[:, None] * std)[:, :, None]
@@ -384,5 +392,5 @@ def _asymmetry(power: FloatArray, step_lag_s: FloatArray, n: int, rate_hz: float
 
 def _swing(up: FloatArray) -> FloatArray:
     """Root mean square angle of the up vector about its mean direction, rad (small angles)."""
-    centred = _centred(up)
+    centred = about_mean(up)
     return np.sqrt((centred * centred).sum(axis=1).mean(axis=1))

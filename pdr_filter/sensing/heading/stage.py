@@ -1,4 +1,4 @@
-"""The interface of a heading stage: it says of each step where the person walked, as far as the samples show it."""
+"""The interface of a heading stage: where the person walked, step by step, as far as the samples show it."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from typing import Any, Protocol
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.step import Step
 
 
 class HeadingStage(Protocol):
-    """A causal stage that fills in `walking_direction_rad`, its deviation, and `offset_change_std_rad` of steps."""
+    """A causal stage: `walking_direction_rad` of steps, its standard deviation, and `offset_change_std_rad`."""
 
     def init(self) -> Any:
         """State before the first sample."""
@@ -22,12 +22,17 @@ class HeadingStage(Protocol):
         ...
 
     def step(
-        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock, steps: list[tuple[int, Step]]
+        self,
+        state: Any,
+        block: UniformBlock,
+        attitude: AttitudeBlock,
+        contexts: ContextBlock,
+        steps: list[tuple[int, Step]],
     ) -> tuple[Any, list[tuple[int, Step]]]:
         """New state and the steps of a block with their walking directions.
 
         `steps` are those that became known in this block, with the number (in the segment) of the sample that revealed
-        each, maybe seconds after its contact; what is said of a step depends on samples up to that one only.
+        each, maybe seconds after its contact; the direction of a step depends on samples up to that one only.
         """
         ...
 

@@ -38,7 +38,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -264,7 +264,7 @@ class WalkingDirection:
         state: WalkingDirectionState,
         block: UniformBlock,
         attitude: AttitudeBlock,
-        modes: ModeBlock,
+        contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[WalkingDirectionState, list[tuple[int, Step]]]:
         """New state and the steps of a block with their walking directions."""
@@ -282,7 +282,8 @@ class WalkingDirection:
         state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
         result: list[tuple[int, Step]] = []
         for known, step in steps:
-            context, carrying_mode = int(modes.context[known - n_before]), int(modes.carrying_mode[known - n_before])
+            at = known - n_before
+            context, carrying_mode = int(contexts.context[at]), int(contexts.carrying_mode[at])
             state, step = self._annotate(state, known, step, context, carrying_mode)
             result.append((known, step))
         return replace(state, signals=state.signals[:, -self._n_kept :]), result

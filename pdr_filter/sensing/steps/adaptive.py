@@ -1,14 +1,14 @@
 """Steps as local maxima of a wavelet transform whose scale follows the power of the motion: the default detector.
 
-The strength of a motion tells its step frequency: people step faster where they step harder. Over 66 walks of 13
-people with seven placements, 16 of another and 24 runs of twelve the frequency is
+The step frequency follows from the strength of the motion: people step faster where they step harder. Over 66 walks of
+13 people with seven placements, 16 of another and 24 runs of twelve the frequency is
 
     f = 1.43 R^0.31,  R the rms of |specific force| around the step, m/s2, f in Hz,
 
-with a deviation of 11 %, whoever walks and wherever the phone is (regression of log f on log R, tests/benchmarks/
-steps.py); the Mexican hat is an octave wide. 1.37 R^0.3 is taken, a little lower: heel strike and push-off are one step
-more surely. A frequency taken from the autocorrelation of the signal was worse: in a back pocket the stride repeats
-better than the step, and half of the steps are lost.
+with a standard deviation of 11 %, whoever walks and wherever the phone is (regression of log f on log R,
+tests/benchmarks/steps.py); the Mexican hat is an octave wide. 1.37 R^0.3 is taken, a little lower: heel strike and
+push-off are one step more surely. A frequency taken from the autocorrelation of the signal was worse: in a back pocket
+the stride repeats better than the step, and half of the steps are lost.
 
 1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t.
 2. Response: transform of |f| with the Mexican hat of frequency 1.37 R(t)^0.3, interpolated between a bank of hats, each
@@ -28,19 +28,21 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.signal import firwin
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock, StepLog, StepLogState, specific_force_magnitude
+from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
+from pdr_filter.sensing.steps.detector import (
+    ContextBlock,
+    ResponseState,
+    ResponseStepDetector,
+    specific_force_magnitude,
+)
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
 
-# Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power tells no lower and no higher ones.
+# Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
-# A Hamming window of 0.25 s joins the two humps of one step and keeps the harmonics of the next.
-_LOW_PASS_S = 0.25
 
 
 @dataclass(frozen=True, slots=True)
@@ -53,24 +55,18 @@ class Rhythm:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class AdaptiveDetectorState:
-    """Filter memory and the last contact."""
+class AdaptiveDetectorState(ResponseState):
+    """The last |f| less gravity, the last values of the transform and of R, and the last steps."""
 
-    log: StepLogState
-    n_samples: int  # that went through the transform
-    delay_line: FloatArray  # (H,) |f| less gravity; empty at the start
-    response: FloatArray  # (2, 2) last values of the transform, and of R
     rhythm: Rhythm
 
 
 @dataclass(frozen=True)
-class AdaptiveStepDetector:
+class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     """Causal step detector; a step is reported `latency_s`, 0.88 s, after its contact.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     frequency_at_1_mps2_hz, frequency_exponent : float
         Step frequency where R is 1 m/s2, and its power of R; see the module.
     before_s, after_s : float
@@ -89,16 +85,14 @@ class AdaptiveStepDetector:
     min_interval : float
         Smallest interval in periods of the wavelet. Heel strike and push-off are closer.
     min_running_interval : float
-        The same from `running_hz` on: there a step is one blow, and R tells less of the frequency.
+        The same from `running_hz` on: there a step is one blow, and R shows less of the frequency.
     running_hz : float
         Wavelet frequency of a run, or of the hardest walking (R = 3.5 m/s2).
-    max_interval_s : float
-        After a longer pause a new bout begins. The slowest steps, 0.5 Hz, are 2 s apart.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    rate_hz, max_interval_s, first_step_s : float
+        Of every `StepDetector`; the slowest steps, 0.5 Hz, are 2 s apart.
     """
 
-    rate_hz: float = 100.0
+    max_interval_s: float = 2.5
     frequency_at_1_mps2_hz: float = 1.37
     frequency_exponent: float = 0.3
     before_s: float = 1.0
@@ -112,8 +106,6 @@ class AdaptiveStepDetector:
     min_interval: float = 0.6
     min_running_interval: float = 0.35
     running_hz: float = 2.0
-    max_interval_s: float = 2.5
-    first_step_s: float = 0.6
 
     @cached_property
     def _bank(self) -> tuple[FloatArray, ...]:
@@ -139,68 +131,32 @@ class AdaptiveStepDetector:
         return round(self.after_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
-    def latency_s(self) -> float:
-        """Time from a contact to its detection."""
-        return (self._n_after + 1) / self.rate_hz
+    def _delay_samples(self) -> int:
+        return self._n_after
 
-    @cached_property
-    def _log(self) -> StepLog:
-        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
+    @property
+    def _min_response(self) -> float:
+        return self.rhythm_share * self.min_peak_mps2
 
     def init(self) -> AdaptiveDetectorState:
         """State before the first sample of a segment."""
-        return AdaptiveDetectorState(self._log.init(), 0, np.empty(0), np.zeros((2, 2)), Rhythm(0.0, 0.0, 0))
+        return AdaptiveDetectorState(self._log.init(), np.empty((1, 0)), np.zeros((2, 2)), Rhythm(0.0, 0.0, 0))
 
-    def step(
-        self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
-    ) -> tuple[AdaptiveDetectorState, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
-        bounce = specific_force_magnitude(block.specific_force_mps2) - STANDARD_GRAVITY_MPS2
-        state = replace(state, log=self._log.extend(state.log, block, attitude))
-        if state.n_samples == 0:
-            # What was before the first sample is taken to be like it: a zero there would look like a blow.
-            state = replace(state, delay_line=np.full(self._n_before + self._n_after, bounce[0]))
-        state, steps = self._detect(state, bounce)
-        return replace(state, log=self._log.trim(state.log)), steps
+    @property
+    def _n_line(self) -> int:
+        return self._n_before + self._n_after
 
-    def finish(self, state: AdaptiveDetectorState) -> list[tuple[int, Step]]:
-        """Steps in the last `latency_s` before a gap or the end, whose last value is taken to stay."""
-        if state.n_samples == 0:
-            return []
-        end = state.n_samples
-        last_s = self._log.time_s(state.log, end - 1)
-        _, steps = self._detect(state, np.repeat(state.delay_line[-1:], self._n_after + 1))
-        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
-
-    def _detect(
-        self, state: AdaptiveDetectorState, bounce: FloatArray
-    ) -> tuple[AdaptiveDetectorState, list[tuple[int, Step]]]:
-        """Detect in further samples of |f| less gravity."""
-        line = np.concatenate([state.delay_line, bounce])
-        rms = self._rms(line)
-        response = np.concatenate([state.response, np.stack([self._response(line, rms), rms])], axis=1)
-        peak = response[0]
-        middle = peak[1:-1]
-        lowest = self.rhythm_share * self.min_peak_mps2
-        is_peak = (middle > peak[:-2]) & (middle >= peak[2:]) & (middle >= lowest)
-        n_before = state.n_samples
-        steps: list[tuple[int, Step]] = []
-        for i in np.flatnonzero(is_peak):
-            known = n_before + int(i)  # the sample that made peak[i + 2]
-            state, step = self._accept(state, peak[i : i + 3], float(response[1, i + 1]), known)
-            if step is not None:
-                steps.append((known, step))
-        return (
-            replace(
-                state,
-                n_samples=n_before + len(bounce),
-                delay_line=line[len(bounce) :],
-                response=response[:, -2:],
-            ),
-            steps,
-        )
+    def _signals(
+        self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[AdaptiveDetectorState, FloatArray]:
+        """|f| less gravity, (1, N)."""
+        return state, specific_force_magnitude(block.specific_force_mps2)[None] - STANDARD_GRAVITY_MPS2
 
     # Every value below is a dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+
+    def _response(self, line: FloatArray) -> FloatArray:
+        rms = self._rms(line[0])
+        return np.stack([self._transform(line[0], rms), rms])
 
     def _rms(self, line: FloatArray) -> FloatArray:
         """R at each sample that has enough samples around it."""
@@ -210,7 +166,7 @@ class AdaptiveStepDetector:
         mean = np.convolve(smooth, box, mode="valid")
         return np.sqrt(np.maximum(np.convolve(smooth * smooth, box, mode="valid") - mean * mean, 0.0))
 
-    def _response(self, line: FloatArray, rms: FloatArray) -> FloatArray:
+    def _transform(self, line: FloatArray, rms: FloatArray) -> FloatArray:
         """Transform at the scale that R asks for, between two members of the bank."""
         place = np.interp(rms, self._bank_rms_mps2, np.arange(len(_BANK_HZ), dtype=float))
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
@@ -225,27 +181,17 @@ class AdaptiveStepDetector:
             response = np.add(response, share * np.convolve(part, kernel, mode="valid"), dtype=float)
         return response
 
-    def _accept(
-        self, state: AdaptiveDetectorState, peak: FloatArray, rms: float, known: int
-    ) -> tuple[AdaptiveDetectorState, Step | None]:
-        """The step that a local maximum of the response makes, if it makes one."""
-        contact = known - 1 - self._n_after
-        if contact <= max(self._log.first_sample(state.log), 0) or contact >= state.log.n_samples:
-            return state, None
-        # vertex of the parabola through the three values: contact times finer than the sampling interval
-        curvature = peak[0] - 2 * peak[1] + peak[2]
-        fraction = float(0.5 * (peak[0] - peak[2]) / curvature) if curvature < 0 else 0.0
-        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
-        new_bout = self._log.starts_bout(state.log, contact_s)
+    def _accepted(
+        self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
+    ) -> AdaptiveDetectorState | None:
+        response, rms = peak.tolist()
         rhythm = Rhythm(0.0, 0.0, 0) if new_bout else state.rhythm
-        interval_s = contact_s - state.log.last_contact_s
         share = self.rhythm_share if self._is_expected(rhythm, interval_s) else 1.0
-        if peak[1] < share * max(self.min_peak_mps2, self.relative_peak * rhythm.peak_level_mps2):
-            return state, None
+        if response < share * max(self.min_peak_mps2, self.relative_peak * rhythm.peak_level_mps2):
+            return None
         if interval_s < self._min_interval_s(rms):
-            return state, None
-        log, step = self._log.add(state.log, contact, known, fraction)
-        return replace(state, log=log, rhythm=_with_step(rhythm, float(peak[1]), interval_s, new_bout)), step
+            return None
+        return replace(state, rhythm=_with_step(rhythm, response, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
         if rhythm.n_intervals < 2 or interval_s <= 0:
@@ -266,12 +212,6 @@ def _with_step(rhythm: Rhythm, peak_mps2: float, interval_s: float, new_bout: bo
     return Rhythm(0.7 * rhythm.peak_level_mps2 + 0.3 * peak_mps2, period_s, rhythm.n_intervals + 1)
 
 
-def low_pass_kernel(cutoff_hz: float, rate_hz: float) -> FloatArray:
-    """Low-pass of 0.25 s: symmetric, odd length, unit gain at rest."""
-    n_taps = 2 * round(0.5 * _LOW_PASS_S * rate_hz) + 1
-    return np.asarray(firwin(n_taps, min(cutoff_hz, 0.45 * rate_hz), fs=rate_hz), dtype=float)
-
-
 def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, rate_hz: float) -> FloatArray:
     """Low-passed Mexican hat: symmetric, odd length, zero mean, unit gain at its frequency.
 
@@ -280,12 +220,7 @@ def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, ra
     """
     half = round(min(3.5 * 0.25 / frequency_hz, max_half_s) * rate_hz)
     kernel = np.convolve(_hat(0.25 / frequency_hz, half, rate_hz), low_pass_kernel(low_pass_hz, rate_hz))
-    return _with_unit_gain(kernel, frequency_hz, rate_hz)
-
-
-def _with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> FloatArray:
-    offset_s = (np.arange(len(kernel)) - len(kernel) // 2) / rate_hz
-    return np.asarray(kernel / np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offset_s)))
+    return with_unit_gain(kernel, frequency_hz, rate_hz)
 
 
 def _hat(scale_s: float, half: int, rate_hz: float) -> FloatArray:

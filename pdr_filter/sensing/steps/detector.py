@@ -1,69 +1,34 @@
-"""What all step detectors share: their interface, what they are told of modes, and how contacts become steps."""
+"""What all step detectors share: their interface, the loop over blocks of samples, and how contacts become steps."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass, replace
+from functools import cached_property
 from math import exp, log
-from typing import Any, Protocol
+from typing import Generic, TypeVar
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ModeBlock:
-    """What the context stage says at each uniform sample: the mode that has at least half of the probability."""
+class ContextBlock:
+    """The context and the carrying mode at each uniform sample: those with at least half of the probability."""
 
     context: IntArray  # (N,) index into `CONTEXTS`; -1 where none has half, and before anything is known
     carrying_mode: IntArray  # (N,) index into `CARRYING_MODES`; -1 likewise
 
 
-def unknown_modes(n_samples: int) -> ModeBlock:
+def unknown_contexts(n_samples: int) -> ContextBlock:
     """Nothing known at any of the samples."""
     unknown = np.full(n_samples, -1)
-    return ModeBlock(unknown, unknown)
-
-
-class StepDetector(Protocol):
-    """A causal stage that finds steps.
-
-    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
-    into blocks.
-    """
-
-    @property
-    def rate_hz(self) -> float:
-        """Sampling rate of the blocks."""
-        ...
-
-    @property
-    def latency_s(self) -> float:
-        """Longest time from a contact to its detection."""
-        ...
-
-    @property
-    def first_step_s(self) -> float:
-        """Duration given to the first step of a bout."""
-        ...
-
-    def init(self) -> Any:
-        """State before the first sample of a segment."""
-        ...
-
-    def step(
-        self, state: Any, block: UniformBlock, attitude: AttitudeBlock, modes: ModeBlock
-    ) -> tuple[Any, list[tuple[int, Step]]]:
-        """New state and the steps that became known, each with the number of the sample that revealed it."""
-        ...
-
-    def finish(self, state: Any) -> list[tuple[int, Step]]:
-        """Steps whose detection would have needed more samples, when a gap or the end comes."""
-        ...
+    return ContextBlock(unknown, unknown)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,7 +36,7 @@ class StepLogState:
     """The signals of the last seconds, and the last contact."""
 
     n_samples: int  # seen so far in this segment
-    # (6, H): time, magnitude, vertical, device heading, samples without angular rate so far, deviation of the yaw bias
+    # (6, H): time, magnitude, vertical, device heading, samples without angular rate so far, std of the yaw bias
     signals: FloatArray
     last_contact: int  # number of the sample; negative before the first
     last_contact_s: float
@@ -91,20 +56,11 @@ _REST_PERIODS = 1.8
 class StepLog:
     """Remembers signals and describes the step that a contact ends; every detector makes its steps here.
 
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate.
-    latency_s : float
-        How long after a contact it may be given.
-    max_interval_s : float
-        After a longer pause a new bout begins.
-    first_step_s : float
-        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    The parameters are those of a `StepDetector`.
     """
 
     rate_hz: float
-    latency_s: float
+    latency_s: float  # how long after a contact it may be given
     max_interval_s: float = 2.0
     first_step_s: float = 0.6
 
@@ -136,6 +92,10 @@ class StepLog:
         """Number of the oldest sample that is remembered: contacts must be later."""
         return state.n_samples - state.signals.shape[1]
 
+    def can_end(self, state: StepLogState, contact: int) -> bool:
+        """Whether a step can end at a sample: it exists, is remembered, and later than the last contact."""
+        return max(self.first_sample(state), state.last_contact, 0) < contact < state.n_samples
+
     def time_s(self, state: StepLogState, sample: float) -> float:
         """Time of a sample, between samples too."""
         whole = int(np.floor(sample))
@@ -149,16 +109,8 @@ class StepLog:
     def add(self, state: StepLogState, contact: int, known: int, fraction: float = 0.0) -> tuple[StepLogState, Step]:
         """New state and the step that a contact ends.
 
-        Parameters
-        ----------
-        state : StepLogState
-            With the contact's sample in it.
-        contact : int
-            Number of the contact's sample, later than the contact before and than the oldest remembered sample.
-        known : int
-            Number of the sample that revealed it; beyond the last one where a segment ends.
-        fraction : float
-            Part of a sampling interval by which the contact is later than its sample.
+        The contact is at a sample at which a step `can_end`, and a fraction of a sampling interval. Sample `known`
+        revealed it: beyond the last one where a segment ends.
         """
         first = self.first_sample(state)
         contact_s = float(state.signals[0, contact - first] + fraction / self.rate_hz)
@@ -187,6 +139,175 @@ class StepLog:
             )
         usual_mps2 = exp(state.log_amplitudes / state.n_usual) if state.n_usual > 0 else 0.0
         return state, replace(step, usual_amplitude_mps2=usual_mps2, from_rest=from_rest)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class DetectorState:
+    """What every detector remembers; each adds its own."""
+
+    log: StepLogState
+    line: FloatArray  # (R, L) its last signals; empty at the start
+
+
+S = TypeVar("S", bound=DetectorState)
+
+
+@dataclass(frozen=True)
+class StepDetector(ABC, Generic[S]):
+    """A causal stage that looks for steps in a few signals; all detectors share this loop over blocks.
+
+    Samples are numbered from 0 in each segment (between gaps). The result does not depend on how the samples were cut
+    into blocks.
+
+    Parameters
+    ----------
+    rate_hz : float
+        Sampling rate of the blocks.
+    max_interval_s : float
+        After a longer pause a new bout begins.
+    first_step_s : float
+        Duration given to the first step of a bout, whose start no contact marks: a typical step from rest.
+    """
+
+    rate_hz: float = 100.0
+    max_interval_s: float = 2.0
+    first_step_s: float = 0.6
+
+    @property
+    @abstractmethod
+    def latency_s(self) -> float:
+        """Longest time from a contact to its detection."""
+
+    @abstractmethod
+    def init(self) -> S:
+        """State before the first sample of a segment."""
+
+    @property
+    @abstractmethod
+    def _n_line(self) -> int:
+        """How many columns of earlier signals `_detect` is given, L."""
+
+    @abstractmethod
+    def _signals(
+        self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[S, FloatArray]:
+        """New filter memories and the signals (R, N) of a block."""
+
+    @abstractmethod
+    def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+        """Detect in signals (R, L + N): the last N are new, and the first of these is sample number `first`."""
+
+    def _continued(self, state: S) -> FloatArray:
+        """Signals (R, n) assumed after the last sample, where a gap or the end comes: the last value stays."""
+        return np.repeat(state.line[:, -1:], round(self.latency_s * self.rate_hz), axis=1)
+
+    @cached_property
+    def _log(self) -> StepLog:
+        return StepLog(self.rate_hz, self.latency_s, self.max_interval_s, self.first_step_s)
+
+    def step(
+        self, state: S, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
+    ) -> tuple[S, list[tuple[int, Step]]]:
+        """New state and the steps that became known, each with the number of the sample that revealed it."""
+        first = state.log.n_samples
+        state = replace(state, log=self._log.extend(state.log, block, attitude))
+        state, signals = self._signals(state, block, attitude, contexts)
+        if first == 0 and state.line.shape[1] == 0:
+            # What was before the first sample is assumed to be like it: a zero there would look like a blow.
+            state = replace(state, line=np.repeat(signals[:, :1], self._n_line, axis=1))
+        state, steps = self._advance(state, signals, first)
+        return replace(state, log=self._log.trim(state.log)), steps
+
+    def finish(self, state: S) -> list[tuple[int, Step]]:
+        """Steps whose detection would have needed more samples, when a gap or the end comes."""
+        end = state.log.n_samples
+        if end == 0:
+            return []
+        last_s = self._log.time_s(state.log, end - 1)
+        _, steps = self._advance(state, self._continued(state), end)
+        return [(end - 1, replace(s, detected_time_s=last_s)) for _, s in steps if s.time_s <= last_s]
+
+    def _advance(self, state: S, signals: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
+        line = np.concatenate([state.line, signals], axis=1)
+        state, steps = self._detect(state, line, first)
+        return replace(state, line=line[:, signals.shape[1] :].copy()), steps
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ResponseState(DetectorState):
+    """Its last signals, and the last values of the response."""
+
+    response: FloatArray  # (K, 2)
+
+
+R = TypeVar("R", bound=ResponseState)
+
+
+@dataclass(frozen=True)
+class ResponseStepDetector(StepDetector[R]):
+    """Steps as local maxima of a response, which is `_delay_samples` late and may come with further values."""
+
+    @property
+    @abstractmethod
+    def _delay_samples(self) -> int: ...
+
+    @property
+    @abstractmethod
+    def _min_response(self) -> float:
+        """Lower maxima are no steps in any case."""
+
+    @abstractmethod
+    def _response(self, line: FloatArray) -> FloatArray:
+        """The response and what comes with it, (K, N), from signals (R, L + N)."""
+
+    @abstractmethod
+    def _accepted(self, state: R, peak: FloatArray, interval_s: float, new_bout: bool) -> R | None:
+        """New state if a maximum (K,) that comes so long after the last step is a step, else None."""
+
+    @property
+    def latency_s(self) -> float:
+        """Time from a contact to its detection."""
+        return (self._delay_samples + 1) / self.rate_hz
+
+    def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
+        response = np.concatenate([state.response, self._response(line)], axis=1)
+        is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self._min_response)
+        steps: list[tuple[int, Step]] = []
+        for i in np.flatnonzero(is_peak).tolist():
+            # column i + 2 was made by sample first + i
+            state, step = self._step_at(state, response[:, i : i + 3], first + i)
+            if step is not None:
+                steps.append((first + i, step))
+        return replace(state, response=response[:, -2:]), steps
+
+    def _step_at(self, state: R, values: FloatArray, known: int) -> tuple[R, Step | None]:
+        """The step that a local maximum of the response, the middle of (K, 3), makes, if it makes one."""
+        contact = known - 1 - self._delay_samples
+        if not self._log.can_end(state.log, contact):
+            return state, None
+        fraction = vertex(values[0])
+        contact_s = self._log.time_s(state.log, contact) + fraction / self.rate_hz
+        interval_s, new_bout = contact_s - state.log.last_contact_s, self._log.starts_bout(state.log, contact_s)
+        accepted = self._accepted(state, values[:, 1], interval_s, new_bout)
+        if accepted is None:
+            return state, None
+        log, step = self._log.add(state.log, contact, known, fraction)
+        return replace(accepted, log=log), step
+
+
+def local_maxima(values: FloatArray) -> BoolArray:
+    """Whether each value but the first and the last of (..., N) is a local maximum, (..., N - 2)."""
+    middle = values[..., 1:-1]
+    return (middle > values[..., :-2]) & (middle >= values[..., 2:])
+
+
+def vertex(peak: FloatArray) -> float:
+    """Where the parabola through three values (3,) has its extremum, in samples after the middle one.
+
+    It dates contacts more finely than the sampling interval.
+    """
+    curvature = peak[0] - 2 * peak[1] + peak[2]
+    return float(0.5 * (peak[0] - peak[2]) / curvature) if curvature != 0 else 0.0
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
@@ -223,5 +344,5 @@ def amplitude_of_one_period(values: FloatArray) -> float:
     """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
     n = len(values)
     phase = 2 * np.pi * np.arange(n) / n
-    deviation = values - values.mean()
-    return 2 / n * float(np.hypot((deviation * np.cos(phase)).sum(), (deviation * np.sin(phase)).sum()))
+    centred = values - values.mean()
+    return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))

@@ -11,8 +11,8 @@ specific force alone: neither gyroscope nor attitude, no model, no carrying mode
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
    (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
    is more probable than not, from its own evidence and all before.
-3. Bouts. With every accepted step the ones before it are seen anew, with the evidence after them (backward recursion).
-   `min_steps` of them that are walking are a bout and leave together, later ones leave at once; fewer are dropped.
+3. Bouts. Every accepted step corrects the ones before it by the evidence after them (backward recursion). `min_steps`
+   of them that are walking are a bout and leave together, later ones leave at once; fewer are dropped.
 4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
    `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
 
@@ -48,7 +48,7 @@ from pdr_filter.values.step import Step
 _EVIDENCE_HZ = 25.0
 # A step may become known so long after its contact and still find its window whole.
 _MAX_KNOWN_AFTER_S = 4.0
-# A window with fewer rows (1 s) tells nothing: it holds no two steps.
+# A window with fewer rows (1 s) is no evidence: it holds no two steps.
 _MIN_ROWS = 26
 # Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
 _LIMIT = 3.0
@@ -75,8 +75,8 @@ class WalkEvidence:
         return total
 
 
-# In the order of `evidence_features`, fitted as the module says. Walking and not walking had the same mass, and 0.7 was
-# added to the intercept: to lose a step of a walk is worse than a false step now and then.
+# In the order of `evidence_features`; see the module's docstring. Walking and not walking had the same mass, and 0.7
+# was added to the intercept: to lose a step of a walk is worse than a false step now and then.
 EVIDENCE = WalkEvidence(
     mean=np.array([0.41, 0.23, -0.37, 0.57]),
     scale=np.array([0.37, 0.20, 1.03, 0.26]),
@@ -98,17 +98,17 @@ class JudgedStep:
 class StepGateState:
     """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
 
-    start_s: float  # of the segment: time of its first sample
-    n_samples: int  # of the segment
-    rest: FloatArray  # (R, 3) force of the samples that are no whole row yet
-    rows: FloatArray  # (M, 3) last rows of averaged force
-    waiting: tuple[tuple[int, Step], ...]  # for their window, with the number of the sample that revealed them
-    contacts_s: tuple[float, ...]  # the last four of the segment that are judged
     walking_prob: float  # after the last step that is judged
-    judged_s: float  # its contact
-    held: tuple[JudgedStep, ...]  # judged, but not out: they may still belong to a bout
-    run_s: tuple[float, float]  # first and last contact of the last accepted steps without a pause
-    is_bout: bool  # that they are a bout
+    judged_s: float = -math.inf  # its contact
+    start_s: float = math.nan  # of the segment: time of its first sample
+    n_samples: int = 0  # of the segment
+    rest: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # force of samples that are no whole row yet
+    rows: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # last rows of averaged force
+    waiting: tuple[tuple[int, Step], ...] = ()  # for their window, with the number of the sample that revealed them
+    contacts_s: tuple[float, ...] = ()  # the last four of the segment that are judged
+    held: tuple[JudgedStep, ...] = ()  # judged, but not out: they may still belong to a bout
+    run_s: tuple[float, float] = (-math.inf, -math.inf)  # first and last contact of accepted steps without a pause
+    is_bout: bool = False  # that they are a bout
 
 
 @dataclass(frozen=True)
@@ -193,35 +193,14 @@ class StepGate:
 
     def init(self) -> StepGateState:
         """State before the first sample."""
-        return StepGateState(
-            start_s=math.nan,
-            n_samples=0,
-            rest=np.empty((0, 3)),
-            rows=np.empty((0, 3)),
-            waiting=(),
-            contacts_s=(),
-            walking_prob=self._walking_share,
-            judged_s=-math.inf,
-            held=(),
-            run_s=(-math.inf, -math.inf),
-            is_bout=False,
-        )
+        return StepGateState(self._walking_share)
 
     def step(
         self, state: StepGateState, block: UniformBlock, attitude: AttitudeBlock, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """New state and the steps that pass, each with the number of the sample that decided.
 
-        Parameters
-        ----------
-        state : StepGateState
-            From the block before.
-        block : UniformBlock
-            Samples, without a gap in them.
-        attitude : AttitudeBlock
-            Of the same samples; not looked at.
-        steps : sequence of (sample number, Step)
-            What the detector found in this block, in order.
+        `steps` are what the detector found in this block, in order; the attitude is not looked at.
         """
         samples = np.concatenate([state.rest, block.specific_force_mps2])
         n = self._samples_per_row
@@ -249,14 +228,8 @@ class StepGate:
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
 
-        Parameters
-        ----------
-        state : StepGateState
-            From the last block before.
-        steps : sequence of (sample number, Step)
-            What the detector's `finish` gave.
-        gap_s : float
-            Length of the gap, s. A bout goes on after a short one, the belief in walking fades with time.
+        `steps` are what the detector's `finish` gave. A bout goes on after a short gap, the belief in walking fades
+        with time.
         """
         state = replace(state, waiting=(*state.waiting, *steps))
         released: list[tuple[int, Step]] = []
@@ -264,14 +237,8 @@ class StepGate:
             state, passed = self._judge(state, state.n_samples - 1)
             released += passed
         # Steps that are no bout yet are given up: what the gap holds is unknown.
-        nothing = self.init()
-        return replace(
-            nothing,
-            walking_prob=state.walking_prob,
-            judged_s=state.judged_s,
-            run_s=state.run_s if state.is_bout else nothing.run_s,
-            is_bout=state.is_bout,
-        ), released
+        after = StepGateState(state.walking_prob, state.judged_s)
+        return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     # --- the evidence of a step -----------------------------------------------------------------------------------
 
@@ -375,21 +342,13 @@ class StepGate:
 def evidence_features(
     force_mps2: FloatArray, contacts_s: Sequence[float], max_interval_s: float = 2.5
 ) -> tuple[float, float, float, float]:
-    """What tells walking from handling, of one step.
+    """The features of one step in which walking and handling differ.
 
-    Returns how much the force repeats with its direction (the autocorrelation's highest value after it was negative),
-    how uneven the rhythm is (standard deviation of the logarithm of three intervals), how far the phone turns for how
-    little it bounces (log of the rms of the force averaged over 0.76 s, over that of its magnitude), and how much the
-    magnitude repeats.
-
-    Parameters
-    ----------
-    force_mps2 : (N, 3)
-        Specific force around the contact at 25 Hz, N >= 26.
-    contacts_s : sequence of float
-        The contact and the three before it, or fewer at the start.
-    max_interval_s : float
-        Longer intervals are pauses.
+    From the specific force around the contact at 25 Hz, (N, 3), N >= 26, and the contact with up to three before it:
+    how much the force repeats with its direction (the autocorrelation's highest value after it was negative), how
+    uneven the rhythm is (standard deviation of the logarithm of three intervals; longer ones than `max_interval_s` are
+    pauses), how far the phone turns for how little it bounces (log of the rms of the force averaged over 0.76 s, over
+    that of its magnitude), and how much the magnitude repeats.
     """
     x, y, z = force_mps2.T
     magnitude = np.sqrt(x * x + y * y + z * z)
@@ -413,12 +372,12 @@ def repetition(signal: FloatArray) -> float:
     r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples that both have, of the signal less
     its mean, up to 2.24 s at 25 Hz: one step of the slowest walker, two or more of all others.
     """
-    deviation = signal - signal.mean(axis=0)
-    n = len(deviation)
+    centred = signal - signal.mean(axis=0)
+    n = len(centred)
     n_lags = min(57, n - 11)
-    columns = [np.ascontiguousarray(c) for c in deviation.T]
+    columns = [np.ascontiguousarray(c) for c in centred.T]
     product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
-    energy = np.concatenate([[0.0], np.cumsum((deviation * deviation).sum(axis=1))])
+    energy = np.concatenate([[0.0], np.cumsum((centred * centred).sum(axis=1))])
     lag = np.arange(n_lags)
     correlation = product / np.sqrt(energy[n - lag] * (energy[n] - energy[lag]) + 1e-6)
     negative = np.flatnonzero(correlation < 0)

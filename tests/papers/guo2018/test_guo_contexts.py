@@ -162,7 +162,7 @@ def test_the_windows_do_not_depend_on_how_the_samples_arrive_nor_on_a_pause_in_a
 
 def test_only_a_model_of_pitch_and_roll_is_taken() -> None:
     with pytest.raises(ValueError, match="12 features"):
-        PoseContext(load_model("carrying"))
+        PoseContext(model=load_model("carrying"))
 
 
 # --- the model ------------------------------------------------------------------------------------------------------
@@ -243,7 +243,7 @@ def test_a_small_training_writes_a_model_with_a_card_of_people_left_out(tmp_path
     }  # fmt: skip
     assert set(card["site_left_out"]) == {"tyrex", "humolire"}
     model = load_model(tmp_path / "models" / "guo_pose.npz")
-    assert PoseContext(model).name == STAGE.name
+    assert PoseContext(model=model).name == STAGE.name
     assert model.predict(np.zeros(12)).sum() == pytest.approx(1.0)
 
 

@@ -4,6 +4,7 @@ import statistics
 
 import numpy as np
 import pytest
+from helpers import cut_uniform, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
@@ -11,13 +12,14 @@ from scipy.spatial.transform import Rotation
 from pdr_filter.papers.guo2018.features import (
     NAMES,
     WITHOUT_LIGHT_AND_PROXIMITY,
+    MotionLevel,
     PoseWindow,
     PoseWindows,
     pitch_and_roll,
     pose_features,
 )
-
-Samples = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]  # time, up, light, proximity
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
 
 
 def literal_features(window: np.ndarray) -> list[float]:
@@ -37,18 +39,15 @@ def up_of(rotation: Rotation) -> np.ndarray:
     return rotation.as_matrix()[..., 2, :]
 
 
-def samples(n: int, seed: int = 0) -> Samples:
+def samples(n: int, seed: int = 0) -> tuple[UniformBlock, AttitudeBlock]:
     rng = np.random.default_rng(seed)
+    block = uniform_block(9.8 + rng.normal(size=n), rate=rng.normal(size=(n, 3)))
     up = up_of(Rotation.random(n, random_state=seed))
-    return (np.arange(n) + 0.5) / 100, up, rng.uniform(0, 500, n), rng.choice([0.0, 5.0], n)
+    return block, AttitudeBlock(np.zeros(n), np.zeros((n, 2)), up, np.zeros(n))
 
 
-def windows_of(stage: PoseWindows, pieces: list[Samples]) -> list[tuple[int, PoseWindow]]:
-    state, found = stage.init(), []
-    for piece in pieces:
-        state, windows = stage.step(state, *piece)
-        found += windows
-    return found
+def windows_of(stage: PoseWindows, block: UniformBlock, attitude: AttitudeBlock) -> list[tuple[int, PoseWindow]]:
+    return stage.step(stage.init(), block, attitude)[1]
 
 
 @settings(max_examples=30, deadline=None)
@@ -137,41 +136,37 @@ def test_a_window_is_not_changed_by_describing_it() -> None:
     np.testing.assert_array_equal(window, before)
 
 
-def test_windows_end_every_six_tenths_of_a_second() -> None:
-    found = windows_of(PoseWindows(), [samples(250)])
+def test_windows_of_six_tenths_of_a_second_follow_each_other() -> None:
+    found = windows_of(PoseWindows(), *samples(250))
     assert [index for index, _ in found] == [59, 119, 179, 239]
     np.testing.assert_allclose([w.time_s for _, w in found], [0.6, 1.2, 1.8, 2.4])
+    np.testing.assert_allclose([w.start_s for _, w in found], [0.0, 0.6, 1.2, 1.8], atol=1e-12)
 
 
-def test_a_window_holds_the_features_of_its_own_samples() -> None:
-    time_s, up, light, proximity = samples(240)
-    rows = np.stack([*pitch_and_roll(up), light, proximity])
-    for index, window in windows_of(PoseWindows(hop_s=0.3), [(time_s, up, light, proximity)]):
-        assert window.has_light_and_proximity
-        np.testing.assert_array_equal(
-            window.features, pose_features(np.ascontiguousarray(rows[:, index - 59 : index + 1]))
-        )
-
-
-def test_without_a_sensor_or_for_a_window_with_a_hole_in_it_there_are_12_features() -> None:
-    time_s, up, light, proximity = samples(240)
-    light[130] = np.nan
-    found = [w for _, w in windows_of(PoseWindows(), [(time_s, up, light, proximity)])]
-    assert [len(w.features) for w in found] == [18, 18, 12, 18]
-    state = PoseWindows().init()
-    for without in ({}, {"light_lux": light}, {"proximity_cm": proximity}):
-        _, windows = PoseWindows().step(state, time_s, up, **without)
-        assert [w.has_light_and_proximity for _, w in windows] == [False] * 4
+def test_a_window_holds_the_features_and_the_level_of_its_own_samples() -> None:
+    block, attitude = samples(240)
+    rows = np.stack(pitch_and_roll(attitude.up_sensor))
+    _, level, has_rate = MotionLevel().step(MotionLevel().init(), block)
+    found = windows_of(PoseWindows(hop_s=0.3), block, attitude)
+    assert len(found) == 7
+    for index, window in found:
+        own = np.ascontiguousarray(rows[:, index - 59 : index + 1])
+        np.testing.assert_array_equal(window.features, pose_features(own))
+        assert (window.level, window.has_gyroscope) == (level[index], has_rate[index])
 
 
 @settings(max_examples=30, deadline=None)
 @given(edges=st.lists(st.integers(0, 400), max_size=40), hop_s=st.sampled_from([0.6, 0.3, 0.1]))
 def test_windows_do_not_depend_on_how_samples_arrive(edges: list[int], hop_s: float) -> None:
-    columns, stage = samples(400), PoseWindows(hop_s=hop_s)
-    cuts = sorted(edges)
-    pieces = list(zip(*(np.split(c, cuts) for c in columns), strict=True))
-    whole, cut = windows_of(stage, [columns]), windows_of(stage, pieces)
-    assert [(i, w.time_s) for i, w in cut] == [(i, w.time_s) for i, w in whole]
+    (block, attitude), stage = samples(400), PoseWindows(hop_s=hop_s)
+    whole = windows_of(stage, block, attitude)
+    state, cut, start = stage.init(), list[tuple[int, PoseWindow]](), 0
+    for piece in cut_uniform(block, edges):
+        n = len(piece.time_s)
+        up = attitude.up_sensor[start : start + n]
+        state, found = stage.step(state, piece, AttitudeBlock(np.zeros(n), np.zeros((n, 2)), up, np.zeros(n)))
+        cut, start = [*cut, *found], start + n
+    assert [(i, w.time_s, w.level) for i, w in cut] == [(i, w.time_s, w.level) for i, w in whole]
     for (_, a), (_, b) in zip(cut, whole, strict=True):
         np.testing.assert_array_equal(a.features, b.features)
 

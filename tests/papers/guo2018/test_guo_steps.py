@@ -15,7 +15,7 @@ from pdr_filter.papers.guo2018.contexts import PoseContext
 from pdr_filter.papers.guo2018.steps import PoseStepDetector, PoseStepState, feature_signals, signal_rows
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.steps.detector import ModeBlock, unknown_modes
+from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
@@ -23,9 +23,9 @@ from pdr_filter.values.step import Step
 DETECTOR = PoseStepDetector()
 
 
-def modes(name: str, n: int) -> ModeBlock:
+def modes(name: str, n: int) -> ContextBlock:
     index = CARRYING_MODES.index(name) if name else -1
-    return ModeBlock(np.full(n, 1), np.full(n, index))
+    return ContextBlock(np.full(n, 1), np.full(n, index))
 
 
 def walk(frequency_hz: float, n_steps: int = 24, amplitude_mps2: float = 3.0) -> tuple[np.ndarray, UniformBlock]:
@@ -60,14 +60,14 @@ def noisy_walk(seed: int, n: int = 1500) -> UniformBlock:
     return replace(block, specific_force_mps2=force, angular_rate_known=known)
 
 
-def all_modes(n: int) -> ModeBlock:
+def all_modes(n: int) -> ContextBlock:
     """Every carrying mode for a while, unknown between."""
     mode = np.repeat([0, 1, 2, -1, 3, 4, 2], -(-n // 7))[:n]
-    return ModeBlock(np.full(n, 1), mode)
+    return ContextBlock(np.full(n, 1), mode)
 
 
 def detect(
-    blocks: list[UniformBlock], told: list[ModeBlock], detector: PoseStepDetector = DETECTOR
+    blocks: list[UniformBlock], told: list[ContextBlock], detector: PoseStepDetector = DETECTOR
 ) -> tuple[PoseStepState, list[tuple[int, Step]]]:
     state, found = detector.init(), []
     for block, mode in zip(blocks, told, strict=True):
@@ -157,7 +157,7 @@ def test_a_change_of_pose_on_the_way_neither_loses_nor_doubles_a_step() -> None:
     mode = np.full(n, CARRYING_MODES.index("texting"))
     mode[n // 3 :] = CARRYING_MODES.index("pocket")
     mode[n // 2 :] = -1
-    _, found = detect([block], [ModeBlock(np.full(n, 1), mode)])
+    _, found = detect([block], [ContextBlock(np.full(n, 1), mode)])
     inside = [t for t in times_s(found) if contacts_s[4] - 0.2 < t < contacts_s[-4] + 0.2]
     np.testing.assert_allclose(inside, contacts_s[4:-3], atol=0.02)
 
@@ -182,7 +182,7 @@ def test_the_steps_do_not_depend_on_how_the_samples_arrive(seed: int) -> None:
     block, told = noisy_walk(seed), all_modes(1500)
     edges = [0, *sorted(set(np.random.default_rng(seed).integers(1, 1500, 60).tolist())), 1500]
     pieces = cut_uniform(block, edges[1:-1])
-    cut = [ModeBlock(told.context[a:b], told.carrying_mode[a:b]) for a, b in itertools.pairwise(edges)]
+    cut = [ContextBlock(told.context[a:b], told.carrying_mode[a:b]) for a, b in itertools.pairwise(edges)]
     state, whole = detect([block], [told])
     state_cut, found = detect(pieces, cut)
     assert len(whole) > 15
@@ -194,8 +194,8 @@ def test_a_state_saved_on_the_way_goes_on_with_the_same_bits() -> None:
     block, told = noisy_walk(5), all_modes(1500)
     pieces = cut_uniform(block, [640])
     cut = [
-        ModeBlock(told.context[:640], told.carrying_mode[:640]),
-        ModeBlock(told.context[640:], told.carrying_mode[640:]),
+        ContextBlock(told.context[:640], told.carrying_mode[:640]),
+        ContextBlock(told.context[640:], told.carrying_mode[640:]),
     ]
     _, whole = detect([block], [told])
     state, found = detect(pieces[:1], cut[:1])
@@ -218,8 +218,8 @@ def test_in_a_pocket_it_does_not_matter_how_the_phone_lies() -> None:
 
 
 def test_settings_that_cannot_be_meant_are_refused() -> None:
-    with pytest.raises(ValueError, match="min_step_hz must be below"):
-        PoseStepDetector(min_step_hz=3.0, max_step_hz=2.0)
+    with pytest.raises(ValueError, match="longer than a step at max_step_hz"):
+        PoseStepDetector(max_interval_s=0.3, max_step_hz=2.0)
     with pytest.raises(ValueError, match="at least three samples"):
         PoseStepDetector(statistics_s=0.01)
 
@@ -233,7 +233,7 @@ def steps_of(path: Path, contexts: PoseContext | None) -> np.ndarray:
     attitude_state = attitudes.init()
     for block in conditioner.step(conditioner.init(), merge_streams(read(path)))[1]:
         attitude_state, attitude = attitudes.step(attitude_state, block)
-        told = unknown_modes(len(block.time_s))
+        told = unknown_contexts(len(block.time_s))
         if contexts is not None:
             for last, window in contexts.step(contexts.init(), block, attitude)[1]:
                 told.context[last + 1 :] = window.prob.argmax()

@@ -7,7 +7,6 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scipy import stats
 
 from pdr_filter.papers.martinelli2018.features import (
     NAMES,
@@ -25,9 +24,12 @@ def literal_features(window: np.ndarray, rate_hz: float) -> list[float]:
     a, a_f, g, m = window
     found: list[float] = []
     found += [x.max() - x.min() for x in (a, a_f, g, m)]  # F1-F4
-    found += [np.sqrt(((x - x.mean()) ** 2).sum() / len(x)) for x in (a, a_f, g, m)]  # F5-F8
-    found += [stats.skew(x) for x in (a, a_f, g, m)]  # F9-F12
-    found += [stats.kurtosis(x, fisher=False) for x in (a, a_f, g, m)]  # F13-F16
+    means = (a.mean(), a.mean(), g.mean(), m.mean())  # F6, F10 and F14 have the mean of a, not that of LPF(a)
+    stds = [np.sqrt(((x - mean) ** 2).sum() / len(x)) for x, mean in zip((a, a_f, g, m), means, strict=True)]
+    found += stds  # F5-F8
+    for power in (3, 4):  # F9-F16
+        for x, mean, std in zip((a, a_f, g, m), means, stds, strict=True):
+            found.append(((x - mean) ** power).sum() / len(x) / std**power)
     found += [sum(v**2 for v in x) for x in (a, a_f, g, m)]  # F17-F20
     spectra = [np.abs(np.fft.fft(x - x.mean()))[: len(x) // 2 + 1] for x in (a, a_f, g)]
     found += [s.max() for s in spectra]  # F21-F23

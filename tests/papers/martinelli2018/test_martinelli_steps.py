@@ -17,7 +17,7 @@ from pdr_filter.papers.martinelli2018.steps import WaveletDetectorState, Wavelet
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.detector import unknown_modes
+from pdr_filter.sensing.steps.detector import unknown_contexts
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
@@ -44,7 +44,7 @@ def detect(
     state, found = detector.init(), []
     for i, block in enumerate(blocks):
         attitude = attitudes[i] if attitudes else flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.step(state, block, attitude, unknown_modes(len(block.time_s)))
+        state, steps = detector.step(state, block, attitude, unknown_contexts(len(block.time_s)))
         found += steps
     return state, found
 
@@ -271,7 +271,7 @@ def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
     _, magnitude = walk(1.8, 4.0)
     first, second = cut_uniform(uniform_block(magnitude), [900])
     state, _ = detect(detector, [first])
-    attitude, modes = flat_attitude(magnitude[900:]), unknown_modes(len(second.time_s))
+    attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
     expected = detector.step(state, second, attitude, modes)[1]
     detector.finish(state)
     assert detector.step(state, second, attitude, modes)[1] == expected

@@ -37,7 +37,7 @@ def window(variance_acc: float, variance_gyro: float, has_gyroscope: bool = True
     features[NAMES.index("variance_gyro")] = variance_gyro
     features[NAMES.index("dominant_frequency_1_acc_hz")] = more.get("frequency_hz", 1.8)
     dominant = np.array([more.get("dominance_acc", 0.85), more.get("dominance_gyro", 0.85)])
-    return MotionWindow(2.56, features, has_gyroscope, dominant, more.get("rotation_energy", 2 * variance_gyro))
+    return MotionWindow(0.0, 2.56, features, has_gyroscope, dominant, more.get("rotation_energy", 2 * variance_gyro))
 
 
 def block_of(force: np.ndarray, rate: np.ndarray | None) -> UniformBlock:
@@ -134,7 +134,7 @@ def test_the_probabilities_of_each_leaf_add_up_and_its_own_mode_has_most(tree: o
 def test_each_mode_becomes_a_context_a_carrying_mode_and_irregular_motion() -> None:
     stage = MotionModes()
     static, rest, swinging, irregular = (
-        stage.assess(w)
+        stage.assess(None, w)[1]
         for w in (
             window(0.001, 0.001),
             window(3.0, 0.05, rotation_energy=0.3),
@@ -159,7 +159,7 @@ def test_each_mode_becomes_a_context_a_carrying_mode_and_irregular_motion() -> N
 
 
 def test_without_angular_rate_walking_has_no_carrying_mode() -> None:
-    context = MotionModes().assess(window(3.0, 0.0, has_gyroscope=False, dominance_gyro=0.0))
+    context = MotionModes().assess(None, window(3.0, 0.0, has_gyroscope=False, dominance_gyro=0.0))[1]
     assert context.model == "susi2013_accelerometer"
     assert context.prob[WALKING] > 0.8
     held = [context.carrying_prob[CARRYING_MODES.index(m)] for m in ("texting", "calling", "swinging", "bag")]
@@ -259,7 +259,7 @@ def test_the_values_that_the_tree_tests_are_the_same_bits_sample_by_sample() -> 
     for blocks in ([block], cut_uniform(block, range(520))):
         state, found = stage.init(), []
         for piece in blocks:
-            state, windows = stage.step(state, piece)
+            state, windows = stage.step(state, piece, flat_attitude(piece.specific_force_mps2[:, 2]))
             found += windows
         results.append(np.array([tree_features(w) for _, w in found]))
     np.testing.assert_array_equal(*results)

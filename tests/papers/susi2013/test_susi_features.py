@@ -4,7 +4,7 @@ import warnings
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, uniform_block
+from helpers import cut_uniform, flat_attitude, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt, stft
@@ -37,7 +37,7 @@ def noise_block(n: int, seed: int = 0) -> UniformBlock:
 def windows_of(stage: MotionWindows, blocks: list[UniformBlock]) -> list[tuple[int, MotionWindow]]:
     state, found = stage.init(), []
     for block in blocks:
-        state, windows = stage.step(state, block)
+        state, windows = stage.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
         found += windows
     return found
 

@@ -18,7 +18,7 @@ from pdr_filter.papers.susi2013.contexts import MotionModes
 from pdr_filter.papers.susi2013.steps import NormMinimaState, NormMinimaStepDetector
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.steps.detector import ModeBlock, unknown_modes
+from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
@@ -40,21 +40,21 @@ def walk(step_hz: float, start_s: float = START_S, rate_hz: float = 100.0) -> tu
     return contacts_s, uniform_block(force, rate_hz, rate=np.outer(turning, [0.8, 0.0, 0.6]))
 
 
-def modes_like(block: UniformBlock, context: int = WALKING, carrying_mode: int = TEXTING) -> ModeBlock:
+def modes_like(block: UniformBlock, context: int = WALKING, carrying_mode: int = TEXTING) -> ContextBlock:
     n = len(block.time_s)
-    return ModeBlock(np.full(n, context), np.full(n, carrying_mode))
+    return ContextBlock(np.full(n, context), np.full(n, carrying_mode))
 
 
 def detect(
     blocks: list[UniformBlock],
-    modes: list[ModeBlock] | None = None,
+    modes: list[ContextBlock] | None = None,
     detector: NormMinimaStepDetector | None = None,
 ) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
     detector = detector or NormMinimaStepDetector()
     state, found = detector.init(), []
     for i, block in enumerate(blocks):
         attitude = flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.step(state, block, attitude, modes[i] if modes else unknown_modes(len(block.time_s)))
+        state, steps = detector.step(state, block, attitude, modes[i] if modes else unknown_contexts(len(block.time_s)))
         found += steps
     return state, found
 
@@ -132,7 +132,7 @@ def test_nobody_who_stands_makes_steps(carrying_mode: int) -> None:
 def test_the_mode_of_a_contact_is_known_1_to_2_seconds_after_it() -> None:
     contacts_s, block = walk(2.0)
     change_s = contacts_s[12]
-    modes = ModeBlock(np.where(block.time_s < change_s, STATIONARY, WALKING), np.full(len(block.time_s), TEXTING))
+    modes = ContextBlock(np.where(block.time_s < change_s, STATIONARY, WALKING), np.full(len(block.time_s), TEXTING))
     found_s = times_s(detect([block], [modes])[1])
     assert change_s - 2.2 < found_s[0] < change_s - 1.3
 
@@ -140,7 +140,7 @@ def test_the_mode_of_a_contact_is_known_1_to_2_seconds_after_it() -> None:
 def test_a_change_of_the_carrying_mode_loses_and_doubles_no_step() -> None:
     _, block = walk(1.8)
     swinging = (block.time_s // 3.7) % 2 == 0
-    modes = ModeBlock(np.full(len(swinging), WALKING), np.where(swinging, SWINGING, TEXTING))
+    modes = ContextBlock(np.full(len(swinging), WALKING), np.where(swinging, SWINGING, TEXTING))
     found_s = times_s(detect([block], [modes])[1])
     # both norms know the same contacts, and a contact that neither was asked for is the worst that can happen
     assert (np.diff(found_s) > 0.3).all()
@@ -228,19 +228,19 @@ def test_a_cutoff_that_no_filter_has_is_refused(low_pass_hz: float) -> None:
 # --- invariance -----------------------------------------------------------------------------------------------------
 
 
-def noisy_walk(seed: int) -> tuple[UniformBlock, ModeBlock]:
+def noisy_walk(seed: int) -> tuple[UniformBlock, ContextBlock]:
     rng = np.random.default_rng(seed)
     _, block = walk(rng.uniform(1.2, 2.4))
     block.specific_force_mps2[:] += rng.normal(size=block.specific_force_mps2.shape)
     block.angular_rate_radps[:] += 0.5 * rng.normal(size=block.angular_rate_radps.shape)
     n = len(block.time_s)
     block.angular_rate_known[600:700] = False
-    return block, ModeBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
+    return block, ContextBlock(np.full(n, WALKING), np.where(np.arange(n) // 350 % 2 == 0, SWINGING, TEXTING))
 
 
-def cut_modes(modes: ModeBlock, blocks: list[UniformBlock]) -> list[ModeBlock]:
+def cut_modes(contexts: ContextBlock, blocks: list[UniformBlock]) -> list[ContextBlock]:
     edges = np.cumsum([0, *(len(b.time_s) for b in blocks)])
-    return [ModeBlock(modes.context[a:b], modes.carrying_mode[a:b]) for a, b in pairwise(edges)]
+    return [ContextBlock(contexts.context[a:b], contexts.carrying_mode[a:b]) for a, b in pairwise(edges)]
 
 
 @settings(max_examples=25, deadline=None)

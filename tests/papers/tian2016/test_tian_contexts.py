@@ -261,6 +261,16 @@ def test_after_a_gap_the_mode_lasts_and_nobody_walks() -> None:
         assert names(said) == [(0, "stationary", mode)]
 
 
+def test_a_report_of_a_change_is_of_its_own_sample_and_all_others_of_the_samples_since_the_last() -> None:
+    moved = walk([(FLAT, 5.0, 0.0)], {149: (0.0, 4.0, 0.0)})  # after a second and a half
+    _, reports = said_of(TianContexts(), *moved)
+    samples = [number for number, _ in reports]
+    assert samples[:4] == [0, 100, 150, 250]
+    described = [(w.time_s - w.start_s) * 100 + 0.5 for _, w in reports]
+    np.testing.assert_allclose(described[:4], [1, 100, 1, 100], atol=1e-6)
+    np.testing.assert_allclose([w.hop_s for _, w in reports[1:]], np.diff(samples) / 100, atol=1e-12)
+
+
 def test_machine_and_steps_of_different_rates_are_refused() -> None:
     with pytest.raises(ValueError, match="rate_hz"):
         TianContexts(CarryingMachine(rate_hz=50.0), TianStepDetector(rate_hz=100.0))

@@ -17,14 +17,14 @@ from pdr_filter.papers.tian2016.heading import (
 )
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.step import Step
 
 TEXTING, SWINGING, IN_POCKET, UNKNOWN = *(CARRYING_MODES.index(m) for m in ("texting", "swinging", "pocket")), -1
-Samples = tuple[UniformBlock, AttitudeBlock, ModeBlock]
+Samples = tuple[UniformBlock, AttitudeBlock, ContextBlock]
 
 
 def table_iv(yaw_rad: np.ndarray) -> float:
@@ -77,7 +77,7 @@ def phone(
     time_s, zeros = (np.arange(n) + 0.5) / 100, np.zeros((n, 3))
     block = UniformBlock(time_s, force, zeros, known, zeros, ~known, np.inf)
     attitude = AttitudeBlock(force_world[:, 2] - 9.8, force_world[:, :2], to_world[:, 2], heading)
-    return block, attitude, ModeBlock(np.full(n, -1), np.broadcast_to(modes, n).copy())
+    return block, attitude, ContextBlock(np.full(n, -1), np.broadcast_to(modes, n).copy())
 
 
 @pytest.mark.parametrize("pitch", [-0.5, 0.0, 0.7, np.pi / 2, 2.0])
@@ -95,7 +95,7 @@ def test_the_viewing_direction_turns_with_the_user_at_every_pitch_upright_includ
 # --- the stage ------------------------------------------------------------------------------------------------------
 
 
-def part(whole: UniformBlock | AttitudeBlock | ModeBlock, a: int, b: int):
+def part(whole: UniformBlock | AttitudeBlock | ContextBlock, a: int, b: int):
     cut = {f.name: getattr(whole, f.name)[a:b] for f in fields(whole) if f.name != "gap_before_s"}
     return type(whole)(**cut, **({"gap_before_s": 0.0} if isinstance(whole, UniformBlock) else {}))
 

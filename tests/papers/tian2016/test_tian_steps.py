@@ -24,7 +24,7 @@ from pdr_filter.papers.tian2016.steps import (
 )
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.contexts import CARRYING_MODES
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -35,7 +35,7 @@ TEXTING, SWINGING, IN_POCKET, UNKNOWN = *(CARRYING_MODES.index(m) for m in ("tex
 
 def phone(
     user_g: np.ndarray, carrying_mode: np.ndarray | int, up: tuple[float, float, float] = (0.0, 0.0, 1.0), rate_hz=100.0
-) -> tuple[UniformBlock, AttitudeBlock, ModeBlock]:
+) -> tuple[UniformBlock, AttitudeBlock, ContextBlock]:
     """A phone that never turns, with the user acceleration of iOS (N, 3), in g."""
     n = len(user_g)
     direction = np.tile(np.array(up) / np.linalg.norm(up), (n, 1))
@@ -44,17 +44,17 @@ def phone(
     block = UniformBlock(time_s, force, zeros, known, zeros, ~known, np.inf)
     vertical = (force * direction).sum(axis=1) - STANDARD_GRAVITY_MPS2
     attitude = AttitudeBlock(vertical, np.zeros((n, 2)), direction, np.zeros(n))
-    return block, attitude, ModeBlock(np.full(n, -1), np.broadcast_to(carrying_mode, n).copy())
+    return block, attitude, ContextBlock(np.full(n, -1), np.broadcast_to(carrying_mode, n).copy())
 
 
-def part(whole: UniformBlock | AttitudeBlock | ModeBlock, a: int, b: int):
+def part(whole: UniformBlock | AttitudeBlock | ContextBlock, a: int, b: int):
     cut = {f.name: getattr(whole, f.name)[a:b] for f in fields(whole) if f.name != "gap_before_s"}
     return type(whole)(**cut, **({"gap_before_s": 0.0} if isinstance(whole, UniformBlock) else {}))
 
 
 def detect(
     detector: TianStepDetector,
-    samples: tuple[UniformBlock, AttitudeBlock, ModeBlock],
+    samples: tuple[UniformBlock, AttitudeBlock, ContextBlock],
     edges: tuple[int, ...] | list[int] = (),
 ) -> tuple[TianDetectorState, list[tuple[int, Step]]]:
     state, found = detector.init(), []
@@ -190,6 +190,12 @@ def test_a_peak_that_a_trough_follows_within_the_rejection_window_is_false() -> 
         np.testing.assert_allclose(times_s(found), expected_s, atol=0.02)
 
 
+def test_only_a_step_that_no_step_precedes_by_two_seconds_is_from_rest() -> None:
+    at_s = [2.0, 2.5, 3.0, 3.5, 5.0, 5.5, 8.0]  # pauses of 1.5 s and of 2.5 s
+    _, found = detect(TianStepDetector(), phone(bumps(10.0, at_s, 0.3), TEXTING))
+    assert [s.from_rest for _, s in found] == [True, False, False, False, False, False, True]
+
+
 # --- transitions ----------------------------------------------------------------------------------------------------
 
 
@@ -306,7 +312,7 @@ def steps_s(path: Path, carrying_mode: int) -> tuple[np.ndarray, object]:
             attitude_state, state = estimator.after_gap(attitude_state), detector.init()
         attitude_state, attitude = estimator.step(attitude_state, block)
         n = len(block.time_s)
-        state, steps = detector.step(state, block, attitude, ModeBlock(np.full(n, -1), np.full(n, carrying_mode)))
+        state, steps = detector.step(state, block, attitude, ContextBlock(np.full(n, -1), np.full(n, carrying_mode)))
         found += steps
     return times_s([*found, *detector.finish(state)]), recording
 

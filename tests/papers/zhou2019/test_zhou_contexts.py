@@ -16,13 +16,12 @@ from pdr_filter.papers.zhou2019.contexts import (
     CARRIED,
     FOOT,
     BehaviourStage,
-    BehaviourStageState,
     BehaviourThresholds,
     context_of,
 )
 from pdr_filter.papers.zhou2019.features import BehaviourWindows
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.contexts.stage import WindowContext
+from pdr_filter.sensing.contexts.stage import WindowContext, WindowStageState
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
@@ -43,8 +42,8 @@ def shaking(seconds: float, amplitude_mps2: float, mean_mps2: float = 0.0, frequ
 
 
 def run(
-    stage: BehaviourStage, blocks: list[UniformBlock], state: BehaviourStageState | None = None
-) -> tuple[BehaviourStageState, list[tuple[int, WindowContext]]]:
+    stage: BehaviourStage, blocks: list[UniformBlock], state: WindowStageState | None = None
+) -> tuple[WindowStageState, list[tuple[int, WindowContext]]]:
     state, found = stage.init() if state is None else state, []
     for block in blocks:
         state, contexts = stage.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
@@ -127,7 +126,7 @@ def test_in_irregular_swing_nobody_moves() -> None:
 
 
 def test_each_behaviour_is_found_again_after_each_other() -> None:
-    stage = BehaviourStage(ANY)
+    stage = BehaviourStage(thresholds=ANY)
     standing, walking = at_rest(10), shaking(10, 8.0)
     running, irregular = shaking(10, 8.0, mean_mps2=11.0), shaking(10, 3.0, mean_mps2=1.5)
     found = behaviours(stage, standing, walking, running, irregular, walking, standing, irregular)
@@ -143,14 +142,14 @@ def test_while_the_maximum_stays_the_behaviour_is_kept_whatever_the_features_say
     peaks = G + 8.0 * np.exp(-((((t + 1) % 2 - 1) / 0.1) ** 2))
     always = replace(ANY, max_change_mps2=0.0)  # every window is classified
     walking = shaking(10, 8.0)
-    assert set(behaviours(BehaviourStage(ANY), walking, peaks)[3:]) == {"walking"}
-    assert set(behaviours(BehaviourStage(ANY), peaks)[3:]) == {"standing"}
-    assert set(behaviours(BehaviourStage(always), walking, peaks)[12:]) == {"standing"}
+    assert set(behaviours(BehaviourStage(thresholds=ANY), walking, peaks)[3:]) == {"walking"}
+    assert set(behaviours(BehaviourStage(thresholds=ANY), peaks)[3:]) == {"standing"}
+    assert set(behaviours(BehaviourStage(thresholds=always), walking, peaks)[12:]) == {"standing"}
 
 
 def test_what_mixes_two_behaviours_is_not_kept_when_the_transition_ends() -> None:
     # Walking begins 0.25 s before a window ends: that window has too little variance, the maximum then stays the same.
-    found = behaviours(BehaviourStage(ANY), at_rest(9.5), shaking(10, 8.0, frequency_hz=2.0))
+    found = behaviours(BehaviourStage(thresholds=ANY), at_rest(9.5), shaking(10, 8.0, frequency_hz=2.0))
     assert "walking" not in found[:9]  # the ninth ends at 9.75 s
     assert set(found[10:]) == {"walking"}
 
@@ -158,11 +157,11 @@ def test_what_mixes_two_behaviours_is_not_kept_when_the_transition_ends() -> Non
 def test_a_changed_maximum_alone_does_not_change_the_behaviour() -> None:
     blow = shaking(20, 8.0)
     blow[1000:1010] += 15.0
-    assert set(behaviours(BehaviourStage(ANY), blow)) == {"walking"}
+    assert set(behaviours(BehaviourStage(thresholds=ANY), blow)) == {"walking"}
 
 
 def test_a_window_comes_every_second_with_its_last_sample_and_the_time_of_its_motion() -> None:
-    _, found = run(BehaviourStage(FOOT), [uniform_block(at_rest(10))])
+    _, found = run(BehaviourStage(thresholds=FOOT), [uniform_block(at_rest(10))])
     assert [index for index, _ in found] == list(range(199, 1000, 100))
     np.testing.assert_allclose([c.time_s for _, c in found], np.arange(1.75, 9.8))  # 0.25 s of filter
 
@@ -179,13 +178,13 @@ def as_rows(found: list[tuple[int, WindowContext]]) -> list[tuple[object, ...]]:
 @settings(max_examples=20, deadline=None)
 @given(edges=st.lists(st.integers(0, 1899), max_size=60))
 def test_behaviours_do_not_depend_on_how_samples_arrive(edges: list[int]) -> None:
-    stage = BehaviourStage(ANY)
+    stage = BehaviourStage(thresholds=ANY)
     assert as_rows(run(stage, cut_uniform(MIXED, edges))[1]) == as_rows(run(stage, [MIXED])[1])
 
 
 @pytest.mark.parametrize("at", [50, 430, 777, 1200])
 def test_a_stage_that_is_saved_and_loaded_goes_on_as_if_nothing_had_been(at: int) -> None:
-    stage = BehaviourStage(ANY)
+    stage = BehaviourStage(thresholds=ANY)
     first, second = cut_uniform(MIXED, [at])
     state, before = run(stage, [first])
     loaded = from_bytes(to_bytes(stage))
@@ -195,12 +194,12 @@ def test_a_stage_that_is_saved_and_loaded_goes_on_as_if_nothing_had_been(at: int
 
 def test_how_the_sensor_is_mounted_does_not_matter() -> None:
     turned = replace(MIXED, specific_force_mps2=Rotation.from_euler("xy", [2.8, 0.4]).apply(MIXED.specific_force_mps2))
-    stage = BehaviourStage(ANY)
+    stage = BehaviourStage(thresholds=ANY)
     assert [behaviour(c) for _, c in run(stage, [turned])[1]] == [behaviour(c) for _, c in run(stage, [MIXED])[1]]
 
 
 def test_after_a_gap_the_behaviour_has_to_show_anew_and_the_bias_stays() -> None:
-    stage = BehaviourStage(ANY)
+    stage = BehaviourStage(thresholds=ANY)
     state, _ = run(stage, [MIXED])
     again = stage.after_gap(state)
     assert again.windows.bias_mps2 is state.windows.bias_mps2
@@ -211,7 +210,7 @@ def test_after_a_gap_the_behaviour_has_to_show_anew_and_the_bias_stays() -> None
 
 def test_a_window_that_is_no_whole_number_of_hops_is_refused() -> None:
     with pytest.raises(ValueError, match="whole number of hops"):
-        BehaviourStage(FOOT, BehaviourWindows(hop_s=0.7))
+        BehaviourStage(BehaviourWindows(hop_s=0.7), thresholds=FOOT)
 
 
 # --- real recordings ------------------------------------------------------------------------------------------------
@@ -219,7 +218,7 @@ def test_a_window_that_is_no_whole_number_of_hops_is_refused() -> None:
 
 def windows_of_file(path: Path, thresholds: BehaviourThresholds) -> tuple[np.ndarray, list[str]]:
     _, blocks = Conditioner().step(Conditioner().init(), merge_streams(read(path)))
-    stage = BehaviourStage(thresholds)
+    stage = BehaviourStage(thresholds=thresholds)
     state, found = stage.init(), []
     for block in blocks:
         state = stage.after_gap(state) if 0 < block.gap_before_s < np.inf else state

@@ -4,7 +4,7 @@ import cmath
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, uniform_block
+from helpers import cut_uniform, flat_attitude, uniform_block
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import firwin, freqz
@@ -45,7 +45,7 @@ def run(
 ) -> tuple[BehaviourState, list[tuple[int, BehaviourWindow]]]:
     state, found = stage.init(), []
     for block in blocks:
-        state, windows = stage.step(state, block)
+        state, windows = stage.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]))
         found += windows
     return state, found
 
@@ -173,7 +173,7 @@ def test_after_a_gap_the_bias_is_kept_and_windows_start_afresh() -> None:
     state, _ = run(stage, [block])
     again = stage.after_gap(state)
     moving = block_of(block.specific_force_mps2[500:])
-    state, found = stage.step(again, moving)
+    state, found = stage.step(again, moving, flat_attitude(moving.specific_force_mps2[:, 2]))
     assert state.bias_mps2 is again.bias_mps2
     assert [index for index, _ in found] == [199, 399]
 

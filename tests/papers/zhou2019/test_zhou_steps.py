@@ -24,7 +24,7 @@ from pdr_filter.papers.zhou2019.steps import (
 )
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values.arrays import Table
 from pdr_filter.values.contexts import CONTEXTS
@@ -63,7 +63,7 @@ def detect(
     context = np.broadcast_to(context, edges[-1])
     state, found = detector.init(), []
     for block, (a, b) in zip(blocks, pairwise(edges), strict=True):
-        modes = ModeBlock(context[a:b].copy(), np.full(b - a, UNKNOWN))
+        modes = ContextBlock(context[a:b].copy(), np.full(b - a, UNKNOWN))
         state, steps = detector.step(state, block, flat_attitude(block.specific_force_mps2[:, 2]), modes)
         found += steps
     return state, found + (detector.finish(state) if finish else [])
@@ -263,7 +263,7 @@ def test_a_detector_that_is_saved_and_loaded_goes_on_as_if_nothing_had_been(at: 
     loaded, state = from_bytes(to_bytes(CARRIED)), from_bytes(to_bytes(state))
     assert loaded == CARRIED
     attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    modes = ModeBlock(CONTEXT_OF_WALK[at:], np.full(2400 - at, UNKNOWN))
+    modes = ContextBlock(CONTEXT_OF_WALK[at:], np.full(2400 - at, UNKNOWN))
     state, after = loaded.step(state, second, attitude, modes)
     assert rows(before + after + loaded.finish(state)) == rows(detect(CARRIED, WALK, CONTEXT_OF_WALK)[1])
 
@@ -306,7 +306,7 @@ def steps_of_recording(
 ) -> np.ndarray:
     """Step times with the behaviour of the machine of Table 1, as the whole chain would give it."""
     _, blocks = Conditioner().step(Conditioner().init(), merge_streams(recording))
-    attitudes, stage = AttitudeEstimator(), behaviour.BehaviourStage(thresholds)
+    attitudes, stage = AttitudeEstimator(), behaviour.BehaviourStage(thresholds=thresholds)
     attitude_state, stage_state, state = attitudes.init(), stage.init(), detector.init()
     found: list[tuple[int, Step]] = []
     n_before, last = 0, UNKNOWN
@@ -321,7 +321,7 @@ def steps_of_recording(
         for number, window in windows:
             last = int(np.argmax(window.prob))
             context[number - n_before :] = last
-        modes = ModeBlock(context, np.full(len(context), UNKNOWN))
+        modes = ContextBlock(context, np.full(len(context), UNKNOWN))
         state, steps = detector.step(state, block, attitude, modes)
         found, n_before = found + steps, n_before + len(context)
     return times_s(found + detector.finish(state))

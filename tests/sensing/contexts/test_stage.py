@@ -9,11 +9,12 @@ import pytest
 from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.softmax import SoftmaxRegression
+from pdr_filter.papers.martinelli2018.features import TABLE_II
 from pdr_filter.sensing.contexts.stage import ContextModels
-from pdr_filter.sensing.features.windows import FEATURE_SETS, FeatureWindow
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 
-NAMES = FEATURE_SETS["invariant"]
+NAMES = ATTITUDE_FREE.names
 USED = NAMES[:3]
 
 
@@ -36,7 +37,7 @@ MODELS = ContextModels(CONTEXT, OTHER, CARRYING, CARRYING)
 def window(*values: float, time_s: float = 2.0, has_gyroscope: bool = True) -> FeatureWindow:
     features = np.zeros(len(NAMES))
     features[: len(values)] = values
-    return FeatureWindow(time_s, NAMES, features, has_gyroscope, False)
+    return FeatureWindow(time_s - 2.0, time_s, NAMES, features, has_gyroscope)
 
 
 def after(models: ContextModels, windows: list[FeatureWindow]) -> np.ndarray:
@@ -108,15 +109,15 @@ def test_without_a_carrying_model_all_modes_stay_equally_probable() -> None:
 
 
 def test_a_feature_set_without_the_features_of_the_gate_calls_nothing_irregular() -> None:
-    names = FEATURE_SETS["martinelli"]
+    names = TABLE_II.names
     model = replace(CONTEXT, feature_names=names[:3])
     models = ContextModels(model, model)
-    event = FeatureWindow(2.0, names, np.zeros(len(names)), True, False)
+    event = FeatureWindow(0.0, 2.0, names, np.zeros(len(names)), True)
     assert models.step(models.init(), event)[1].irregular_prob == 0.0
 
 
 def test_a_model_of_the_wrong_head_is_refused() -> None:
-    with pytest.raises(ValueError, match="tells the carrying_mode apart, not the context"):
+    with pytest.raises(ValueError, match="classifies the carrying_mode, not the context"):
         ContextModels(CARRYING, CONTEXT)
-    with pytest.raises(ValueError, match="tells the context apart, not the carrying_mode"):
+    with pytest.raises(ValueError, match="classifies the context, not the carrying_mode"):
         ContextModels(CONTEXT, CONTEXT, CONTEXT)

@@ -6,11 +6,11 @@ from helpers import cut_randomly, imu
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.sensing.features.invariant import NAMES, STEP_LAGS_S, WITHOUT_GYROSCOPE, invariant_features
-from pdr_filter.sensing.features.windows import FeatureWindows
+from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.values.samples import ImuBlock
 
-WINDOWS = FeatureWindows("invariant")
+WINDOWS = FeatureWindows(features=ATTITUDE_FREE)
 
 
 def walk_block(turn: Rotation | None = None, seed: int = 0) -> ImuBlock:

@@ -30,7 +30,7 @@ from pdr_filter.sensing.heading.walking_direction import (
     in_phase,
     pointing_axis,
 )
-from pdr_filter.sensing.steps.detector import ModeBlock
+from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
 from pdr_filter.values.angles import circular_mean, wrap_angle
@@ -92,8 +92,8 @@ def body(
     return block, AttitudeBlock(up, np.column_stack([east, north]), up_sensor, turn), steps
 
 
-def modes(n: int, carrying_mode: str | None = None, context: str | None = None) -> ModeBlock:
-    return ModeBlock(
+def modes(n: int, carrying_mode: str | None = None, context: str | None = None) -> ContextBlock:
+    return ContextBlock(
         np.full(n, -1 if context is None else CONTEXTS.index(context)),
         np.full(n, -1 if carrying_mode is None else CARRYING_MODES.index(carrying_mode)),
     )
@@ -356,7 +356,7 @@ def sensed(
     for i, part in enumerate(cut_uniform(block, cuts or [])):
         attitude_state, attitude = estimator.step(attitude_state, part)
         labels = np.array([CARRYING_MODES.index(mode_at(t)) if mode_at else -1 for t in part.time_s])
-        known = ModeBlock(np.full(len(labels), -1), labels)
+        known = ContextBlock(np.full(len(labels), -1), labels)
         detector_state, steps = detector.step(detector_state, part, attitude, known)
         state, steps = STAGE.step(state, part, attitude, known, steps)
         result += [s for _, s in steps]

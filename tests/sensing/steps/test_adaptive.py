@@ -20,7 +20,7 @@ from pdr_filter.sensing.steps.adaptive import (
     bounce_kernel,
     low_pass_kernel,
 )
-from pdr_filter.sensing.steps.detector import unknown_modes
+from pdr_filter.sensing.steps.detector import unknown_contexts
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
 from pdr_filter.values.step import Step
 
@@ -48,7 +48,7 @@ def detect(
     state, found = detector.init(), []
     for block in blocks:
         attitude = flat_attitude(block.specific_force_mps2[:, 2])
-        state, steps = detector.step(state, block, attitude, unknown_modes(len(block.time_s)))
+        state, steps = detector.step(state, block, attitude, unknown_contexts(len(block.time_s)))
         found += steps
     return state, found
 
@@ -89,7 +89,7 @@ def test_between_two_hats_of_the_bank_a_sinusoid_of_the_expected_frequency_keeps
     for rms_mps2 in np.geomspace(0.3, 8.0, 9):
         frequency_hz = DETECTOR.frequency_at_1_mps2_hz * rms_mps2**DETECTOR.frequency_exponent
         line = np.sqrt(2) * rms_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
-        response = DETECTOR._response(line, DETECTOR._rms(line))
+        response = DETECTOR._transform(line, DETECTOR._rms(line))
         assert response.max() == pytest.approx(np.sqrt(2) * rms_mps2, rel=0.15)
 
 
@@ -243,7 +243,7 @@ def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
     state, found = detect([first])
     state = serialise.from_bytes(serialise.to_bytes(state))
     attitude = flat_attitude(second.specific_force_mps2[:, 2])
-    _, later = DETECTOR.step(state, second, attitude, unknown_modes(len(second.time_s)))
+    _, later = DETECTOR.step(state, second, attitude, unknown_contexts(len(second.time_s)))
     assert [*found, *later] == detect([block])[1]
 
 
@@ -258,7 +258,7 @@ def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
     _, magnitude = walk(1.8, 4.0)
     first, second = cut_uniform(uniform_block(magnitude), [900])
     state, _ = detect([first])
-    attitude, modes = flat_attitude(magnitude[900:]), unknown_modes(len(second.time_s))
+    attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))
     expected = DETECTOR.step(state, second, attitude, modes)[1]
     DETECTOR.finish(state)
     assert DETECTOR.step(state, second, attitude, modes)[1] == expected

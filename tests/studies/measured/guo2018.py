@@ -33,7 +33,7 @@ from pdr_filter.training.machines import fit_pose_forest
 from pdr_filter.training.protocol import leave_out, recordings_of
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
 from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values.step import Step, steps_of
 from tests.studies.data import (
     HEIGHT_M,
     counted_walk,
@@ -41,7 +41,6 @@ from tests.studies.data import (
     people_left_out,
     place_of,
     recordings,
-    steps_of,
     with_subject,
 )
 from tests.studies.printed.guo2018 import POSE_OF_SIDED, POSES, SIDED
@@ -157,11 +156,11 @@ def _sided_windows(n_people: int) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _pose_windows(recording: Recording) -> Iterator[FloatArray]:
-    attitudes, windows = AttitudeEstimator(), PoseWindows(100.0, 0.6, 0.6)
+    attitudes, windows = AttitudeEstimator(), PoseWindows()
     attitude_state, state = attitudes.init(), windows.init()
     for block in Conditioner().step(Conditioner().init(), merge_streams(recording))[1]:
         attitude_state, attitude = attitudes.step(attitude_state, block)
-        state, found = windows.step(state, block.time_s, attitude.up_sensor)
+        state, found = windows.step(state, block, attitude)
         yield from (window.features for _, window in found)
 
 
@@ -230,7 +229,7 @@ def pose_walk(
     def inside(time_s: FloatArray) -> BoolArray:
         return np.any([(time_s > a - edge_s) & (time_s <= b + edge_s) for a, b in parts], axis=0)
 
-    steps = tuple(s for s, use in zip(steps_of(track), inside(track.time_s), strict=True) if use)
+    steps = tuple(s for s, use in zip(steps_of(track.steps), inside(track.time_s), strict=True) if use)
     use = inside(default.time_s)
     default_m, default_s = float(default.step_length_m[use].sum()), float(np.sum(default.steps.duration_s[use]))
     return PoseWalk(

@@ -103,7 +103,7 @@ def examples_of(
                     label = label_of(recording, window.time_s - stage.window_s, window.time_s)
                     if label is not None:
                         found[name].append((window.features, label[0], str(recording.subject.id)))
-    return {name: _balanced(stages[name].names, rows, n_windows) for name, rows in found.items() if rows}
+    return {name: _balanced(stages[name].features.names, rows, n_windows) for name, rows in found.items() if rows}
 
 
 def _balanced(names: tuple[str, ...], rows: list[tuple[FloatArray, str, str]], n_windows: int) -> Examples:

@@ -35,8 +35,8 @@ from pdr_filter.tracks import Track
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.contexts import CONTEXTS
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
-from tests.studies.data import HEIGHT_M, steps_of, with_subject
+from pdr_filter.values.step import Step, steps_of
+from tests.studies.data import HEIGHT_M, with_subject
 from tests.studies.report import NAN, by_count
 
 # --- steps ----------------------------------------------------------------------------------------------------------
@@ -317,7 +317,7 @@ def _along(segment: Segment) -> FloatArray:
 def foot_walk(recording: Recording) -> Walk:
     """A trial of pyshoe: two steps for each stride of the foot."""
     track = track_of(recording, for_recording("zhou2019", recording))
-    steps = steps_of(track)
+    steps = steps_of(track.steps)
     runs = tuple(bool(p.argmax() == _RUNNING) for p in step_contexts(track))
     return Walk(recording.name, foot_truth(recording).way_m, steps, np.ones(len(steps)), runs, None, NAN)
 

@@ -1,0 +1,49 @@
+"""Causal filters that several stages share: how they are designed, how they start and how late they are."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.signal import butter, firwin, sosfilt, sosfilt_zi, sosfreqz
+
+from pdr_filter.values.arrays import FloatArray
+
+
+def butterworth(order: int, cutoff_hz: float, rate_hz: float) -> FloatArray:
+    """Second-order sections of a Butterworth low-pass."""
+    if not 0 < cutoff_hz < 0.5 * rate_hz:
+        raise ValueError(
+            f"low_pass_hz must be below half the rate, got {cutoff_hz} at {rate_hz} Hz: resample to a higher rate or "
+            "lower the cutoff"
+        )
+    return np.asarray(butter(order, cutoff_hz, fs=rate_hz, output="sos"))
+
+
+def filtered(sos: FloatArray, rows: FloatArray, zi: FloatArray | None) -> tuple[FloatArray, FloatArray]:
+    """Filtered rows (R, N) and the new memory (n_sections, R, 2); without a memory these are the first samples.
+
+    What was before the first sample is assumed to be like it: a zero there would look like a blow.
+    """
+    before = np.asarray(sosfilt_zi(sos))[:, None, :] * rows[None, :, :1] if zi is None else zi
+    return sosfilt(sos, rows, zi=before)
+
+
+def phase_delay_s(sos: FloatArray, frequency_hz: FloatArray, rate_hz: float) -> FloatArray:
+    """How much later a sinusoid leaves the filter, (F,), s; frequencies so close that the phase can be unwrapped."""
+    response = np.asarray(sosfreqz(sos, worN=frequency_hz, fs=rate_hz)[1])
+    return -np.unwrap(np.angle(response)) / (2 * np.pi * frequency_hz)
+
+
+def low_pass_kernel(cutoff_hz: float, rate_hz: float, length_s: float = 0.25) -> FloatArray:
+    """Linear-phase low-pass (Hamming window): symmetric, odd length, unit gain at rest.
+
+    The default of 0.25 s rolls off within 13 Hz: it joins the two humps of one step and keeps the harmonics of the
+    next.
+    """
+    n_taps = 2 * round(0.5 * length_s * rate_hz) + 1
+    return np.asarray(firwin(n_taps, min(cutoff_hz, 0.45 * rate_hz), fs=rate_hz), dtype=float)
+
+
+def with_unit_gain(kernel: FloatArray, frequency_hz: float, rate_hz: float) -> FloatArray:
+    """A symmetric kernel of odd length, scaled to unit gain at a frequency."""
+    offset_s = (np.arange(len(kernel)) - len(kernel) // 2) / rate_hz
+    return np.asarray(kernel / np.sum(kernel * np.cos(2 * np.pi * frequency_hz * offset_s)))

@@ -1,0 +1,33 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pdr_filter.sensing.filters import butterworth, filtered, low_pass_kernel, phase_delay_s, with_unit_gain
+
+
+def test_a_constant_passes_from_its_first_sample_on() -> None:
+    rows = np.repeat([[3.0], [-1.0]], 50, axis=1)
+    smooth, _ = filtered(butterworth(10, 3.0, 100.0), rows, None)
+    np.testing.assert_allclose(smooth, rows, atol=1e-9)
+
+
+def test_the_phase_delay_is_how_much_later_a_sinusoid_leaves_the_filter() -> None:
+    sos, frequency_hz, t = butterworth(10, 3.0, 100.0), np.linspace(0.01, 3.0, 300), np.arange(3000) / 100
+    delay_s = float(np.interp(1.5, frequency_hz, phase_delay_s(sos, frequency_hz, 100.0)))
+    smooth, _ = filtered(sos, np.sin(2 * np.pi * 1.5 * t)[None], None)
+    late = np.sin(2 * np.pi * 1.5 * (t[2000:] - delay_s))
+    np.testing.assert_allclose(smooth[0, 2000:] / smooth[0, 2000:].max(), late, atol=0.01)
+
+
+def test_a_cutoff_beyond_half_the_rate_is_refused() -> None:
+    with pytest.raises(ValueError, match="below half the rate"):
+        butterworth(2, 50.0, 100.0)
+
+
+def test_a_kernel_has_unit_gain_at_rest_or_at_its_frequency() -> None:
+    kernel = low_pass_kernel(4.0, 100.0)
+    assert (len(kernel), kernel.sum()) == (25, pytest.approx(1.0))
+    offset_s = (np.arange(25) - 12) / 100
+    scaled = with_unit_gain(kernel, 2.0, 100.0)
+    assert (scaled * np.cos(2 * np.pi * 2.0 * offset_s)).sum() == pytest.approx(1.0)

@@ -1,0 +1,29 @@
+from __future__ import annotations
+
+from dataclasses import fields, replace
+
+import numpy as np
+from helpers import a_step
+
+from pdr_filter.values.step import Step, step_table, steps_of
+
+
+def test_the_steps_of_a_table_are_those_that_it_was_made_of() -> None:
+    steps = (a_step(1.0), replace(a_step(1.6, duration_s=0.6), from_rest=True, walking_direction_std_rad=0.2))
+    assert steps_of(step_table(steps)) == steps
+    assert steps_of(step_table([])) == ()
+
+
+def test_a_step_from_a_table_has_the_types_of_its_fields() -> None:
+    (step,) = steps_of(step_table([replace(a_step(), from_rest=True)]))
+    assert {f.name: type(getattr(step, f.name)).__name__ for f in fields(Step)} == {
+        f.name: f.type for f in fields(Step)
+    }
+
+
+def test_further_columns_of_a_table_are_left_out() -> None:
+    table = step_table([a_step()])
+    wider = np.zeros(1, dtype=[("length_m", float), *table.dtype.descr]).view(np.recarray)
+    for name in table.dtype.names or ():
+        wider[name] = table[name]
+    assert steps_of(wider) == (a_step(),)
