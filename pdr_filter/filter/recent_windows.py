@@ -20,8 +20,8 @@ def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
 
 
 def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The last window whose middle is not after a time: later ones belong to later steps."""
-    return next((w for w in reversed(windows) if w.middle_s <= time_s), None)
+    """The last window that has samples of its own at or before a time: later ones belong to later steps."""
+    return next((w for w in reversed(windows) if w.new_since_s <= time_s), None)
 
 
 def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None:
@@ -30,5 +30,5 @@ def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None
 
 
 def window_after(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The first window whose middle is at or after a time, if it is known: the last word on that time."""
-    return next((w for w in windows if w.middle_s >= time_s), None)
+    """The first window whose own samples are all at or after a time, if it is known: the one after `window_around`."""
+    return next((w for w in windows if w.new_since_s >= time_s), None)

@@ -63,7 +63,7 @@ class WeightedTracker:
     model: PedestrianModel
     threshold: float = 0.8
 
-    # A step is final when the window is known whose middle is at or after its contact.
+    # A step is final when the window after the one in which it is new is known.
     waits_for_windows = 2
 
     def __post_init__(self) -> None:

@@ -87,8 +87,8 @@ class Sensing:
 
     @property
     def window_hop_s(self) -> float:
-        """Time from one window end to the next."""
-        return 1.0
+        """Longest time from one window end to the next; 0 without contexts."""
+        return self.contexts.hop_s if self.contexts else 0.0
 
     def init(self) -> SensingState:
         """State before the first sample."""

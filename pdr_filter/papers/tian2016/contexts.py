@@ -223,6 +223,11 @@ class TianContexts:
         """Sampling rate of the blocks."""
         return self.machine.rate_hz
 
+    @property
+    def hop_s(self) -> float:
+        """A report comes once a second, and at every change."""
+        return 1.0
+
     def init(self) -> TianContextsState:
         """State before the first sample."""
         return TianContextsState(self.machine.init(), self.steps.init(), 0, -1, False, -1, 0)
@@ -250,7 +255,7 @@ class TianContexts:
         n_silent = state.n_silent
         for i in range(n):
             n_silent += 1
-            if changed[i] or n_silent >= self.rate_hz:
+            if changed[i] or n_silent >= self.hop_s * self.rate_hz:
                 window = known_context(
                     float(block.time_s[i]),
                     {"walking" if walking[i] else "stationary": 1.0},

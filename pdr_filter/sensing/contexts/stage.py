@@ -47,9 +47,9 @@ class WindowContext:
     hop_s: float = 1.0  # its end less that of the window before, where none is missing
 
     @property
-    def middle_s(self) -> float:
-        """Middle of the samples that it describes."""
-        return self.time_s - 1.0
+    def new_since_s(self) -> float:
+        """Where its samples begin that no window before has."""
+        return self.time_s - self.hop_s
 
 
 class ContextStage(Protocol):
@@ -62,6 +62,11 @@ class ContextStage(Protocol):
     @property
     def rate_hz(self) -> float:
         """Sampling rate of the blocks."""
+        ...
+
+    @property
+    def hop_s(self) -> float:
+        """Longest time from one window end to the next."""
         ...
 
     def init(self) -> Any:
@@ -106,6 +111,11 @@ class WindowStage(ABC, Generic[W, X, M]):
     def rate_hz(self) -> float:
         """Sampling rate of the blocks."""
         return self.windows.rate_hz
+
+    @property
+    def hop_s(self) -> float:
+        """Time from one window end to the next."""
+        return self.windows.hop_s
 
     @abstractmethod
     def first_memory(self) -> M:
