@@ -6,6 +6,6 @@ importing the package costs nothing that is not needed.
 
 import lazy_loader
 
-from pdr_filter.values.version import __version__ as __version__
+from pdr_filter.version import __version__ as __version__
 
 __getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)

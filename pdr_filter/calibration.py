@@ -15,10 +15,7 @@ from pdr_filter.config import Config
 from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Subject
-from pdr_filter.values.arrays import FloatArray, Table, read_only, table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.notes import Note
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, FloatArray, Note, Step, Table, read_only, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

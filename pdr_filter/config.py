@@ -13,8 +13,8 @@ from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.heading.walking_direction import WalkingDirection
-from pdr_filter.values.notes import Note
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.values import Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,7 +35,7 @@ class Config:
 
     def __post_init__(self) -> None:
         heading, drift = self.sensing.heading, self.model.noise.heading_drift
-        if isinstance(heading, WalkingDirection) and heading.drift != drift:
+        if isinstance(heading, WalkingHeading) and heading.drift != drift:
             raise ValueError(
                 f"the heading stage must reckon with the filter's heading drift, {drift}, got {heading.drift}: give "
                 "one HeadingDrift to both"

@@ -14,11 +14,7 @@ from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import Fix, FixResult, Standstill, received_s
-from pdr_filter.values.notes import Note
-from pdr_filter.values.samples import ImuBlock
+from pdr_filter.values import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Note, Standstill, received_s
 
 # How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
 # pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.

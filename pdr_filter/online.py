@@ -11,9 +11,7 @@ from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
 from pdr_filter.filtering import Output, State, add_pressure, due_s, finish, init, notes_of, step, untimely
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.fixes import Fix
-from pdr_filter.values.samples import ImuBlock
+from pdr_filter.values import Fix, FloatArray, ImuBlock
 
 
 class OnlineFilter:

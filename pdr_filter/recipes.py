@@ -28,15 +28,14 @@ from pdr_filter.sensing.contexts.learned import LearnedContexts, shipped_model
 from pdr_filter.sensing.contexts.stage import ContextModels
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.sensing.heading.walking_direction import WalkingDirection
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.heading_drift import HeadingDrift
+from pdr_filter.values import CONTEXTS, HeadingDrift
 
 
 def default(subject: Subject | None = None) -> Config:
-    """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking direction.
+    """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking heading.
 
     Of the subject only the height counts. How people differ in their step lengths beyond it, the standard deviation
     of the log step scale, is 6.5 % for a known height and 8 % without (docs/methods/step_length.md).
@@ -49,7 +48,7 @@ def default(subject: Subject | None = None) -> Config:
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
             contexts=attitude_free_contexts(),
-            heading=WalkingDirection(drift=drift),
+            heading=WalkingHeading(drift=drift),
         ),
         tracker=ImmTracker(
             PedestrianModel(

@@ -19,14 +19,20 @@ from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.front_end import Event, Sensing
 from pdr_filter.tracks import Track
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import Table, read_only
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.fixes import Fix, FixResult
-from pdr_filter.values.notes import Note
-from pdr_filter.values.samples import ImuBlock
-from pdr_filter.values.step import Step, step_table
-from pdr_filter.values.windows import Windows
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    Fix,
+    FixResult,
+    ImuBlock,
+    Note,
+    Step,
+    Table,
+    Windows,
+    read_only,
+    step_table,
+    wrap_angle,
+)
 
 if TYPE_CHECKING:
     from pdr_filter.calibration import Calibration
@@ -72,10 +78,7 @@ def track(
 
 
 def outputs(
-    recording: Recording,
-    config: Config,
-    fixes: Sequence[Fix] = (),
-    progress: Callable[[float], None] | None = None,
+    recording: Recording, config: Config, fixes: Sequence[Fix] = (), progress: Callable[[float], None] | None = None
 ) -> Iterator[tuple[State, Output]]:
     """What each stretch of a recording brings, with the filter's state after it; the last one is the end's.
 

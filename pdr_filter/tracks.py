@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 from pdr_filter.io import writers
 from pdr_filter.report import trust
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import TrackRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure

@@ -20,20 +20,13 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock
-from pdr_filter.values.step import Step
-from pdr_filter.values.windows import Windows
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
 
 T = TypeVar("T")
 
 
 def imu(
-    time_s: FloatArray,
-    force: FloatArray | None = None,
-    rate: FloatArray | None = None,
-    field: FloatArray | None = None,
+    time_s: FloatArray, force: FloatArray | None = None, rate: FloatArray | None = None, field: FloatArray | None = None
 ) -> ImuBlock:
     """A block of samples; a phone that lies face up, without gyroscope and magnetometer, unless said otherwise."""
     n = len(time_s)

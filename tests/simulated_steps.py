@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.offline.smoothing.preintegration import Increments, turned
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix
 
 STEP_S = 0.5
 

@@ -19,7 +19,7 @@ from helpers import cut_randomly
 import pdr_filter as pdr
 from pdr_filter.cli.app import app
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
 
 ROOT = Path(__file__).resolve().parents[1]
@@ -238,11 +238,7 @@ def test_figures_in_the_text_beside_a_table_stand_in_a_table_of_the_page(page: s
 def test_a_figure_is_found_in_prose_and_not_in_formulas_or_code() -> None:
     assert figures(
         "It has 1.03 %, 12 points and 0.48 a minute, 3 walks.\n| 9.9 % |\n$k = 0.5$ and `0.6` <!-- 7.7 % -->"
-    ) == {
-        "1.03",
-        "12",
-        "0.48",
-    }
+    ) == {"1.03", "12", "0.48"}
 
 
 def test_the_places_of_the_equations_exist() -> None:

@@ -71,6 +71,7 @@ def test_an_app_that_only_filters_runs_where_gtsam_is_not_installed() -> None:
 # --- the rooms, from the ground up ------------------------------------------------------------------------------------
 
 ROOMS = [
+    "version",
     "values",
     "io",
     "classifiers",
@@ -91,6 +92,7 @@ ROOMS = [
     "offline",
     "training",
     "batch",
+    "",  # the package itself: the public names
     "cli",
 ]
 LEVEL = {room: level for level, room in enumerate(ROOMS)}
@@ -126,7 +128,7 @@ def room_of(module: str) -> str:
 
 
 def test_every_module_lives_in_a_known_room() -> None:
-    assert {room_of(m) for m in imports_of_modules()} == {"", *ROOMS}
+    assert {room_of(m) for m in imports_of_modules()} == set(ROOMS)
 
 
 def test_no_module_imports_from_a_room_above_its_own() -> None:
@@ -134,7 +136,7 @@ def test_no_module_imports_from_a_room_above_its_own() -> None:
         f"{module} -> {target}"
         for module, targets in imports_of_modules().items()
         for target in targets
-        if module != "pdr_filter" and (not room_of(target) or LEVEL[room_of(target)] > LEVEL[room_of(module)])
+        if LEVEL[room_of(target)] > LEVEL[room_of(module)]
     ]
     assert up == []
 

@@ -19,10 +19,7 @@ from pdr_filter import recipes
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.samples import ImuBlock, Samples
-from pdr_filter.values.step import step_table
+from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
 
 WEIGHTINGS = ("imm", "wc", "hc")
 REAL = (
@@ -302,10 +299,7 @@ def test_where_the_walk_heads_in_the_world_does_not_matter() -> None:
 
 
 def test_when_the_walk_began_does_not_matter(short_walk: Recording) -> None:
-    late = changed(
-        short_walk,
-        **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()},
-    )
+    late = changed(short_walk, **{n: Samples(s.time_s + 4096.0, s.values) for n, s in short_walk.streams.items()})
     track, late_track = tracked(short_walk), tracked(late)
     np.testing.assert_allclose(late_track.time_s, track.time_s + 4096.0, atol=1e-6)
     np.testing.assert_allclose(late_track.position_m, track.position_m, atol=1e-6)

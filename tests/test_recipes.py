@@ -11,7 +11,7 @@ from helpers import a_step
 from pdr_filter import recipes
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 
 
 def length_m(recipe: str, context: str, height_m: float = 1.70) -> float:

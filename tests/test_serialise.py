@@ -16,7 +16,7 @@ from hypothesis.extra import numpy as hnp
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix
 
 NUMBERS = st.floats(allow_nan=True) | st.integers(-(2**63), 2**63) | st.booleans()
 VALUES = st.recursive(

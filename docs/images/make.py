@@ -38,7 +38,7 @@ BOXES: dict[str, tuple[float, float, float, float, str, str, dict[str, object]]]
     "attitude": (1.75, 6.8, 1.35, 0.42, "attitude", "sensing.attitude, bias", ONLINE),
     "contexts": (5.2, 6.8, 1.25, 0.48, "contexts", "sensing.features, contexts\nclassifiers, papers", ONLINE),
     "steps": (8.7, 6.8, 1.25, 0.42, "steps, gate", "sensing.steps, papers", ONLINE),
-    "heading": (5.2, 5.2, 1.45, 0.42, "walking direction", "sensing.heading, papers", ONLINE),
+    "heading": (5.2, 5.2, 1.45, 0.42, "walking heading", "sensing.heading, papers", ONLINE),
     "climb": (1.55, 3.35, 1.3, 0.42, "climb rate", "sensing.features", ONLINE),
     "filter": (5.2, 3.35, 1.35, 0.6, "filter", "filter: step_length, motion,\nimm, weighting, trackers", ONLINE),
     "fixes": (8.9, 3.35, 1.2, 0.42, "fixes", "values.fixes", OUTSIDE),

@@ -16,7 +16,7 @@ import numpy as np
 from pdr_filter.batch.workers import reason_of
 from pdr_filter.io.writers import pandas_for_parquet
 from pdr_filter.tracks import Track
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 
 _DONE, _FAILED = "done", "failed"
 

@@ -16,7 +16,7 @@ from pdr_filter.classifiers.artefact import Arrays, of_prefix, prefixed
 from pdr_filter.classifiers.boosting import BoostedTrees
 from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 _LINEAR, _TREES = "linear_", "trees_"  # prefixes of the arrays
 

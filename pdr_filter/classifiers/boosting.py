@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.classifiers.trees import NO_CHILD, TreeMachine, Trees
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 if TYPE_CHECKING:
     from sklearn.ensemble import HistGradientBoostingClassifier

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from pdr_filter.classifiers.trees import TreeMachine, Trees
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 if TYPE_CHECKING:
     from sklearn.ensemble import RandomForestClassifier

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.softmax import softmax
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 KERNELS = ("rbf", "linear")
 LINKS = ("sigmoid", "softmax")

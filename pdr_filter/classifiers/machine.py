@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.artefact import Arrays
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values import FloatArray, IntArray, read_only
 
 
 class Stored:

@@ -22,8 +22,7 @@ from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, read_only
 
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")

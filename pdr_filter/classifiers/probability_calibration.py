@@ -10,7 +10,7 @@ from scipy.optimize import minimize, minimize_scalar
 from scipy.special import expit
 
 from pdr_filter.classifiers.softmax import softmax
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 
 def tempered(prob: FloatArray, temperature: float) -> FloatArray:

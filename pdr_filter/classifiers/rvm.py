@@ -27,7 +27,7 @@ from threadpoolctl import threadpool_limits  # scikit-learn depends on it
 
 from pdr_filter.classifiers.kernel_machine import KERNELS, RelevanceVectors
 from pdr_filter.classifiers.sparse_bayes import Bernoulli, Posterior, Trained, train
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 MULTI_CLASS = ("one_against_all", "multinomial")
 
@@ -405,12 +405,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         return messages
 
     def _width(
-        self,
-        rows: FloatArray,
-        label: IntArray,
-        weight: FloatArray,
-        group: NDArray[Any] | None,
-        candidates: FloatArray,
+        self, rows: FloatArray, label: IntArray, weight: FloatArray, group: NDArray[Any] | None, candidates: FloatArray
     ) -> float:
         """Kernel width that is given, guessed or chosen by cross-validation."""
         if self.kernel == "linear":

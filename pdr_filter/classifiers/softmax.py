@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.classifiers.machine import Machine
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 def softmax(logit: FloatArray) -> FloatArray:

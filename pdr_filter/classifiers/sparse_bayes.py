@@ -25,7 +25,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import expit
 
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 # Functions added in one pass at most. They are chosen from the best `_SHORTLIST` with their mutual covariances, so that
 # one of two similar functions is taken and not both; more than 20 at once are mostly deleted again.

@@ -13,8 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, FloatArray, read_only
 
 FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
 

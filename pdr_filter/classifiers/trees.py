@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from pdr_filter.classifiers.artefact import Arrays
 from pdr_filter.classifiers.machine import Machine, Stored
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
 

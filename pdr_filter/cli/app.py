@@ -16,7 +16,7 @@ from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.simulate import demo, simulate
 from pdr_filter.cli.track import track
 from pdr_filter.cli.train import train
-from pdr_filter.values.version import __version__
+from pdr_filter.version import __version__
 
 app = typer.Typer(
     name="pdr-filter",

@@ -18,7 +18,7 @@ from pdr_filter.report.palette import context_colours
 from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 # Royal Observatory, Greenwich (latitude, longitude in degrees): a recording does not say where on Earth it began, and
 # a map needs some place.

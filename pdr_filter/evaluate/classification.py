@@ -8,7 +8,7 @@ import numpy as np
 
 from pdr_filter.classifiers.probability_calibration import brier_score as brier_score
 from pdr_filter.classifiers.probability_calibration import reliability
-from pdr_filter.values.arrays import FloatArray, IntArray, Table, table
+from pdr_filter.values import FloatArray, IntArray, Table, table
 
 
 def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> IntArray:

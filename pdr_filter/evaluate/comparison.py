@@ -10,8 +10,7 @@ from pdr_filter.evaluate.distance import percent_error, walked_m
 from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, moved_m, position_rmse_m, positions_at, rigid_fit
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import FloatArray, Table, TrackRows, table
 
 
 def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> Table:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 def nees(error: FloatArray, cov: FloatArray) -> FloatArray:

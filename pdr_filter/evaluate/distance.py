@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values.arrays import FloatArray, Table, table
+from pdr_filter.values import FloatArray, Table, table
 
 
 def percent_error(estimate_m: ArrayLike, true_m: ArrayLike) -> FloatArray:

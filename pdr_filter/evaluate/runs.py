@@ -15,9 +15,7 @@ from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.step import steps_of
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import FloatArray, Table, TrackRows, steps_of, table
 
 
 def weighting_tracks(

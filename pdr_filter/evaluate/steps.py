@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 
 def count_error_percent(n_found: ArrayLike, n_true: ArrayLike) -> FloatArray:

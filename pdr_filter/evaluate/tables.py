@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
-from pdr_filter.values.arrays import Table
+from pdr_filter.values import Table
 
 
 class Markdown(str):

@@ -14,8 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values import BoolArray, FloatArray, wrap_angle
 
 Alignment = Literal["none", "origin", "first", "all"]
 

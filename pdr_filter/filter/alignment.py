@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.filter.motion import HEADING_OFFSET
-from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values import FloatArray, read_only
 
 # The rotation is taken when it is known to 15 degrees (one standard deviation): the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26

@@ -20,9 +20,17 @@ from pdr_filter.filter.pedestrian import (
     present_position,
     shared_cov,
 )
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.fixes import Fix, FixOutcome, HeadingFix, PositionFix, SpeedFix, Standstill
+from pdr_filter.values import (
+    Fix,
+    FixOutcome,
+    FloatArray,
+    HeadingFix,
+    PositionFix,
+    SpeedFix,
+    Standstill,
+    read_only,
+    wrap_angle,
+)
 
 MAX_STANDSTILLS = 16
 _Result = tuple[PedestrianState, FixOutcome, float]

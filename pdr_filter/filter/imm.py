@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 _LOG_2_PI = float(np.log(2 * np.pi))
 

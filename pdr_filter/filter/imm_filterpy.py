@@ -22,7 +22,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 class MendedIMMEstimator(IMMEstimator):  # filterpy has no types

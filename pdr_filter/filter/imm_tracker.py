@@ -27,9 +27,7 @@ from pdr_filter.filter.pedestrian import (
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
 from pdr_filter.filter.tracker import Passage, TrackerOutput
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.fixes import Fix, FixOutcome
-from pdr_filter.values.step import Step
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, read_only
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.

@@ -12,9 +12,7 @@ from pdr_filter.filter.alignment import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, FloatArray, Step
 
 
 @dataclass(frozen=True, eq=False)

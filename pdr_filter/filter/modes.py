@@ -10,9 +10,7 @@ from pdr_filter.filter.step_length import USUAL_HEIGHT_M, FrequencyVarianceStepL
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Subject
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.notes import Note
+from pdr_filter.values import CONTEXTS, FloatArray, Note
 
 # Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
 # 2018, group B). Treads of public stairs are 0.26 to 0.32 m.

@@ -13,11 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.filter.step_length import StepLengthFit
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
@@ -39,9 +35,9 @@ class Mode:
     step_length : StepLengthFit
         Length of a step with its uncertainty.
     heading_offset_rad : float
-        Walking direction less the heading the body faces: +pi/2 for steps to the right.
+        Walking heading less the heading the body faces: +pi/2 for steps to the right.
     heading_std_rad : float
-        Independent error of the walking direction of each step.
+        Independent error of the walking heading of each step.
     carrying_mode : str, optional
         Where the phone is in this mode: that one's probability is evidence too. Any, if not given.
     heading_drift_rad_per_sqrt_s : float
@@ -168,10 +164,10 @@ def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
 
 
 def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Means (..., M, 4) and covariances (..., M, 4, 4) after the walking direction that the samples of a step show.
+    """Means (..., M, 4) and covariances (..., M, 4, 4) after the walking heading that the samples of a step show.
 
     Where the phone was moved, the heading offset may be anything near the new one: its variance grows by
-    `offset_change_std_rad` squared. The walking direction z is a measurement of frame + device heading + offset state,
+    `offset_change_std_rad` squared. The walking heading z is a measurement of frame + device heading + offset state,
     its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
     offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
 
@@ -189,10 +185,10 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
         cov = cov.copy()
         cov[..., o, o] += step.offset_change_std_rad**2
         cov = bound_heading_variance(cov)
-    variance = step.walking_direction_std_rad**2
+    variance = step.walking_heading_std_rad**2
     if not np.isfinite(variance):
         return mean, cov
-    innovation = wrap_angle(step.walking_direction_rad - step.device_heading_rad - frame_rad - mean[..., o])
+    innovation = wrap_angle(step.walking_heading_rad - step.device_heading_rad - frame_rad - mean[..., o])
     gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]
     mean = mean + gain * innovation[..., None]
     cov = cov - gain[..., :, None] * cov[..., None, o, :]
@@ -200,7 +196,7 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
 
 
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
-    """Covariances (..., M, 4, 4) in which the heading offset is as unsure as the first walking direction.
+    """Covariances (..., M, 4, 4) in which the heading offset is as unsure as the first walking heading.
 
     Which way the track points is a matter of its frame, but what later directions can still change is not: the first
     offset is known as well as the direction that it comes from, and so was the direction of the steps before. With c

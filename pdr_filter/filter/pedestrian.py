@@ -22,9 +22,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, Step, read_only, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -97,17 +95,17 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
 
 def with_first_heading(state: PedestrianState, step: Step) -> PedestrianState:
     """State whose frame has the first walking heading that samples show as its zero, if it has none yet."""
-    if not (np.isinf(state.first_heading_s) and np.isfinite(step.walking_direction_std_rad)):
+    if not (np.isinf(state.first_heading_s) and np.isfinite(step.walking_heading_std_rad)):
         return state
-    first_rad = float(wrap_angle(step.walking_direction_rad - step.device_heading_rad))
-    cov = expect_first_direction(state.cov, step.walking_direction_std_rad)
+    first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
+    cov = expect_first_direction(state.cov, step.walking_heading_std_rad)
     return replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s, cov=cov)
 
 
 def learned_heading(state: PedestrianState, step: Step) -> tuple[FloatArray, FloatArray]:
     """Means and covariances with the walking heading of a step; that of the first one is in the frame already."""
     if step.time_s <= state.first_heading_s:
-        step = replace(step, walking_direction_std_rad=np.inf)
+        step = replace(step, walking_heading_std_rad=np.inf)
     return learn_heading(state.mean, state.cov, step, state.first_heading_rad)
 
 

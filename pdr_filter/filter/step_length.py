@@ -11,9 +11,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Step, read_only
 
 
 class _Parameters(Protocol):

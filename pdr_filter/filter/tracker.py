@@ -9,9 +9,7 @@ from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.fixes import Fix, FixOutcome
-from pdr_filter.values.step import Step
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -32,9 +32,7 @@ from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, win
 from pdr_filter.filter.tracker import Passage, TrackerOutput
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.fixes import Fix, FixOutcome
-from pdr_filter.values.step import Step
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, read_only
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -12,8 +12,7 @@ import numpy as np
 
 from pdr_filter.filter.motion import IRREGULAR
 from pdr_filter.sensing.contexts.stage import CARRYING_STAY_PROB, WindowContext
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray
 
 WEIGHTINGS = ("hc", "wc", "imm")
 
@@ -76,11 +75,7 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
 
 
 def context_log_evidence(
-    context_prob: FloatArray,
-    training_prior: FloatArray,
-    exponent: float,
-    floor: float,
-    prior_exponent: float = 1.0,
+    context_prob: FloatArray, training_prior: FloatArray, exponent: float, floor: float, prior_exponent: float = 1.0
 ) -> FloatArray:
     """Log evidence of each context, shape (C,): exponent (log max(p, floor) - prior_exponent log prior).
 

@@ -14,8 +14,7 @@ from pdr_filter.io.checks import checked_streams, up_cosine
 from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.values.arrays import FloatArray, table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import FloatArray, Samples, table
 
 
 @dataclass
@@ -56,12 +55,7 @@ class Parsed:
             )
             for name, columns in self.truth.items()
         }
-        reading = {
-            "source": self.source,
-            "found": self.found,
-            "clock": self.clock,
-            "requested_hz": self.requested_hz,
-        }
+        reading = {"source": self.source, "found": self.found, "clock": self.clock, "requested_hz": self.requested_hz}
         own_name = self.path.resolve().name if self.path.is_dir() else self.path.stem
         return Recording(
             name=own_name if own_name.isprintable() and own_name.strip(". ") else "recording",

@@ -14,8 +14,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.describe import describe_stream, median_norm
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.table import finite
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import BoolArray, FloatArray, Samples
 
 TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 

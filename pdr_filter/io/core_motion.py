@@ -22,8 +22,7 @@ from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable, find_separator, header_fields
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 RATE_HZ = 50.0
 GROUPS = {

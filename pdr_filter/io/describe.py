@@ -9,8 +9,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import FloatArray, Samples
 
 # A pause longer than this in a sensor that samples faster is a gap: within it a step can be missed.
 GAP_S = 0.3

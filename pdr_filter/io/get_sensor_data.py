@@ -28,8 +28,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, NumberTable
 from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # First the time of the app and of the sensor, then the values.
 LAYOUTS = {

@@ -19,8 +19,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.io.table import TextTable, comma
-from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, FloatArray, Table, table
 
 REQUIRED = "accelerometer.csv"
 

@@ -13,8 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, Table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import FloatArray, Samples, Table
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     "accelerometer": ("x", "y", "z"),

@@ -26,7 +26,7 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import SEPARATORS, TextTable, header_fields, to_number
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 TIME = "Time (s)"
 # Words of a column name, without axis and unit, in lower case: experiments of the app and those that users make with
@@ -56,12 +56,7 @@ FACTOR = {
     "light": {"lx": 1.0, "lux": 1.0},
     "proximity": {"cm": 1.0, "mm": 0.1, "m": 100.0},
 }
-LOCATION = (
-    ("latitude",),
-    ("longitude",),
-    ("height", "altitude", "altitude wgs84"),
-    ("horizontal accuracy",),
-)
+LOCATION = (("latitude",), ("longitude",), ("height", "altitude", "altitude wgs84"), ("horizontal accuracy",))
 COLUMN = re.compile(r"^\s*(?P<name>[^()]*?)(?:\s+(?P<axis>[xyzXYZ]))?\s*\((?P<unit>[^()]*)\)\s*$")
 AXIS_ONLY = re.compile(r"^\s*(?P<axis>[xyzXYZ])\s*\((?P<unit>[^()]*)\)\s*$")
 

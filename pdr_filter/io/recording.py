@@ -8,8 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.io.own_writer import write_own_format
-from pdr_filter.values.arrays import Table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples, Table
 
 
 @dataclass(frozen=True, slots=True)

@@ -22,7 +22,7 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import finite
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"

@@ -29,8 +29,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sensor_logger_json import objects_by_sensor
 from pdr_filter.io.table import NumberTable, TextTable, comma, concatenated, header_fields, text_rows, whole_number
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
 VECTOR = ("x", "y", "z")
 COLUMNS: dict[str, tuple[str, ...]] = {

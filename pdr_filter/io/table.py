@@ -19,7 +19,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
 

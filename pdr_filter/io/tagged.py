@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
 from pdr_filter.io.table import Layout, NumberTable, concatenated, parse_blocks
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 class TaggedLog:

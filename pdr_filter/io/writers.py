@@ -15,10 +15,8 @@ import numpy as np
 import pymap3d
 
 from pdr_filter.io import limits
-from pdr_filter.values.angles import yaw_from_heading
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.track_rows import TrackRows
-from pdr_filter.values.version import __version__
+from pdr_filter.values import FloatArray, TrackRows, yaw_from_heading
+from pdr_filter.version import __version__
 
 _NORTH = (
     "North is true north only where an absolute heading was available, otherwise it is the direction of the device's "
@@ -151,7 +149,7 @@ def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], e
 def write_tum(track: TrackRows, path: str | Path) -> Path:
     """Write lines `timestamp tx ty tz qx qy qz qw` with strictly ascending times, and return the path.
 
-    East, north, zero; the quaternion turns the x axis about up into the walking direction (yaw = pi/2 - heading). The
+    East, north, zero; the quaternion turns the x axis about up into the walking heading (yaw = pi/2 - heading). The
     first line is the start of the walk, with the heading of the first step.
     """
     heading_rad = np.concatenate([track.walking_heading_rad[:1], track.walking_heading_rad])

@@ -12,7 +12,7 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 LOSSES = ("none", "huber", "cauchy", "gnc")
 # Tuning constants in standard deviations: Huber's and Cauchy's lose 5 % of efficiency on normal errors (Zhang,

@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 
 from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
 from pdr_filter.report.plotting import save
-from pdr_filter.values.arrays import Table
+from pdr_filter.values import Table
 
 _MAX_POINTS, _MAX_PEOPLE = 5000, 60
 

@@ -6,8 +6,7 @@ import math
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.windows import Windows
+from pdr_filter.values import FloatArray, Windows
 
 # Half axes of the 95 % ellipse in standard deviations: the square root of chi-square with two degrees of freedom.
 SCALE_95 = 2.4477

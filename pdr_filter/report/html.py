@@ -18,8 +18,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.svg import Axis, across, line, picture, pixel, points, polyline, text, titled, upward
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows
 
 # Half width of the 95 % interval in standard deviations.
 _INTERVAL_95 = 1.96

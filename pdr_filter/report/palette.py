@@ -6,16 +6,9 @@ CIE Lab for normal sight and for the three dichromacies.
 
 from __future__ import annotations
 
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 
-GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = (
-    "#D0D0D0",
-    "#0072B2",
-    "#CC6600",
-    "#44AA99",
-    "#EECC66",
-    "#882255",
-)
+GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
 INK = "#222222"  # words, outlines, the truth
 FAINT = "#777777"  # remarks, what others are compared with
 GRID = "#E6E6E6"

@@ -18,9 +18,7 @@ from matplotlib.patches import Patch
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.palette import FAINT, GRID, INK, context_colours
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.track_rows import TrackRows
-from pdr_filter.values.windows import Windows
+from pdr_filter.values import FloatArray, TrackRows, Windows
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
@@ -151,10 +149,7 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
 
 
 def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
-    return {
-        face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA),
-        edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA),
-    }
+    return {face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA), edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA)}
 
 
 def _frame_plane(axes: Axes, points_m: FloatArray) -> None:

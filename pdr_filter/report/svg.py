@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from pdr_filter.report.geometry import round_up
 from pdr_filter.report.palette import GRID
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 WIDTH = 920.0
 # Room for numbers such as -100 left of a picture, for its name above, and for numbers and a name below: 2.8, 1.6 and

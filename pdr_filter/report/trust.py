@@ -4,9 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, TrackRows
 
 _STATIONARY = CONTEXTS.index("stationary")
 # Shorter doubts are ordinary: a turn, a door.

@@ -34,7 +34,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values import BoolArray, FloatArray
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and of the building's axes in uncorrected headings, in rad, clockwise.

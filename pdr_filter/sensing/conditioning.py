@@ -12,8 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.samples import ImuBlock, Samples
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.

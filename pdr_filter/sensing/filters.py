@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.signal import butter, firwin, sosfilt, sosfilt_zi, sosfreqz
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 def butterworth(order: int, cutoff_hz: float, rate_hz: float) -> FloatArray:

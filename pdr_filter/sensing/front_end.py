@@ -15,9 +15,7 @@ from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.samples import ImuBlock
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step
 
 
 @dataclass(frozen=True, slots=True)

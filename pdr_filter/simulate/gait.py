@@ -8,8 +8,7 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29

@@ -16,8 +16,7 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.simulate.gait import CONTEXT_GAITS, Gait, Leg, StepPlan, nominal_step
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 GRID_HZ = 1000.0
 # The grid begins and ends this much outside the walk, so that every sensor's clock may.

@@ -12,8 +12,7 @@ from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, StepPlan, plan_steps
 from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
 from pdr_filter.simulate.sensors import SensorErrors
-from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import FloatArray, Samples, Table, table
 
 MAGNETOMETER_RATE_HZ = 50.0
 # East, north, up; about that of central Europe, north being magnetic north.

@@ -49,8 +49,7 @@ from pdr_filter.training.protocol import (
     with_familiarity,
     worst_person_accuracy,
 )
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 
 WEAK = "weak"
 # Simulated people in each mode: as many as two cores make in a minute.

@@ -39,8 +39,7 @@ from pdr_filter.training.protocol import (
     with_familiarity,
     worst_person_accuracy,
 )
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 
 FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
 

@@ -36,9 +36,7 @@ from pdr_filter.training.sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 
 # With n changes a rate is known to 1 / sqrt(n) of itself: with ten to a third.
 MIN_CHANGES = 10

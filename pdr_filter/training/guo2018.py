@@ -25,12 +25,7 @@ import numpy as np
 
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.io.recording import Recording
-from pdr_filter.papers.guo2018.features import (
-    WITHOUT_LIGHT_AND_PROXIMITY,
-    MotionLevel,
-    pitch_and_roll,
-    pose_features,
-)
+from pdr_filter.papers.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, MotionLevel, pitch_and_roll, pose_features
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate.people import MODES
@@ -52,8 +47,7 @@ from pdr_filter.training.protocol import (
     silent,
     train_one,
 )
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 
 DATASETS = ("motionsense", "tyrex", "humolire", "ms_indoor", "oxford")
 MIRRORED, OVER = "mirrored", "over"

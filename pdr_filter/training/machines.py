@@ -19,7 +19,7 @@ from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier, stratified_rows
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.training.protocol import TextArray
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 Classes = tuple[str, ...]
 

@@ -20,7 +20,7 @@ from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate.people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
 from pdr_filter.training.protocol import Progress, TextArray, in_parallel, source_of
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 R = TypeVar("R")
 SIMULATED, TURNED = "simulated", "turned"

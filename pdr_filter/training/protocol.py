@@ -28,8 +28,7 @@ from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.model import HEADS, ContextModel
 from pdr_filter.classifiers.probability_calibration import brier_score, reliability
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 
 J = TypeVar("J")
 R = TypeVar("R")

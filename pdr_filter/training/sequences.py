@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_filter.classifiers.transitions import check_transition_prob
 from pdr_filter.training.protocol import TextArray
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only
 
 # A context that is not known: it is neither stayed in nor left.
 UNKNOWN = -1

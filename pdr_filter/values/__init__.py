@@ -1,1 +1,55 @@
 """Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
+
+from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, table
+from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.fixes import (
+    Fix,
+    FixOutcome,
+    FixResult,
+    HeadingFix,
+    PositionFix,
+    SpeedFix,
+    Standstill,
+    received_s,
+)
+from pdr_filter.values.heading_drift import HeadingDrift
+from pdr_filter.values.notes import Note, NoteSubject
+from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
+from pdr_filter.values.step import Step, step_table, steps_of
+from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.windows import Windows
+
+__all__ = [
+    "CARRYING_MODES",
+    "CONTEXTS",
+    "STANDARD_GRAVITY_MPS2",
+    "BoolArray",
+    "Fix",
+    "FixOutcome",
+    "FixResult",
+    "FloatArray",
+    "HeadingDrift",
+    "HeadingFix",
+    "ImuBlock",
+    "IntArray",
+    "Note",
+    "NoteSubject",
+    "PositionFix",
+    "Samples",
+    "SpeedFix",
+    "Standstill",
+    "Step",
+    "Table",
+    "TrackRows",
+    "Windows",
+    "circular_mean",
+    "heading_from_yaw",
+    "read_only",
+    "received_s",
+    "step_table",
+    "steps_of",
+    "table",
+    "wrap_angle",
+    "yaw_from_heading",
+]

@@ -33,8 +33,8 @@ class Step:
     heading_unknown_s: float = 0.0  # time since the step before without angular rate: the heading stood still
     # Where the person walked, as the samples show it without the device's axes: same zero as `device_heading_rad`,
     # clockwise, any number of turns. A measurement for the filter; unknown where its standard deviation is infinite.
-    walking_direction_rad: float = 0.0
-    walking_direction_std_rad: float = np.inf
+    walking_heading_rad: float = 0.0
+    walking_heading_std_rad: float = np.inf
     # How much the angle between walking and device may have changed since the step before (standard deviation): 0
     # while the phone stays where it is, large when it was moved to another place.
     offset_change_std_rad: float = 0.0

@@ -21,8 +21,7 @@ from pdr_filter.batch import calibration, run, workers
 from pdr_filter.batch import table as rows_table
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.own_format import write_recording
-from pdr_filter.values.arrays import table
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, table
 
 N = 5
 

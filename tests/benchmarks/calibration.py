@@ -28,7 +28,7 @@ from pdr_filter.offline.calibration.fit import DEFAULT_PRIORS, hierarchy_of, sol
 from pdr_filter.offline.calibration.priors import StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.tracks import Track
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
 
 FloatArray = NDArray[np.float64]

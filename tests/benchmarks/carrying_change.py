@@ -55,10 +55,10 @@ def errors_m(walk: pdr.Recording, track: pdr.Track) -> np.ndarray:
 
 
 def both(walk: pdr.Recording) -> dict[str, pdr.Track]:
-    """With the walking direction learnt, and with the device's direction."""
+    """With the walking heading learnt, and with the device's direction."""
     config = pdr.recipes.for_recording("default", walk)
     deaf = replace(config, sensing=replace(config.sensing, heading=None))
-    return {"walking direction learnt": pdr.track(walk, config), "device direction": pdr.track(walk, deaf)}
+    return {"walking heading learnt": pdr.track(walk, config), "device direction": pdr.track(walk, deaf)}
 
 
 def draw(walk: pdr.Recording, tracks: dict[str, pdr.Track]) -> Figure:
@@ -79,7 +79,7 @@ def draw(walk: pdr.Recording, tracks: dict[str, pdr.Track]) -> Figure:
         plane.annotate(change["carrying_mode"], place, (-7, -7), textcoords="offset points", ha="right", va="top")
     plane.set(xlabel="east (m)", ylabel="north (m)", aspect="equal", title="The phone changes its place three times")
     plane.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.02, 1.0))
-    windows = tracks["walking direction learnt"].windows
+    windows = tracks["walking heading learnt"].windows
     for i, (mode, style) in enumerate(zip(windows.carrying_modes, MODE_STYLES, strict=True)):
         if windows.carrying_prob[:, i].max() > 0.3:  # the equal shares of the first second are 0.25
             time.plot(windows.time_s, windows.carrying_prob[:, i], linewidth=1.8, label=mode, **style)

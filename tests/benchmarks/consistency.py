@@ -39,10 +39,7 @@ from pdr_filter.filter.pedestrian import PedestrianState, present_position
 from pdr_filter.filter.step_length import length_and_jacobian
 from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
 from tests.benchmarks.common import Tables, options, recordings
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))

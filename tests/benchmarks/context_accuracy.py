@@ -26,8 +26,7 @@ from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.training.contexts import FEATURE_SETS, PLANS, ContextPlan, labelled_windows
 from pdr_filter.training.machines import fit_blend, fit_forest, fit_relevance_vectors, fit_softmax
 from pdr_filter.training.protocol import LabelledWindows, recordings_of, score
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 from tests.benchmarks.common import Tables, options
 
 WALKING = CONTEXTS.index("walking")

@@ -24,8 +24,7 @@ from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.training.protocol import label_of
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, FloatArray, IntArray
 from tests.benchmarks.common import Tables, options, paths, recordings
 from tests.benchmarks.mixed_contexts import (
     N_FOLDS,

@@ -19,7 +19,7 @@ from pdr_filter.papers.zhou2019 import contexts as behaviours
 from pdr_filter.papers.zhou2019 import steps as steps
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values.step import Step
+from pdr_filter.values import Step
 from tests.benchmarks.common import options, paths
 from tests.benchmarks.step_length_models import MODELS, Leg, displacement, fit, legs_between_landmarks, summed
 

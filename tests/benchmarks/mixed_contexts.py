@@ -50,9 +50,7 @@ from pdr_filter.training.sequences import (
     filter_windows,
     fit_tempering,
 )
-from pdr_filter.values.arrays import FloatArray, IntArray, table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import ImuBlock, Samples
+from pdr_filter.values import CONTEXTS, FloatArray, ImuBlock, IntArray, Samples, table
 from tests.benchmarks.common import Tables, options
 
 PLAN = PLANS[0]

@@ -36,7 +36,7 @@ import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.recording_run import sensed_events
-from pdr_filter.values.step import Step
+from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, options, paths
 from tests.benchmarks.fit_zhou import way_of_the_foot_m
 from tests.benchmarks.mixed_contexts import tracked

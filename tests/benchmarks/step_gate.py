@@ -27,7 +27,7 @@ from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_str
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.detector import unknown_contexts
 from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence
-from pdr_filter.values.step import Step
+from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]

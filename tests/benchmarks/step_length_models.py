@@ -31,8 +31,7 @@ from scipy.signal import butter, sosfiltfilt
 import pdr_filter as pdr
 from pdr_filter.filter import step_length as models
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step, steps_of
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step, steps_of
 from tests.benchmarks.common import Tables, options, paths
 
 FloatArray = NDArray[np.float64]

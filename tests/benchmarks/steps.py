@@ -24,8 +24,7 @@ from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector, low_pass_kernel
 from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.values.samples import Samples
-from pdr_filter.values.step import Step
+from pdr_filter.values import Samples, Step
 from tests.benchmarks.common import Tables, options, recordings
 
 FloatArray = NDArray[np.float64]

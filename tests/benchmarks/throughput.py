@@ -14,7 +14,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.recipes import default
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples
 from tests.benchmarks.common import Tables, options
 
 

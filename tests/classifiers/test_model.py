@@ -19,7 +19,7 @@ from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
 from pdr_filter.classifiers.model import ContextModel, available_models, load_model
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
 CLASSES = ("running", "upstairs", "walking")

@@ -30,10 +30,7 @@ def test_the_temperature_that_made_probabilities_too_sure_is_found(temperature: 
     assert fit_temperature(tempered(prob, 1 / temperature), label) == pytest.approx(temperature, rel=0.05)
 
 
-@given(
-    st.lists(st.floats(1e-6, 1.0), min_size=2, max_size=6),
-    st.floats(0.2, 5.0),
-)
+@given(st.lists(st.floats(1e-6, 1.0), min_size=2, max_size=6), st.floats(0.2, 5.0))
 def test_the_temperature_divides_the_logits(weights: list[float], temperature: float) -> None:
     prob = np.array(weights) / np.sum(weights)
     warm = tempered(prob, temperature)

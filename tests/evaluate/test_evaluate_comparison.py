@@ -11,7 +11,7 @@ import pdr_filter as pdr
 from pdr_filter.evaluate import comparison, runs, tracks
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.io.recording import Truth
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 from tests.oracles import track_scores as oracle
 
 

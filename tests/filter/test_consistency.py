@@ -13,7 +13,7 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter.filter.pedestrian import TRAIL_STEPS, present_position
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 from tests.benchmarks.consistency import Errors, bounds, errors_of_walks, own_model, run_day, said_of, simulated_walk
 
 # --- the simulation itself ------------------------------------------------------------------------------------------

@@ -13,8 +13,7 @@ from pdr_filter import recipes
 from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.fixes import Fix, HeadingFix, PositionFix, SpeedFix, Standstill
+from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
 
 
 @pytest.fixture(scope="module")

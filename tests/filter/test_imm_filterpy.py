@@ -12,7 +12,7 @@ import pdr_filter as pdr
 from pdr_filter.filter import imm, imm_filterpy
 from pdr_filter.filter.imm_filterpy import FilterpyImm, MendedIMMEstimator
 from pdr_filter.filter.imm_tracker import ImmTracker
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix
 
 M = np.array([[0.9, 0.1], [0.3, 0.7]])  # from row to column
 PRIOR = np.array([0.9, 0.1])

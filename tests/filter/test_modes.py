@@ -17,7 +17,7 @@ from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.filter.weighting import ModeEvidence, carrying_log_evidence
 from pdr_filter.sensing.contexts.stage import CARRYING_STAY_PROB, WindowContext, follow_mode
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 PRIOR = np.full(6, 1 / 6)
 WALKING = CONTEXTS.index("walking")
@@ -183,7 +183,7 @@ def test_without_an_irregular_mode_the_gate_does_not_change_the_evidence() -> No
 
 
 def test_two_modes_of_one_context_share_its_evidence_and_fixes_tell_them_apart() -> None:
-    from pdr_filter.values.fixes import PositionFix
+    from pdr_filter.values import PositionFix
 
     modes = (Mode("short", "walking", known_length(0.5, 0.02)), Mode("long", "walking", known_length(0.9, 0.02)))
     noise = MotionNoise(log_scale_std=0.02)

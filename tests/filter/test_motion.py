@@ -29,8 +29,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
-from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.step import Step
+from pdr_filter.values import HeadingDrift, Step
 
 STILL = MotionNoise(HeadingDrift(random_walk_rad_per_sqrt_s=0.0), log_scale_drift_per_sqrt_step=0.0)
 NO_COV = np.zeros((1, 4, 4))
@@ -346,7 +345,7 @@ def test_the_heading_wanders_while_nobody_steps() -> None:
     )
 
 
-# --- what samples show of the walking direction -----------------------------------------------------------------------
+# --- what samples show of the walking heading -----------------------------------------------------------------------
 
 
 def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
@@ -355,9 +354,9 @@ def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
 
 
-def test_a_walking_direction_is_a_kalman_update_of_the_heading_offset() -> None:
+def test_a_walking_heading_is_a_kalman_update_of_the_heading_offset() -> None:
     mean, cov = some_estimate()
-    step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
+    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.5, walking_heading_std_rad=0.2)
     learnt, learnt_cov = learn_heading(mean, cov, step, 0.1)
     oracle = KalmanFilter(dim_x=4, dim_z=1)
     oracle.x, oracle.P, oracle.H = mean[0][:, None], cov[0], np.array([[0.0, 0.0, 1.0, 0.0]])
@@ -367,10 +366,10 @@ def test_a_walking_direction_is_a_kalman_update_of_the_heading_offset() -> None:
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 2])
-def test_whole_turns_of_a_walking_direction_change_nothing(turns: int) -> None:
+def test_whole_turns_of_a_walking_heading_change_nothing(turns: int) -> None:
     mean, cov = some_estimate()
-    step = replace(a_step(heading_rad=1.0), walking_direction_rad=1.5, walking_direction_std_rad=0.2)
-    turned = replace(step, walking_direction_rad=1.5 + 2 * np.pi * turns)
+    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.5, walking_heading_std_rad=0.2)
+    turned = replace(step, walking_heading_rad=1.5 + 2 * np.pi * turns)
     both = learn_heading(mean, cov, step, 0.0), learn_heading(mean, cov, turned, 0.0)
     for once, again in zip(*both, strict=True):
         np.testing.assert_allclose(once, again, atol=1e-12)

@@ -41,8 +41,7 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
 from pdr_filter.sensing.steps.detector import amplitude_of_one_period, unknown_contexts
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 MODELS: list[StepLengthModel] = [
     StaticStepLength(1.8),
@@ -122,10 +121,7 @@ def test_every_model_gives_the_value_of_its_equation() -> None:
         (length_of(KimStepLength(), step_of(mean_abs=8.0), 0.35), 0.7),
         (length_of(TianStepLength(1.8), step, 0.3), 0.3 * 1.8 * 2**0.5),
         (length_of(ChenStepLength(1.85), step, 0.4, 0.2, 1.1), (0.7 + 0.04 + 0.2 * 0.21 * 1.85 / 1.75) * 1.1),
-        (
-            length_of(ZhouWalkingStepLength(), step, 0.2, 0.4, 0.1, 0.05),
-            0.2 + 0.4 / 2 + 0.1 / 2**0.5 + 0.05 * peak,
-        ),
+        (length_of(ZhouWalkingStepLength(), step, 0.2, 0.4, 0.1, 0.05), 0.2 + 0.4 / 2 + 0.1 / 2**0.5 + 0.05 * peak),
         (length_of(BounceStepLength(height_m=1.8), step_of(amplitude=1.0, frequency_hz=1.6), 0.3), 0.54 * 1.6**0.25),
     ]:
         assert length == pytest.approx(value, rel=1e-12)

@@ -19,9 +19,7 @@ from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengt
 from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.weighting import HC, weighted_distances
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import HeadingFix, PositionFix, SpeedFix
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, HeadingFix, PositionFix, SpeedFix, Step
 
 LATENCY_S = 0.74
 EVEN_PRIOR = np.full(6, 1 / 6)

@@ -32,9 +32,7 @@ from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengt
 from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.filter.weighting import HC, context_weights, weighted_distances
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, PositionFix, Step
 
 N = len(CONTEXTS)
 SEEDS = st.integers(0, 2**32 - 1)

@@ -5,20 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-from app_files import (
-    a_walk,
-    assert_same_streams,
-    core_motion_text,
-    on_one_clock,
-    refusal,
-    write_text,
-)
+from app_files import a_walk, assert_same_streams, core_motion_text, on_one_clock, refusal, write_text
 from scipy.spatial.transform import Rotation
 
 from pdr_filter.io.core_motion import quaternion_of
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = on_one_clock(a_walk(50.0))
 TEXT = core_motion_text(WALK)

@@ -11,8 +11,7 @@ import pytest
 
 from pdr_filter.io.describe import StreamDescription, describe, describe_stream, median_norm
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.values.arrays import table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples, table
 
 
 def at_rest(time_s: np.ndarray, norm: float = 9.81) -> Samples:

@@ -16,7 +16,7 @@ from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import FORMATS, read
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 ROOT = Path(__file__).parents[2]
 DOCS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")

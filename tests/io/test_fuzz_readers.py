@@ -9,15 +9,7 @@ from time import process_time as time_of_processor
 
 import numpy as np
 import pytest
-from app_files import (
-    a_walk,
-    phyphox_files,
-    refusal,
-    sensor_logger_files,
-    sensor_logger_json,
-    write_folder,
-    write_zip,
-)
+from app_files import a_walk, phyphox_files, refusal, sensor_logger_files, sensor_logger_json, write_folder, write_zip
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file

@@ -7,15 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import (
-    GENERIC_MAPPING,
-    T0_NS,
-    a_walk,
-    assert_same_streams,
-    generic_text,
-    on_one_clock,
-    refusal,
-)
+from app_files import GENERIC_MAPPING, T0_NS, a_walk, assert_same_streams, generic_text, on_one_clock, refusal
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read

@@ -22,7 +22,7 @@ from app_files import (
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.get_sensor_data import rotation_vector_quaternion
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = with_level_attitude(a_walk())
 TEXT = get_sensor_data_text(WALK, positions=((1.0, 40.3130, -3.4833, 0.0), (20.0, 40.3131, -3.4830, 1.0)))

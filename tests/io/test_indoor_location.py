@@ -6,15 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import (
-    T0_MS,
-    a_walk,
-    assert_same_streams,
-    indoor_location_text,
-    refusal,
-    with_level_attitude,
-    write_text,
-)
+from app_files import T0_MS, a_walk, assert_same_streams, indoor_location_text, refusal, with_level_attitude, write_text
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read

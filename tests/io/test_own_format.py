@@ -19,8 +19,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.values.arrays import table
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples, table
 
 META = json.dumps({"name": "test_s1_walk", "subject": {"id": "s1", "height_m": 1.8}})
 

@@ -6,19 +6,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import (
-    a_walk,
-    assert_same_streams,
-    phyphox_files,
-    phyphox_table,
-    refusal,
-    write_folder,
-    write_zip,
-)
+from app_files import a_walk, assert_same_streams, phyphox_files, phyphox_table, refusal, write_folder, write_zip
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = a_walk()
 CHOICES = [(",", "."), ("\t", "."), (";", "."), ("\t", ","), (";", ",")]

@@ -14,7 +14,7 @@ from pdr_filter.io.describe import describe, reading_report
 from pdr_filter.io.formats import read
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import Samples
 
 
 def test_a_report_counts_gaps_repeated_and_backward_times() -> None:

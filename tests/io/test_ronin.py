@@ -9,13 +9,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from app_files import (
-    a_walk,
-    assert_same_streams,
-    on_one_clock,
-    refusal,
-    with_level_attitude,
-)
+from app_files import a_walk, assert_same_streams, on_one_clock, refusal, with_level_attitude
 
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read

@@ -28,7 +28,7 @@ from pdr_filter.io.describe import describe, reading_report
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, Samples
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 WALK = with_level_attitude(a_walk())
 ALL = "accelerometer gyroscope magnetometer attitude"

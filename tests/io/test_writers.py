@@ -22,7 +22,7 @@ from pdr_filter.cli.app import app
 from pdr_filter.io import writers
 from pdr_filter.simulate import Leg
 from pdr_filter.tracks import Track
-from pdr_filter.values.step import Step, step_table
+from pdr_filter.values import Step, step_table
 
 ORIGIN = (48.137, 11.575)
 GPX = {"g": "http://www.topografix.com/GPX/1/1"}

@@ -19,7 +19,7 @@ import numpy as np
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.special import expit
 
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 # Precision of all weights before the first iteration: "a logit of ten or twenty is plausible", basis functions being of
 # size one. Of 1, 1e-2 and 1e-4 the middle one ended with the best evidence and log loss on made-up problems: 1 drops
@@ -73,11 +73,7 @@ def posterior_precision(weights: FloatArray, design: FloatArray, alpha: FloatArr
 
 
 def posterior_mode(
-    design: FloatArray,
-    target: FloatArray,
-    alpha: FloatArray,
-    start: FloatArray,
-    tolerance: float = _MODE_TOLERANCE,
+    design: FloatArray, target: FloatArray, alpha: FloatArray, start: FloatArray, tolerance: float = _MODE_TOLERANCE
 ) -> tuple[FloatArray, FloatArray]:
     """Most probable weights w* (M,) and G (M, M) with G^T G = Delta, the covariance of eq. 10.
 

@@ -17,8 +17,7 @@ from scipy.stats import chi2
 from pdr_filter.report.palette import context_colours
 from pdr_filter.report.plotting import plot_track
 from pdr_filter.tracks import Track
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.step import Step, step_table
+from pdr_filter.values import CONTEXTS, Step, step_table
 
 PNG = b"\x89PNG"
 

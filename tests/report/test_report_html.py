@@ -20,8 +20,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import Fix, PositionFix
+from pdr_filter.values import CONTEXTS, Fix, PositionFix
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
 

@@ -10,10 +10,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report.trust import doubts
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import read_only
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import CONTEXTS, PositionFix, Samples, read_only
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 

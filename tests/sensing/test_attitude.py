@@ -13,7 +13,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator, Attitu
 from pdr_filter.sensing.bias import GyroBias
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 # Sensor-to-world attitudes: up in the sensor frame is the third row of the rotation matrix.
 TILTS = {

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.values.samples import ImuBlock, Samples
+from pdr_filter.values import ImuBlock, Samples
 
 OFFSET = np.array([1.0, -2.0, 9.8])
 SLOPE = np.array([0.3, 0.0, -0.7])

@@ -15,9 +15,7 @@ from pdr_filter.sensing.contexts.stage import WindowContext, known_context
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.samples import Samples
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, Samples, Step
 
 WALKING, POCKET, TEXTING = CONTEXTS.index("walking"), CARRYING_MODES.index("pocket"), CARRYING_MODES.index("texting")
 

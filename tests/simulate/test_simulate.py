@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Gait, Leg, SensorErrors, demo_walk, phone_motion, simulate
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
 
 CARRYING_MODES = ("texting", "pocket", "swinging", "calling")
 RIGHT = np.pi / 2

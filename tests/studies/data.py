@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 # Height of somebody of whom it is not known: between the means of women and men, as in the recipes.
 HEIGHT_M = 1.70

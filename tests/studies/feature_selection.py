@@ -20,7 +20,7 @@ from sklearn.metrics import check_scoring
 from sklearn.model_selection import GroupKFold, StratifiedKFold
 from sklearn.utils.parallel import Parallel, delayed
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 Progress = Callable[[str, float], None]
 Scoring = str | Callable[[Any, Any, Any], float]

@@ -15,7 +15,7 @@ import numpy as np
 from pdr_filter.evaluate.classification import accuracy, kappa, macro_recall, precision, recall
 from pdr_filter.evaluate.distance import percent_error
 from pdr_filter.evaluate.steps import count_error_percent
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 from tests.studies.measured.guo2018 import (
     N_SIDED,
     N_SIMULATED,

@@ -28,8 +28,7 @@ from pdr_filter.recipes import default, martinelli2018, with_context_model
 from pdr_filter.report.palette import BLUE, GREEN, INK, ORANGE
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.training.protocol import DUPLICATES
-from pdr_filter.values.arrays import IntArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, IntArray
 from tests.studies.data import recordings
 from tests.studies.feature_selection import Selection
 from tests.studies.measured.martinelli2018 import (

@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_filter.evaluate.classification import confusion_matrix
 from pdr_filter.evaluate.steps import StepScores, count_error_percent
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 from tests.studies.measured.susi2013 import (
     MODES,
     N_SIMULATED,

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 from tests.studies import martinelli2018
 from tests.studies.measured import martinelli2018 as measured
 from tests.studies.measured.martinelli2018 import Size

@@ -13,16 +13,11 @@ import numpy as np
 
 from pdr_filter.evaluate.comparison import straight_leg_error_percent
 from pdr_filter.evaluate.steps import count_error_percent
-from pdr_filter.evaluate.tracks import (
-    end_error_percent,
-    path_m,
-    position_errors_m,
-    positions_at,
-)
+from pdr_filter.evaluate.tracks import end_error_percent, path_m, position_errors_m, positions_at
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import tian2016
 from pdr_filter.recording_run import classify, sensed_events, track
-from pdr_filter.values.step import Step
+from pdr_filter.values import Step
 from tests.studies.data import has, recordings
 from tests.studies.measured.tian2016 import (
     RECIPES,
@@ -220,13 +215,7 @@ def study(data: Path, size: Size | None = None) -> Study:
     return Study(
         name="tian2016",
         paper=PAPER,
-        tables=(
-            *modes,
-            _of_step_lengths(data),
-            steps,
-            *_of_single_mode(data, size),
-            _of_multi_mode(size),
-        ),
+        tables=(*modes, _of_step_lengths(data), steps, *_of_single_mode(data, size), _of_multi_mode(size)),
         notes=(*printed_checks(), *_NOTES),
     )
 

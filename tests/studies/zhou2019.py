@@ -12,7 +12,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.evaluate.steps import StepScores
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 from tests.studies.data import people_left_out, recordings
 from tests.studies.measured.zhou2019 import (
     MODELS,

@@ -22,7 +22,7 @@ from pdr_filter.training.sequences import (
     log_loss_by_person,
     sequence_starts,
 )
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 
 CHAIN = np.array([[0.90, 0.07, 0.03], [0.02, 0.95, 0.03], [0.10, 0.10, 0.80]])
 

@@ -12,7 +12,7 @@ from pdr_filter.io.own_format import write_recording
 from pdr_filter.sensing.features import carrying
 from pdr_filter.simulate.people import MODES, simulated_person
 from pdr_filter.training.carrying import FEATURE_NAMES, PLANS, balanced_weight, carrying_windows, train_carrying
-from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values import CARRYING_MODES
 
 
 def recordings(folder: Path) -> list[Path]:

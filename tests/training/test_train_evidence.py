@@ -49,9 +49,7 @@ from pdr_filter.training.sequences import (
     fit_tempering,
     log_loss_by_person,
 )
-from pdr_filter.values.arrays import table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import CONTEXTS, Samples, table
 
 WALKING, UPSTAIRS, RUNNING = (CONTEXTS.index(c) for c in ("walking", "upstairs", "running"))
 DEFAULT = default().model

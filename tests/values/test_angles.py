@@ -5,7 +5,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
+from pdr_filter.values import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
 
 ANGLES = st.floats(-1e4, 1e4)
 

@@ -5,11 +5,11 @@ from dataclasses import fields, replace
 import numpy as np
 from helpers import a_step
 
-from pdr_filter.values.step import Step, step_table, steps_of
+from pdr_filter.values import Step, step_table, steps_of
 
 
 def test_the_steps_of_a_table_are_those_that_it_was_made_of() -> None:
-    steps = (a_step(1.0), replace(a_step(1.6, duration_s=0.6), from_rest=True, walking_direction_std_rad=0.2))
+    steps = (a_step(1.0), replace(a_step(1.6, duration_s=0.6), from_rest=True, walking_heading_std_rad=0.2))
     assert steps_of(step_table(steps)) == steps
     assert steps_of(step_table([])) == ()
 

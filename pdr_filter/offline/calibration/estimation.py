@@ -11,8 +11,7 @@ import numpy as np
 from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust import moments, next_stage, weights
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 # A residual of more than so many standard deviations is distrusted: one good segment in 370.
 DISTRUST = 3.0

@@ -18,9 +18,8 @@ from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrio
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray, Table, table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.version import __version__
+from pdr_filter.values import CONTEXTS, FloatArray, Table, table
+from pdr_filter.version import __version__
 
 # One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
 RECORDING_STD = 0.025

@@ -12,7 +12,7 @@ from typing import Any
 import gtsam
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 _POPULATION = 0  # key of the population's parameters; people are 1 ... S
 # Smallest over largest diagonal entry of a square-root factor whose columns have unit size: below, two parameters

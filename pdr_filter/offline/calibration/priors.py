@@ -20,8 +20,7 @@ from pdr_filter.filter.step_length import (
     bounce_fit,
     length_and_jacobian,
 )
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, Step, read_only
 
 # How people of known height differ in their step lengths (docs/methods/step_length.md).
 PEOPLE_RELATIVE_STD = 0.065

@@ -15,10 +15,7 @@ import numpy as np
 from pdr_filter.calibration import of_height, slices_of
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.step import Step, steps_of
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step, TrackRows, steps_of
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
 # at each end (measured on 133 straight legs of one person; docs/methods/calibration.md).

@@ -17,10 +17,7 @@ from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.fixes import PositionFix
-from pdr_filter.values.step import step_table
+from pdr_filter.values import FloatArray, PositionFix, read_only, step_table, wrap_angle
 
 # A heading better known than this is Gaussian enough to be remembered as one: the second-order error is 2 %.
 _KNOWN_HEADING_STD_RAD = 0.15
@@ -58,7 +55,7 @@ class LateSteps:
 class FixedLagSmoother:
     """Steps and fixes in, the same steps out `lag_s` later, smoothed.
 
-    Not used here: loop closures, known headings and the walking directions that steps show (`smooth` has them).
+    Not used here: loop closures, known headings and the walking headings that steps show (`smooth` has them).
 
     Parameters
     ----------

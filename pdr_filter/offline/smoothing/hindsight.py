@@ -16,9 +16,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.tracks import Track
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.fixes import Fix
+from pdr_filter.values import Fix, FloatArray, read_only, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -7,8 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.values.arrays import BoolArray
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import BoolArray, PositionFix
 
 # Fixes so far outside the samples still count as at their ends: clocks are not better than that.
 _OUTSIDE_S = 1.0

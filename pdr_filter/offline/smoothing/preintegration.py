@@ -31,8 +31,7 @@ from pdr_filter.filter.motion import (
     step_motion,
 )
 from pdr_filter.filter.step_length import StepLengths
-from pdr_filter.values.arrays import FloatArray, IntArray, Table, read_only
-from pdr_filter.values.step import steps_of
+from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
 TURN = np.array([[0.0, 1.0], [-1.0, 0.0]])

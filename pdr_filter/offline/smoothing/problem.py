@@ -11,9 +11,7 @@ import numpy as np
 from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
-from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
@@ -194,19 +192,19 @@ def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray,
 
 
 def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode], noise: MotionNoise) -> ObservedOffsets:
-    """What the steps themselves show of the heading offset: walking direction less device heading and mode's offset.
+    """What the steps themselves show of the heading offset: walking heading less device heading and mode's offset.
 
     A direction tells only what is new to a filter that knows those before (docs/methods/heading.md), and may point far
     beyond what it is evidence for. So a filter of the heading offset alone goes along, and each measurement is taken as
     its prediction and the innovation, which is wrapped there and linear from then on.
     """
-    std = np.asarray(track.steps.walking_direction_std_rad)
+    std = np.asarray(track.steps.walking_heading_std_rad)
     known = np.isfinite(std)
     if not known.any():
         return NO_OFFSETS
     own = np.array([m.heading_offset_rad for m in modes])
     sideways = np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
-    shown = np.asarray(track.steps.walking_direction_rad) - np.asarray(track.steps.device_heading_rad) - sideways
+    shown = np.asarray(track.steps.walking_heading_rad) - np.asarray(track.steps.device_heading_rad) - sideways
     drift = steps.drift_var_rad2 + steps.unknown_var_rad2
     offset, variance = 0.0, noise.initial_heading_offset_std_rad**2
     measured = np.zeros(len(steps))

@@ -34,9 +34,7 @@ from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.tracks import Track
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only, table
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, Table, read_only, table, wrap_angle
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0

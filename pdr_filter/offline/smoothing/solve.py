@@ -18,8 +18,7 @@ from pdr_filter.offline.smoothing.problem import (
     ObservedPositions,
     Problem,
 )
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 
 _POSITION = slice(EAST, EAST + 2)
 

@@ -28,16 +28,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.classifiers.model import ContextModel
-from pdr_filter.papers.guo2018.features import (
-    WITHOUT_LIGHT_AND_PROXIMITY,
-    PoseWindow,
-    PoseWindows,
-    PoseWindowState,
-)
+from pdr_filter.papers.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, PoseWindow, PoseWindows, PoseWindowState
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values import CARRYING_MODES, FloatArray, read_only
 
 _CONTEXTS = ("stationary", "walking")
 

@@ -26,7 +26,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
-from pdr_filter.values.arrays import BoolArray, FloatArray
+from pdr_filter.values import BoolArray, FloatArray
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
 _AMBIENT_STATISTICS = ("mean", "median", "rms")

@@ -11,7 +11,7 @@ from pdr_filter.io.recording import Subject
 from pdr_filter.papers.guo2018.contexts import PoseContext
 from pdr_filter.papers.guo2018.steps import PoseStepDetector
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values.notes import Note
+from pdr_filter.values import Note
 
 
 def chen_fit(height_m: float) -> StepLengthFit:

@@ -49,9 +49,7 @@ from pdr_filter.sensing.steps.detector import (
     specific_force_magnitude,
     vertex,
 )
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6
 # The signal of each carrying mode, and last of an unknown one, which index -1 finds.

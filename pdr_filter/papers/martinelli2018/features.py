@@ -17,7 +17,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.sensing.features.windows import N_MAGNITUDES
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 _OF = ("acc", "acc_f", "gyro", "magn")
 NAMES: tuple[str, ...] = (

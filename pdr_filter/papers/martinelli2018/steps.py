@@ -29,8 +29,7 @@ from pdr_filter.sensing.steps.detector import (
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

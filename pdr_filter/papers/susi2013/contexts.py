@@ -43,7 +43,7 @@ import numpy as np
 
 from pdr_filter.papers.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
 TREE_FEATURES: tuple[str, ...] = (

@@ -9,7 +9,7 @@ from pdr_filter.io.recording import Subject
 from pdr_filter.papers.susi2013.contexts import MotionModes
 from pdr_filter.papers.susi2013.steps import NormMinimaStepDetector
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values.notes import Note
+from pdr_filter.values import Note
 
 
 def susi2013(subject: Subject | None = None) -> Config:

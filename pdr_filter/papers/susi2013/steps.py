@@ -36,14 +36,8 @@ from pdr_filter.papers.susi2013.features import filtered_norms
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, phase_delay_s
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    DetectorState,
-    StepDetector,
-)
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step
 
 _STATIONARY, _SWINGING = CONTEXTS.index("stationary"), CARRYING_MODES.index("swinging")
 # Step frequency at which the first minimum of a walk, which has none before it, is delayed.

@@ -32,8 +32,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.stage import WindowContext, known_context
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray
 
 _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCKET: "pocket"}
 

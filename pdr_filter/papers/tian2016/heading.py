@@ -1,4 +1,4 @@
-"""Walking direction from yaw less an offset that is trained after each transition: Tian et al. 2016, section III-E.
+"""Walking heading from yaw less an offset that is trained after each transition: Tian et al. 2016, section III-E.
 
 A phone that is held points where its owner walks. One in a swinging hand or in a pocket is turned against that by an
 offset, which is taken from the first steps after the transition: they are assumed to go where the last step before it
@@ -21,9 +21,7 @@ from pdr_filter.papers.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Carr
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values.angles import circular_mean, wrap_angle
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, Step, circular_mean, wrap_angle
 
 # Standard deviation of an angle of which nothing is known: uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
@@ -81,7 +79,7 @@ class OffsetCompensationState:
 class OffsetCompensation:
     """Heading stage: adaptive offset compensation.
 
-    `walking_direction_rad` is that of the device while it is held; the direction before the transition while steps
+    `walking_heading_rad` is that of the device while it is held; the direction before the transition while steps
     are filled in or an offset is trained; that of the device less the offset from then on. It is unknown (its standard
     deviation is infinite) without angular rate, and after a gap until the phone is held again.
 
@@ -134,7 +132,7 @@ class OffsetCompensation:
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[OffsetCompensationState, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking directions."""
+        """New state and the steps of a block with their walking headings."""
         carried, states = self._carried.step(state.carried, contexts.carrying_mode)
         turned = wrap_angle(viewing_direction(block.specific_force_mps2, attitude) - attitude.device_heading_rad)
         new = np.stack([block.time_s, states.astype(float), turned])
@@ -160,7 +158,7 @@ class OffsetCompensation:
     def _annotate(
         self, state: OffsetCompensationState, number: int, step: Step
     ) -> tuple[OffsetCompensationState, Step]:
-        """New state and one step with its walking direction."""
+        """New state and one step with its walking heading."""
         samples = self._samples_of(state, number, step)
         mode = int(samples[1, -1]) if samples.shape[1] else state.mode
         if step.heading_unknown_s > 0.5 * step.duration_s:
@@ -233,7 +231,7 @@ class OffsetCompensation:
         known = not np.isnan(direction_rad)
         return replace(
             step,
-            walking_direction_rad=direction_rad if known else 0.0,
-            walking_direction_std_rad=self.direction_std_rad if known else np.inf,
+            walking_heading_rad=direction_rad if known else 0.0,
+            walking_heading_std_rad=self.direction_std_rad if known else np.inf,
             offset_change_std_rad=_ANY_ANGLE_RAD if moved else step.offset_change_std_rad,
         )

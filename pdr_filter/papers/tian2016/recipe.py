@@ -14,9 +14,7 @@ from pdr_filter.papers.tian2016.contexts import TianContexts
 from pdr_filter.papers.tian2016.heading import OffsetCompensation
 from pdr_filter.papers.tian2016.steps import TianStepDetector
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.notes import Note
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, Note, Step
 
 # k of men and women: text of eq. 9. Of the distances of ten people over 28 m Table VII has a standard deviation of
 # 2.30 m.

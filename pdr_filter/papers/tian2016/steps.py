@@ -25,17 +25,8 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, filtered
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    DetectorState,
-    StepDetector,
-    local_maxima,
-    vertex,
-)
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
+from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step
 
 # The states of the paper's machine; the first three are also the rows of `step_signals`.
 HOLDING, SWING, POCKET, TRANS = range(4)

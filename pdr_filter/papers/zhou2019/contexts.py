@@ -19,7 +19,7 @@ from dataclasses import dataclass, field, replace
 
 from pdr_filter.papers.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
 # In irregular swing nobody moves.

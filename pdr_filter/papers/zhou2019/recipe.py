@@ -11,7 +11,7 @@ from pdr_filter.io.recording import Subject
 from pdr_filter.papers.zhou2019 import contexts as behaviours
 from pdr_filter.papers.zhou2019 import steps as reference_lines
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values.notes import Note
+from pdr_filter.values import Note
 
 # Eq. 14 (M7): fitted by tests/benchmarks/fit_zhou.py, because the paper prints no parameters.
 # Carried: legs of two sites; on a foot: the way of the foot in 24 trials, of which those left out scatter by 16 %.

@@ -35,10 +35,7 @@ from pdr_filter.sensing.steps.detector import (
     local_maxima,
     specific_force_magnitude,
 )
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step
 
 _STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
 # Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.

@@ -45,7 +45,7 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
+from pdr_filter.values import FloatArray, IntArray, read_only
 
 # Share of irregular among moving windows in the fit: divide it out where another prior holds. Among the moving windows
 # of people 7 to 13 it is 0.31.

@@ -8,7 +8,7 @@ from functools import cache
 from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, WindowStage
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows, WindowState
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 @dataclass(frozen=True, eq=False)

@@ -17,8 +17,7 @@ from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irre
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
 from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
-from pdr_filter.values.arrays import FloatArray, IntArray, read_only
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, read_only
 
 # A window of the barometer is twice as long as one of features, at the same hop: its seconds would vote twice as often.
 CLIMB_EXPONENT = 0.5

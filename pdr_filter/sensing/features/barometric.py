@@ -15,9 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values.arrays import BoolArray, FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter

@@ -22,8 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.sensing.features.invariant import about_mean, hann_taper, in_groups
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 ComplexArray = NDArray[np.complex128]
 
@@ -214,11 +213,7 @@ def _turning(
     )
 
 
-def _lever(
-    acceleration_about: ComplexArray,
-    horizontal: ComplexArray,
-    n: int,
-) -> tuple[FloatArray, FloatArray]:
+def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -> tuple[FloatArray, FloatArray]:
     """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,).
 
     A phone at the end of a limb accelerates by lever times angular acceleration: least squares, bin by bin, of the

@@ -23,7 +23,7 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 # Rows of a window, as `FeatureWindows` keeps them.
 SIGNALS: tuple[str, ...] = (
@@ -233,7 +233,7 @@ def _quantile_places(n: int) -> IntArray:
 def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Components (W, N) along the axis of largest spread in the horizontal plane, and across it.
 
-    Whether that axis is the walking direction does not matter here; which way it points is not used.
+    Whether that axis is the walking heading does not matter here; which way it points is not used.
     """
     east, north = horizontal[:, 0], horizontal[:, 1]
     difference, mixed = (east * east - north * north).sum(axis=1), 2 * (east * north).sum(axis=1)

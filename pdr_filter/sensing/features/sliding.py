@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values import FloatArray
 
 
 @dataclass(frozen=True, slots=True, eq=False)

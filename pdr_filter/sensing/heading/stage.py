@@ -7,11 +7,11 @@ from typing import Any, Protocol
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values.step import Step
+from pdr_filter.values import Step
 
 
 class HeadingStage(Protocol):
-    """A causal stage: `walking_direction_rad` of steps, its standard deviation, and `offset_change_std_rad`."""
+    """A causal stage: `walking_heading_rad` of steps, its standard deviation, and `offset_change_std_rad`."""
 
     def init(self) -> Any:
         """State before the first sample."""
@@ -29,7 +29,7 @@ class HeadingStage(Protocol):
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
     ) -> tuple[Any, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking directions.
+        """New state and the steps of a block with their walking headings.
 
         `steps` are those that became known in this block, with the number (in the segment) of the sample that revealed
         each, maybe seconds after its contact; the direction of a step depends on samples up to that one only.

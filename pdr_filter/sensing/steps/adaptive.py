@@ -38,8 +38,7 @@ from pdr_filter.sensing.steps.detector import (
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)

@@ -12,9 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)

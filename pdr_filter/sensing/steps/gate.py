@@ -41,8 +41,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.arrays import FloatArray, read_only
-from pdr_filter.values.step import Step
+from pdr_filter.values import FloatArray, Step, read_only
 
 # Rate at which the evidence looks at the force: steps are below 5 Hz.
 _EVIDENCE_HZ = 25.0

@@ -11,7 +11,7 @@ import warnings
 import numpy as np
 from scipy.signal import resample_poly
 
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 from .walks import RATE_HZ, FloatArray, Found, Method, Run, Walk
 

@@ -70,7 +70,7 @@ class Walk:
 
     Packages for a sensor on the lower back expect axes fixed to the trunk. A phone has none, so that they are given
     the best that the whole recording gives: up from `vqf.offlineVQF`, which looks ahead, and the way ahead from the
-    principal axis of the horizontal acceleration at the frequency of steps, its sign from our own walking direction.
+    principal axis of the horizontal acceleration at the frequency of steps, its sign from our own walking heading.
     The work for that is not counted as theirs.
     """
 

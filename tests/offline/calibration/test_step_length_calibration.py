@@ -21,25 +21,12 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.io.recording import Recording, Subject, Truth
 from pdr_filter.offline.calibration import estimation
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
-from pdr_filter.offline.calibration.fit import (
-    calibrate,
-    calibrate_segments,
-    compare_models,
-)
-from pdr_filter.offline.calibration.priors import (
-    DEFAULT_PRIORS,
-    StepLengthPrior,
-    eq12_priors,
-    prior,
-    weak_prior,
-)
+from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments, compare_models
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, prior, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import Samples
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, Samples, Step, table
 
 INF = np.inf
 WALKING = CONTEXTS.index("walking")

@@ -16,7 +16,7 @@ from pdr_filter.offline.smoothing.problem import pose_problem
 from pdr_filter.offline.smoothing.solve import solve
 from pdr_filter.recipes import default
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix
 
 NOISE = MotionNoise(log_scale_std=0.06)
 

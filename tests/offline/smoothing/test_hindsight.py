@@ -8,7 +8,7 @@ import pytest
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.simulate import Leg, demo_walk, simulate
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix
 
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:

@@ -10,7 +10,7 @@ from simulated_steps import simulated_walk
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise, grow_over_gap, linearise
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
-from pdr_filter.values.step import Step, step_table
+from pdr_filter.values import Step, step_table
 
 WALK = simulated_walk(60, np.random.default_rng(1))
 START = np.array([[3.0, -2.0, 0.8, 0.1]])

@@ -25,9 +25,7 @@ from pdr_filter.offline.smoothing.problem import NO_OFFSETS, ObservedOffsets, Pr
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import table
-from pdr_filter.values.fixes import PositionFix
+from pdr_filter.values import PositionFix, table, wrap_angle
 
 AXES = ("east_m", "north_m")
 ANY_HEADING = float(np.pi / np.sqrt(3))

@@ -23,7 +23,7 @@ from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate.people import MODES, simulated_person
 from pdr_filter.training.guo2018 import DATASETS, kappa, train_guo, walk_threshold
 from pdr_filter.training.protocol import recordings_of
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 STAGE = PoseContext()
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")

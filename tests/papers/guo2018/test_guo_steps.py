@@ -16,9 +16,7 @@ from pdr_filter.papers.guo2018.steps import PoseStepDetector, PoseStepState, fea
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, Step
 
 DETECTOR = PoseStepDetector()
 

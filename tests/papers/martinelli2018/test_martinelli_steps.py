@@ -18,8 +18,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.detector import unknown_contexts
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 # Steps a second with the amplitude of the bump that one step makes, m/s2: walking, then running.
 GAITS = [(1.2, 4.0), (1.5, 4.0), (1.8, 4.0), (2.2, 4.0), (2.7, 12.0), (3.2, 20.0)]

@@ -25,7 +25,7 @@ from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_str
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 SWINGING = CARRYING_MODES.index("swinging")

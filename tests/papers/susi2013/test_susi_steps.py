@@ -21,8 +21,7 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, Step
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 SWINGING, TEXTING = CARRYING_MODES.index("swinging"), CARRYING_MODES.index("texting")
@@ -46,9 +45,7 @@ def modes_like(block: UniformBlock, context: int = WALKING, carrying_mode: int =
 
 
 def detect(
-    blocks: list[UniformBlock],
-    modes: list[ContextBlock] | None = None,
-    detector: NormMinimaStepDetector | None = None,
+    blocks: list[UniformBlock], modes: list[ContextBlock] | None = None, detector: NormMinimaStepDetector | None = None
 ) -> tuple[NormMinimaState, list[tuple[int, Step]]]:
     detector = detector or NormMinimaStepDetector()
     state, found = detector.init(), []

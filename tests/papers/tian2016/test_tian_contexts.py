@@ -17,8 +17,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2
 
 # Which way is up, sensor frame.
 FLAT, TILTED, UPRIGHT = (0.0, 0.2, 0.98), (0.0, 0.75, 0.66), (0.0, 1.0, -0.05)

@@ -19,9 +19,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, Step, wrap_angle
 
 TEXTING, SWINGING, IN_POCKET, UNKNOWN = *(CARRYING_MODES.index(m) for m in ("texting", "swinging", "pocket")), -1
 Samples = tuple[UniformBlock, AttitudeBlock, ContextBlock]
@@ -131,8 +129,8 @@ def directed(
 
 def directions(steps: list[Step]) -> np.ndarray:
     """NaN where nothing is known."""
-    known = [np.isfinite(s.walking_direction_std_rad) for s in steps]
-    return np.where(known, [s.walking_direction_rad for s in steps], np.nan)
+    known = [np.isfinite(s.walking_heading_std_rad) for s in steps]
+    return np.where(known, [s.walking_heading_rad for s in steps], np.nan)
 
 
 def moved_to(
@@ -161,7 +159,7 @@ def test_a_held_phone_points_where_its_owner_walks() -> None:
     _, steps = directed(samples, steps_at(CONTACTS_S, samples))
     # the mean over a step lags by half a step, and nothing is wrapped over two turns
     np.testing.assert_allclose(directions(steps), 12.0 * (CONTACTS_S - 0.25) / 20, atol=0.01)
-    assert {s.walking_direction_std_rad for s in steps} == {0.1}
+    assert {s.walking_heading_std_rad for s in steps} == {0.1}
     assert {s.offset_change_std_rad for s in steps} == {0.0}
 
 
@@ -225,7 +223,7 @@ def test_a_phone_that_was_never_held_has_no_direction() -> None:
     samples = phone(np.zeros(1000), np.zeros(1000), np.zeros(1000), IN_POCKET)
     _, steps = directed(samples, steps_at(CONTACTS_S[:15], samples))
     assert np.isnan(directions(steps)).all()
-    assert {s.walking_direction_std_rad for s in steps} == {np.inf}
+    assert {s.walking_heading_std_rad for s in steps} == {np.inf}
 
 
 def test_after_a_gap_a_phone_in_a_pocket_has_no_direction_and_a_held_one_has() -> None:
@@ -259,7 +257,7 @@ def test_steps_that_the_end_reveals_are_directed_too() -> None:
     state, _ = directed(samples, steps[:-1])
     _, [(number, last)] = stage.finish(state, [(1999, steps[-1][1])])
     assert number == 1999
-    assert last.walking_direction_rad == pytest.approx(walk[0], abs=0.01)
+    assert last.walking_heading_rad == pytest.approx(walk[0], abs=0.01)
 
 
 @pytest.mark.parametrize("wrong", [{"n_swing": 0}, {"n_pocket": 3, "n_omit": 2}, {"n_omit": -1}])

@@ -26,9 +26,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, Step
 
 TEXTING, SWINGING, IN_POCKET, UNKNOWN = *(CARRYING_MODES.index(m) for m in ("texting", "swinging", "pocket")), -1
 

@@ -23,8 +23,7 @@ from pdr_filter.papers.zhou2019.features import BehaviourWindows
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStageState
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2
 
 G = STANDARD_GRAVITY_MPS2
 # Every condition has its own feature: variance 5, DC component 10, energy 7 for walking; 1 and 2 for irregular swing.
@@ -104,12 +103,7 @@ def test_every_window_has_one_of_the_four_behaviours_as_the_nested_conditions_sa
 def test_in_irregular_swing_nobody_moves() -> None:
     contexts = {name: context_of(name, 2.0) for name in BEHAVIOURS}
     named = {name: CONTEXTS[int(np.argmax(c.prob))] for name, c in contexts.items()}
-    assert named == {
-        "standing": "stationary",
-        "walking": "walking",
-        "running": "running",
-        "irregular": "stationary",
-    }
+    assert named == {"standing": "stationary", "walking": "walking", "running": "running", "irregular": "stationary"}
     assert {name: c.irregular_prob for name, c in contexts.items()} == {
         "standing": 0.0,
         "walking": 0.0,

@@ -20,7 +20,7 @@ from pdr_filter.papers.zhou2019.features import (
     static_bias,
 )
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 RATE_HZ = 100.0
 G = STANDARD_GRAVITY_MPS2

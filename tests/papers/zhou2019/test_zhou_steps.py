@@ -26,10 +26,7 @@ from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
-from pdr_filter.values.arrays import Table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, Step, Table
 
 G = STANDARD_GRAVITY_MPS2
 STATIONARY, WALKING, RUNNING, UNKNOWN = *(CONTEXTS.index(c) for c in ("stationary", "walking", "running")), -1

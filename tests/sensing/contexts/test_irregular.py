@@ -27,7 +27,7 @@ from pdr_filter.sensing.features.invariant import NAMES, WITHOUT_GYROSCOPE
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, ImuBlock
 
 WINDOWS = FeatureWindows(features=ATTITUDE_FREE)
 GATES = {"gyroscope": GATE, "accelerometer": GATE_ACCELEROMETER}

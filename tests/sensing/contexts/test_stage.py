@@ -12,7 +12,7 @@ from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.papers.martinelli2018.features import TABLE_II
 from pdr_filter.sensing.contexts.stage import ContextModels
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 NAMES = ATTITUDE_FREE.names
 USED = NAMES[:3]

@@ -15,7 +15,7 @@ from pdr_filter.sensing.features.barometric import (
     ClimbState,
     climb_log_evidence,
 )
-from pdr_filter.values.contexts import CONTEXTS
+from pdr_filter.values import CONTEXTS
 
 STAGE = ClimbRate()
 UP, DOWN = CONTEXTS.index("upstairs"), CONTEXTS.index("downstairs")

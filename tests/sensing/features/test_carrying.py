@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.carrying import ATTITUDE, NAMES, WITHOUT_GYROSCOPE, carrying_features
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 RATE_HZ, N = 100.0, 200
 T = np.arange(N) / RATE_HZ

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 from pdr_filter.sensing.features.invariant import NAMES, STEP_LAGS_S, WITHOUT_GYROSCOPE, invariant_features
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import feature_windows
-from pdr_filter.values.samples import ImuBlock
+from pdr_filter.values import ImuBlock
 
 WINDOWS = FeatureWindows(features=ATTITUDE_FREE)
 

@@ -21,8 +21,7 @@ from pdr_filter.sensing.steps.adaptive import (
     low_pass_kernel,
 )
 from pdr_filter.sensing.steps.detector import unknown_contexts
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 DETECTOR = AdaptiveStepDetector()
 # Steps a second with the amplitude of the bump that one step makes, m/s2: strolling, walking, then running.

@@ -20,9 +20,7 @@ from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence, evidence_features, repetition
 from pdr_filter.simulate import demo_walk
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
 
 STEP_LATENCY_S = 0.88
 GATE = StepGate()

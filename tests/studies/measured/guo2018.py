@@ -15,12 +15,12 @@ from pdr_filter.filter.step_length import (
     KimStepLength,
     StepLengthFit,
     WeinbergStepLength,
-    chen_fit,
     static_fit,
-    tian_fit,
 )
 from pdr_filter.io.recording import Recording
 from pdr_filter.papers.guo2018.features import PoseWindows
+from pdr_filter.papers.guo2018.recipe import chen_fit
+from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import for_recording
 from pdr_filter.recording_run import classify
 from pdr_filter.recording_run import track as track_of
@@ -31,18 +31,8 @@ from pdr_filter.simulate.motion import CARRYING
 from pdr_filter.training import guo2018 as train_guo
 from pdr_filter.training.machines import fit_pose_forest
 from pdr_filter.training.protocol import leave_out, recordings_of
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step, steps_of
-from tests.studies.data import (
-    HEIGHT_M,
-    counted_walk,
-    even_way,
-    people_left_out,
-    place_of,
-    recordings,
-    with_subject,
-)
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, steps_of
+from tests.studies.data import HEIGHT_M, counted_walk, even_way, people_left_out, place_of, recordings, with_subject
 from tests.studies.printed.guo2018 import POSE_OF_SIDED, POSES, SIDED
 from tests.studies.report import NAN
 

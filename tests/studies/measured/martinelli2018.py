@@ -39,9 +39,7 @@ from pdr_filter.simulate.gait import STAIR_TREAD_M
 from pdr_filter.tracks import Track
 from pdr_filter.training.contexts import PLANS
 from pdr_filter.training.protocol import LabelledWindows, label_of
-from pdr_filter.values.arrays import FloatArray, IntArray, table
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import Samples
+from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Samples, table
 from tests.studies.data import recordings, with_subject
 from tests.studies.feature_selection import Selection, select_features
 from tests.studies.printed.martinelli2018 import TABLE_VI, THRESHOLD

@@ -16,9 +16,7 @@ from pdr_filter.recipes import for_recording
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
-from pdr_filter.values.arrays import FloatArray, IntArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step
 from tests.studies.data import counted_walk, even_way, people_left_out, place_of, recordings, with_subject
 from tests.studies.report import by_count
 

@@ -24,9 +24,9 @@ from pdr_filter.filter.step_length import (
     WeinbergStepLength,
     bounce_fit,
     static_fit,
-    tian_fit,
 )
 from pdr_filter.io.recording import Recording, Subject
+from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import default, tian2016
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
@@ -34,9 +34,7 @@ from pdr_filter.sensing.front_end import Event
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.motion import CARRYING
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, FloatArray, Step
 from tests.studies.data import counted_walk, with_subject
 from tests.studies.printed.tian2016 import CORRIDOR_M, MODES, N_PEOPLE, N_TRANSITIONS, PATH_M, TABLE_VII, Printed
 

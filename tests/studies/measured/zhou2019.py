@@ -32,10 +32,7 @@ from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CONTEXTS
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step, steps_of
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, steps_of
 from tests.studies.data import HEIGHT_M, with_subject
 from tests.studies.report import NAN, by_count
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from pdr_filter.evaluate.classification import accuracy, kappa
 from pdr_filter.evaluate.steps import count_error_percent
-from pdr_filter.values.arrays import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray
 
 # --- what is printed ------------------------------------------------------------------------------------------------
 

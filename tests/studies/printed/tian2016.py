@@ -8,10 +8,8 @@ from itertools import product
 import numpy as np
 
 from pdr_filter.evaluate.distance import percent_error
-from pdr_filter.filter.step_length import (
-    tian_fit,
-)
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.papers.tian2016.recipe import tian_fit
+from pdr_filter.values import FloatArray
 
 PAPER = (
     'Q. Tian, Z. Salcic, K. I.-K. Wang, Y. Pan, "A Multi-Mode Dead Reckoning System for Pedestrian Tracking Using '

@@ -1,4 +1,4 @@
-"""The walking direction learnt from the acceleration, in any carrying mode."""
+"""The walking heading learnt from the acceleration, in any carrying mode."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.recipes import default
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.heading.walking_direction import (
-    WalkingDirection,
-    WalkingDirectionState,
+from pdr_filter.sensing.heading.walking_heading import (
+    WalkingHeading,
+    WalkingHeadingState,
     carry_axis,
     harmonics,
     in_mean_frame,
@@ -33,14 +33,18 @@ from pdr_filter.sensing.heading.walking_direction import (
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
-from pdr_filter.values.angles import circular_mean, wrap_angle
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2
-from pdr_filter.values.step import Step
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    STANDARD_GRAVITY_MPS2,
+    FloatArray,
+    HeadingDrift,
+    Step,
+    circular_mean,
+    wrap_angle,
+)
 
-STAGE = WalkingDirection()
+STAGE = WalkingHeading()
 NOISE = MotionNoise()
 RIGHT = np.pi / 2
 
@@ -115,11 +119,11 @@ def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray,
         variance += noise.heading_drift.unknown_rad_per_sqrt_s**2 * step.heading_unknown_s
         variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
         last_s = step.time_s
-        if np.isfinite(step.walking_direction_std_rad):
-            measured = step.walking_direction_rad - step.device_heading_rad
-            gain = 1.0 if first else variance / (variance + step.walking_direction_std_rad**2)
+        if np.isfinite(step.walking_heading_std_rad):
+            measured = step.walking_heading_rad - step.device_heading_rad
+            gain = 1.0 if first else variance / (variance + step.walking_heading_std_rad**2)
             offset_rad += gain * float(wrap_angle(measured - offset_rad))
-            variance = step.walking_direction_std_rad**2 if first else (1 - gain) * variance
+            variance = step.walking_heading_std_rad**2 if first else (1 - gain) * variance
             first = False
         result.append((offset_rad, variance))
     offset, variances = np.array(result).T
@@ -127,7 +131,7 @@ def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray,
 
 
 def error_deg(steps: list[Step], heading_rad: FloatArray | float) -> FloatArray:
-    """Error of the believed walking direction at each step."""
+    """Error of the believed walking heading at each step."""
     device = np.array([s.device_heading_rad for s in steps])
     return np.degrees(wrap_angle(device + believed(steps)[0] - heading_rad))
 
@@ -237,7 +241,7 @@ def test_a_reader_walks_where_the_phone_points_and_a_pocket_has_no_such_axis() -
     still = body(phone, 0.0, forward_mps2=0.0)
     assert_allclose(error_deg(annotated(still, "texting"), 0.0)[2:], 0.0, atol=3.0)
     assert believed(annotated(still, "texting"))[1][-1] < np.radians(10) ** 2
-    assert not np.isfinite([s.walking_direction_std_rad for s in annotated(still, "pocket")]).any()
+    assert not np.isfinite([s.walking_heading_std_rad for s in annotated(still, "pocket")]).any()
 
 
 def test_acceleration_corrects_the_axis_of_a_reader_in_part() -> None:
@@ -255,7 +259,7 @@ def test_steps_that_a_gate_held_back_for_seconds_show_the_same() -> None:
 
 def test_nothing_is_learnt_from_steps_that_are_said_to_lead_sideways() -> None:
     steps = annotated(body(Rotation.from_euler("x", 1.5), 0.6), "pocket", "sideways")
-    assert not np.isfinite([s.walking_direction_std_rad for s in steps]).any()
+    assert not np.isfinite([s.walking_heading_std_rad for s in steps]).any()
 
 
 def test_noise_gives_no_direction() -> None:
@@ -264,13 +268,13 @@ def test_noise_gives_no_direction() -> None:
     block.specific_force_mps2[:, :2] += noise
     attitude.horizontal_mps2[:] += noise
     result = annotated((block, attitude, steps), "bag")
-    assert (np.array([s.walking_direction_std_rad for s in result]) > np.radians(15)).all()
+    assert (np.array([s.walking_heading_std_rad for s in result]) > np.radians(15)).all()
 
 
 # --- what the filter is told -----------------------------------------------------------------------------------------
 
 
-def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingDirectionState, list[Step]]:
+def stage_state(parts: Any, carrying_mode: str | None = None) -> tuple[WalkingHeadingState, list[Step]]:
     block, attitude, steps = parts
     state, result = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), carrying_mode), steps)
     return state, [s for _, s in result]
@@ -290,14 +294,14 @@ def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_a
     offset, variance = believed(steps)
     assert_allclose(offset[-1], state.told.offset_rad, atol=1e-9)
     assert_allclose(variance[-1], state.told.var_rad2, rtol=1e-9)
-    assert sum(np.isfinite(s.walking_direction_std_rad) for s in steps) > 20
+    assert sum(np.isfinite(s.walking_heading_std_rad) for s in steps) > 20
 
 
 def test_no_number_of_strides_is_better_than_the_systematic_error() -> None:
     _, variance = believed(annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket"))
     assert STAGE.systematic_std_rad < np.sqrt(variance[-1]) < 2 * STAGE.systematic_std_rad
     one_step = annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket")[-1]
-    assert one_step.walking_direction_std_rad > 3 * np.sqrt(variance[-1])
+    assert one_step.walking_heading_std_rad > 3 * np.sqrt(variance[-1])
 
 
 def test_what_the_gyroscope_lost_stays_lost() -> None:
@@ -317,7 +321,7 @@ def test_nothing_is_known_without_gyroscope() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 0.5), 0.6)
     block = replace(block, angular_rate_known=np.zeros(len(block.time_s), bool))
     for step in annotated((block, attitude, steps), "texting"):
-        assert step.walking_direction_std_rad == np.inf
+        assert step.walking_heading_std_rad == np.inf
         assert step.offset_change_std_rad == 0.0
 
 
@@ -376,7 +380,7 @@ CHANGES = [*SQUARE[:3], leg(carrying_mode="pocket"), leg(turn_rad=RIGHT), leg(ca
 
 
 def simulated_error_deg(legs: list[Leg], carrying_mode: str, mode_at: Any = None) -> tuple[FloatArray, FloatArray]:
-    """Times of steps and errors of the believed walking direction, against the exact heading of the body.
+    """Times of steps and errors of the believed walking heading, against the exact heading of the body.
 
     The frame of the attitude is fitted to the world on the specific force alone, so no constant error is hidden.
     """

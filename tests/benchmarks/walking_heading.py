@@ -1,13 +1,13 @@
-"""The walking direction in any carrying mode (`pdr_filter.sensing.heading.walking_direction`), against motion capture.
+"""The walking heading in any carrying mode (`pdr_filter.sensing.heading.walking_heading`), against motion capture.
 
-usage: python -m tests.benchmarks.walking_direction [--data ../shared/data]
+usage: python -m tests.benchmarks.walking_heading [--data ../shared/data]
 
 Tyrex: one person, two minutes for each scenario, motion capture of the phone. Truth is the direction of the body's
 velocity:
 
 1. The frame of the phone's attitude is turned to the room by its horizontal specific force and the acceleration of the
    motion capture, both between 0.4 and 4 Hz, in pieces of 5 s; a parabola through them is the angle, because the
-   gyroscope drifts. Nothing of the walking direction enters, so no constant error is hidden. The attitude that the
+   gyroscope drifts. Nothing of the walking heading enters, so no constant error is hidden. The attitude that the
    phone computed itself, with its magnetometer, agrees within 6 degrees in the scenarios without magnets.
 2. The body is the phone less a lever arm that turns with the phone: the constant arm that leaves the least jerk in
    the path below 0.5 Hz. A phone held in front is 0.35 m ahead, and sweeps sideways in every turn.
@@ -37,11 +37,9 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.heading.walking_direction import WalkingDirection
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.detector import ContextBlock, unknown_contexts
-from pdr_filter.values.angles import circular_mean, wrap_angle
-from pdr_filter.values.contexts import CARRYING_MODES
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, Step, circular_mean, wrap_angle
 from tests.benchmarks.common import Tables, median_and, options, paths, recordings
 
 FloatArray = NDArray[np.float64]
@@ -84,7 +82,7 @@ class Walk:
         state, steps = detector.step(detector.init(), block, attitude, unknown_contexts(len(block.time_s)))
         return cls(recording, block, attitude, steps + detector.finish(state))
 
-    def annotated(self, stage: WalkingDirection, carrying_mode: str) -> list[Step]:
+    def annotated(self, stage: WalkingHeading, carrying_mode: str) -> list[Step]:
         """Steps with their directions; the carrying mode is known at once, or never if it is empty."""
         n = len(self.block.time_s)
         mode = CARRYING_MODES.index(carrying_mode) if carrying_mode else -1
@@ -103,11 +101,11 @@ def believed(steps: list[Step]) -> tuple[FloatArray, FloatArray, BoolArray]:
         variance += 2 * NOISE.heading_drift.bias_correlation_s * step.yaw_bias_std_radps**2 * elapsed_s
         variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
         last_s = step.time_s
-        if np.isfinite(step.walking_direction_std_rad):
-            measured = step.walking_direction_rad - step.device_heading_rad
-            gain = 1.0 if is_first else variance / (variance + step.walking_direction_std_rad**2)
+        if np.isfinite(step.walking_heading_std_rad):
+            measured = step.walking_heading_rad - step.device_heading_rad
+            gain = 1.0 if is_first else variance / (variance + step.walking_heading_std_rad**2)
             offset += gain * float(wrap_angle(measured - offset))
-            variance = step.walking_direction_std_rad**2 if is_first else (1 - gain) * variance
+            variance = step.walking_heading_std_rad**2 if is_first else (1 - gain) * variance
             is_first = False
         result.append((offset, variance, not is_first))
     offsets, variances, said = np.array(result).T
@@ -122,7 +120,7 @@ def low_pass(signal: ComplexArray, cutoff_hz: float) -> ComplexArray:
 
 
 def truth(walk: Walk) -> tuple[FloatArray, BoolArray]:
-    """Walking direction (K,) of each step in the attitude's frame, clockwise from north, and where it is defined.
+    """Walking heading (K,) of each step in the attitude's frame, clockwise from north, and where it is defined.
 
     Complex numbers are (north, east): their angle is clockwise from north.
     """
@@ -170,7 +168,7 @@ def band(signal: ComplexArray) -> ComplexArray:
 # --- tables ----------------------------------------------------------------------------------------------------------
 
 
-def tyrex(tables: Tables, data: Path, stage: WalkingDirection) -> None:
+def tyrex(tables: Tables, data: Path, stage: WalkingHeading) -> None:
     columns = [
         "scenario",
         "steps",
@@ -186,10 +184,10 @@ def tyrex(tables: Tables, data: Path, stage: WalkingDirection) -> None:
         for scenario, carrying_mode in SCENARIOS.items():
             for recording in recordings(data, "tyrex", f"*_{kind}_{scenario}.zip"):
                 rows.append([f"{kind} {scenario}", *tyrex_row(Walk.of(recording), stage, carrying_mode)])
-    tables.write("walking_direction", columns, rows, "Errors in degrees, tyrex (one person).")
+    tables.write("walking_heading", columns, rows, "Errors in degrees, tyrex (one person).")
 
 
-def tyrex_row(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> list[str]:
+def tyrex_row(walk: Walk, stage: WalkingHeading, carrying_mode: str) -> list[str]:
     heading, counts = truth(walk)
     device = np.array([s.device_heading_rad for _, s in walk.steps])
     time_s = np.array([s.time_s for _, s in walk.steps])
@@ -223,7 +221,7 @@ class Steadiness(NamedTuple):
     std_deg: float  # median of what the stage gives
 
 
-def other_sets(tables: Tables, data: Path, stage: WalkingDirection) -> None:
+def other_sets(tables: Tables, data: Path, stage: WalkingHeading) -> None:
     found: dict[tuple[str, str], list[Steadiness]] = {}
     for site, pattern in (
         ("humolire", "*.zip"),
@@ -250,10 +248,10 @@ def other_sets(tables: Tables, data: Path, stage: WalkingDirection) -> None:
         cells = [median_and(spread, 100, 1), sum(n_reversed), sum(n_moves), f"{np.median(std):.0f}"]
         rows.append([place, known, len(walks), sum(n_steps), *cells])
     columns = ["recordings", "mode", "walks", "steps", "spread of the offset: median, largest", "reversed", "moves"]
-    tables.write("walking_direction_other_sets", [*columns, "std given"], rows, "Degrees.")
+    tables.write("walking_heading_other_sets", [*columns, "std given"], rows, "Degrees.")
 
 
-def steadiness(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> Steadiness | None:
+def steadiness(walk: Walk, stage: WalkingHeading, carrying_mode: str) -> Steadiness | None:
     """Of a walk; None where there are too few steps to say."""
     steps = walk.annotated(stage, carrying_mode)
     if len(steps) < 12:
@@ -276,7 +274,7 @@ def steadiness(walk: Walk, stage: WalkingDirection, carrying_mode: str) -> Stead
     )
 
 
-def agreement(tables: Tables, data: Path, stage: WalkingDirection) -> None:
+def agreement(tables: Tables, data: Path, stage: WalkingHeading) -> None:
     """How the direction against the screen agrees with that of the same person's longest walk in the same pocket."""
     away: dict[str, list[float]] = {"wlk": [], "ups": [], "dws": [], "jog": []}
     for person in range(1, 13):
@@ -301,12 +299,12 @@ def agreement(tables: Tables, data: Path, stage: WalkingDirection) -> None:
         for kind, angles in away.items()
     ]
     columns = ["motionsense", "recordings", "degrees from the longest walk: median, 90 %", "beyond 90"]
-    tables.write("walking_direction_agreement", columns, rows)
+    tables.write("walking_heading_agreement", columns, rows)
 
 
 def main() -> None:
     args = options(__doc__).parse_args()
-    tables, stage = Tables.of(__spec__.name, args), WalkingDirection()
+    tables, stage = Tables.of(__spec__.name, args), WalkingHeading()
     tyrex(tables, args.data, stage)
     other_sets(tables, args.data, stage)
     agreement(tables, args.data, stage)

@@ -9,7 +9,7 @@ stride. Two motions are different:
 - A swinging hand moves at stride frequency, far more than the body. It is higher in front than behind, so its
   horizontal force in phase with its vertical one, both at stride frequency, points forward.
 
-What is learnt is the angle from the device to the walking direction, which stays while the phone stays in its place.
+What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
 Vectors of single strides, turned with the device, are summed with a memory of `memory_s`: each is a von Mises
 likelihood, and the product of such is the sum of their vectors (Mardia and Jupp, "Directional Statistics", 2000). The
 phone's own axis joins the sum where somebody reads on it; after the phone was moved to another place, the last walking
@@ -39,11 +39,7 @@ from numpy.typing import NDArray
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import FloatArray
-from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.heading_drift import HeadingDrift
-from pdr_filter.values.step import Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
 
 _TEXTING = CARRYING_MODES.index("texting")
 _SWINGING = CARRYING_MODES.index("swinging")
@@ -114,7 +110,7 @@ class Place:
     weight: float = 0.0  # strides
     # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
     powers: FloatArray = field(default_factory=lambda: np.zeros(3))
-    prior_rad: float = 0.0  # the last walking direction elsewhere
+    prior_rad: float = 0.0  # the last walking heading elsewhere
     prior_var_rad2: float = math.inf
 
 
@@ -139,7 +135,7 @@ class Told:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class WalkingDirectionState:
+class WalkingHeadingState:
     """Signals of the last seconds, the last contacts, and what was learnt."""
 
     n_samples: int  # of this segment
@@ -150,7 +146,7 @@ class WalkingDirectionState:
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
     place: Place | None
     told: Told
-    walking_rad: float  # last walking direction that was learnt well, in the attitude's frame; NaN before
+    walking_rad: float  # last walking heading that was learnt well, in the attitude's frame; NaN before
     walking_s: float
     direction: FloatArray  # (3,) the same in the sensor frame, across `direction_up`
     direction_up: FloatArray  # (3,) mean up direction of that stride
@@ -158,7 +154,7 @@ class WalkingDirectionState:
 
 
 @dataclass(frozen=True)
-class WalkingDirection:
+class WalkingHeading:
     """The heading stage for any carrying mode; it needs a gyroscope, and says nothing without.
 
     Parameters
@@ -187,13 +183,13 @@ class WalkingDirection:
     memory_s : float
         How long a stride counts, in time of walking.
     prior_memory_s : float
-        How long the last walking direction counts after the phone was moved.
+        How long the last walking heading counts after the phone was moved.
     systematic_std_rad : float
-        How far the push forward is from the walking direction after any number of strides.
+        How far the push forward is from the walking heading after any number of strides.
     held_systematic_std_rad : float
         The same for texting and calling: the arm that holds the phone gives way to one side.
     axis_std_rad : float
-        How far the phone's axis is from the walking direction where somebody reads.
+        How far the phone's axis is from the walking heading where somebody reads.
     guessed_axis_std_rad : float
         The same for a phone that lies with its screen up, and nobody says how it is carried.
     max_tilt_rad : float
@@ -231,9 +227,9 @@ class WalkingDirection:
     return_std_rad: float = math.radians(20.0)
     drift: HeadingDrift = field(default_factory=HeadingDrift)
 
-    def init(self) -> WalkingDirectionState:
+    def init(self) -> WalkingHeadingState:
         """State before the first sample."""
-        return WalkingDirectionState(
+        return WalkingHeadingState(
             n_samples=0,
             start_s=math.nan,
             signals=np.empty((_N_ROWS, 0)),
@@ -249,7 +245,7 @@ class WalkingDirection:
             formers=(),
         )
 
-    def after_gap(self, state: WalkingDirectionState) -> WalkingDirectionState:
+    def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """State after a time without samples: where the person turned in it is unknown, where the phone is may not be.
 
         A phone that is found tilted as before is taken to be where it was.
@@ -261,13 +257,13 @@ class WalkingDirection:
 
     def step(
         self,
-        state: WalkingDirectionState,
+        state: WalkingHeadingState,
         block: UniformBlock,
         attitude: AttitudeBlock,
         contexts: ContextBlock,
         steps: list[tuple[int, Step]],
-    ) -> tuple[WalkingDirectionState, list[tuple[int, Step]]]:
-        """New state and the steps of a block with their walking directions."""
+    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
+        """New state and the steps of a block with their walking headings."""
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
@@ -289,8 +285,8 @@ class WalkingDirection:
         return replace(state, signals=state.signals[:, -self._n_kept :]), result
 
     def finish(
-        self, state: WalkingDirectionState, steps: list[tuple[int, Step]]
-    ) -> tuple[WalkingDirectionState, list[tuple[int, Step]]]:
+        self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
+    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
         """The same for steps that a gap or the end revealed; nothing new is said of modes."""
         result: list[tuple[int, Step]] = []
         for known, step in steps:
@@ -306,8 +302,8 @@ class WalkingDirection:
     # --- one step -------------------------------------------------------------------------------------------------
 
     def _annotate(
-        self, state: WalkingDirectionState, known: int, step: Step, context: int, carrying_mode: int
-    ) -> tuple[WalkingDirectionState, Step]:
+        self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
+    ) -> tuple[WalkingHeadingState, Step]:
         contacts_s = (*state.contacts_s, step.time_s)[-3:]
         state = replace(state, contacts_s=contacts_s[-2:], told=self._drift(state.told, step))
         samples = self._stride_samples(state, contacts_s, known)
@@ -332,7 +328,7 @@ class WalkingDirection:
         return replace(state, place=place, told=told), step
 
     def _stride_samples(
-        self, state: WalkingDirectionState, contacts_s: tuple[float, ...], known: int
+        self, state: WalkingHeadingState, contacts_s: tuple[float, ...], known: int
     ) -> FloatArray | None:
         """Samples of the last two steps, or None if they are not two steps alike with angular rate."""
         if len(contacts_s) < 3:
@@ -349,7 +345,7 @@ class WalkingDirection:
         samples = np.ascontiguousarray(state.signals[:, first - oldest : last - oldest])
         return samples if samples[_KNOWN].all() else None
 
-    def _describe(self, state: WalkingDirectionState, samples: FloatArray, context: int) -> Stride:
+    def _describe(self, state: WalkingHeadingState, samples: FloatArray, context: int) -> Stride:
         """Reference frame and vectors of a stride."""
         up = samples[_UP]
         mean_up = up.mean(axis=1)
@@ -385,8 +381,8 @@ class WalkingDirection:
     # --- where the phone is ---------------------------------------------------------------------------------------
 
     def _settle(
-        self, state: WalkingDirectionState, stride: Stride, time_s: float, carrying_mode: int
-    ) -> tuple[WalkingDirectionState, Place, float]:
+        self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
+    ) -> tuple[WalkingHeadingState, Place, float]:
         """State with the frame of this stride, the place it is in, and by how much the offset may have changed."""
         before = state.place
         state = replace(state, up=stride.up, axis=stride.axis)
@@ -460,7 +456,7 @@ class WalkingDirection:
         return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
 
     def _estimate(self, place: Place, stride: Stride) -> tuple[float, float]:
-        """Walking direction, clockwise from the reference axis, and its variance."""
+        """Walking heading, clockwise from the reference axis, and its variance."""
         is_reading = place.carrying_mode == _TEXTING
         is_like_reading = place.carrying_mode < 0 and stride.up[2] > 0.5
         is_held = is_like_reading or place.carrying_mode in _HELD
@@ -566,8 +562,8 @@ class Stride:
 def _with_direction(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> Step:
     return replace(
         step,
-        walking_direction_rad=step.device_heading_rad + offset_rad,
-        walking_direction_std_rad=math.sqrt(var_rad2),
+        walking_heading_rad=step.device_heading_rad + offset_rad,
+        walking_heading_std_rad=math.sqrt(var_rad2),
         offset_change_std_rad=change_std_rad,
     )
 
