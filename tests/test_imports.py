@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import importlib
 import subprocess
 import sys
 from pathlib import Path
@@ -24,14 +25,12 @@ def test_the_list_of_loaded_modules_is_not_empty() -> None:
     assert {"pdr_filter", "pdr_filter.tracks", "numpy"} <= loaded_by("import pdr_filter; pdr_filter.Track")
 
 
-@pytest.mark.parametrize(
-    "module", ["gtsam", "matplotlib", "sklearn", "scipy.signal", "filterpy", "numba", "typer", "rich"]
-)
+@pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy.signal", "filterpy", "typer", "rich"])
 def test_importing_the_package_does_not_load(module: str) -> None:
     assert module not in loaded_by("import pdr_filter")
 
 
-@pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn.ensemble", "filterpy", "numba", "typer", "rich"])
+@pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn.ensemble", "filterpy", "typer", "rich"])
 def test_importing_the_online_filter_does_not_load(module: str) -> None:
     assert module not in loaded_by("import pdr_filter.online")
 
@@ -155,3 +154,11 @@ def test_gtsam_is_imported_in_the_offline_room_only() -> None:
         if "import gtsam" in path.read_text(encoding="utf-8")
     }
     assert users == {"offline"}
+
+
+SCRIPTS = sorted(Path(__file__).parent.glob("benchmarks/*.py")) + sorted(Path(__file__).parent.glob("studies/*.py"))
+
+
+@pytest.mark.parametrize("script", [s for s in SCRIPTS if not s.name.startswith("test_")], ids=lambda path: path.stem)
+def test_benchmarks_and_studies_import_what_exists(script: Path) -> None:
+    importlib.import_module(f"tests.{script.parent.name}.{script.stem}")

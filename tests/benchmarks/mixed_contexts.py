@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pdr_filter.offline.smoothing.smoothed_track import smoothed_track
+from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
@@ -210,7 +210,7 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
     state, output = finish(config, state)
     end_s = float(samples.time_s[-1])
     updates += [(end_s, u) for u in output.updates if u.is_final]
-    smoothed = smoothed_track(walk, config)
+    smoothed = in_hindsight(walk, config).track
     assert len(smoothed.time_s) == len(updates)
     return Said(
         walk,
