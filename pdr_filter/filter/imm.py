@@ -71,7 +71,12 @@ def mix(
 
 def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Linear prediction of each mode: x = F x, P = F P F' + Q, with F and Q of shape (..., M, n, n)."""
-    return np.matmul(F, mean[..., None])[..., 0], F @ cov @ F.swapaxes(-1, -2) + Q
+    return np.matmul(F, mean[..., None])[..., 0], predict_cov(cov, F, Q)
+
+
+def predict_cov(cov: FloatArray, F: FloatArray, Q: FloatArray) -> FloatArray:
+    """Predicted covariances F P F' + Q (..., M, n, n)."""
+    return F @ cov @ F.swapaxes(-1, -2) + Q
 
 
 def update(

@@ -9,7 +9,7 @@ import numpy as np
 from pdr_filter.filter.fixes import use_fix
 from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, bound_heading_variance, linearise
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
     StepUpdate,
@@ -80,10 +80,17 @@ class ImmTracker:
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
-        mean, F, Q = linearise(
-            mixed, step, length_m, model.residual_var_m2, model.directions, model.noise, elapsed_s(pedestrian, step)
+        ahead = advance(
+            mixed,
+            mixed_cov,
+            step,
+            length_m,
+            model.residual_var_m2,
+            model.directions,
+            model.noise,
+            elapsed_s(pedestrian, step),
         )
-        cov = bound_heading_variance(F @ mixed_cov @ F.transpose(0, 2, 1) + Q)
+        mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
         is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
@@ -120,7 +127,7 @@ class ImmTracker:
         )
         passage = Passage(
             ModeEstimates(known, known_cov, pedestrian.prob),
-            Transition(model.transition_prob, mixed, mean, F, Q),
+            Transition(model.transition_prob, mixed, mean, ahead.F, ahead.Q),
             shared_cov(after),
             is_step=True,
         )

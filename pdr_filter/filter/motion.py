@@ -12,6 +12,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from pdr_filter.filter.imm import predict_cov
 from pdr_filter.filter.step_length import StepLengthFit
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
 
@@ -213,6 +214,16 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     return cov
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Advance:
+    """Where a step led the modes: predicted means (..., M, 4) and covariances, and the linearisation F and Q."""
+
+    mean: FloatArray  # (..., M, 4)
+    cov: FloatArray  # (..., M, 4, 4)
+    F: FloatArray  # (..., M, 4, 4)
+    Q: FloatArray  # (..., M, 4, 4)
+
+
 def advance(
     mean: FloatArray,
     cov: FloatArray,
@@ -222,13 +233,10 @@ def advance(
     directions: Directions,
     noise: MotionNoise,
     elapsed_s: float | None = None,
-) -> tuple[FloatArray, FloatArray]:
-    """Predicted means (..., M, 4) and covariances (..., M, 4, 4) after one step: P_k = F P_{k-1} F' + Q.
-
-    Arguments, F and Q are those of `linearise`.
-    """
+) -> Advance:
+    """One step of means (..., M, 4) and covariances (..., M, 4, 4): P_k = F P_{k-1} F' + Q, F and Q of `linearise`."""
     predicted_mean, F, Q = linearise(mean, step, length_m, length_var_m2, directions, noise, elapsed_s)
-    return predicted_mean, bound_heading_variance(F @ cov @ F.swapaxes(-1, -2) + Q)
+    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
 def linearise(

@@ -13,7 +13,7 @@ import numpy as np
 from pdr_filter.filter.fixes import use_fix
 from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, bound_heading_variance, linearise
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
     StepUpdate,
@@ -145,8 +145,9 @@ class WeightedTracker:
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
         directions = model.directions.weighted(weights)
         known, known_cov = learned_heading(before, step)
-        mean, F, Q = linearise(
+        ahead = advance(
             known,
+            known_cov,
             step,
             np.array([mean_length_m]),
             np.array([own_var_m2]),
@@ -154,7 +155,7 @@ class WeightedTracker:
             model.noise,
             elapsed_s(before, step),
         )
-        cov = bound_heading_variance(F @ known_cov @ F.swapaxes(-1, -2) + Q)
+        mean, cov = ahead.mean, ahead.cov
         scale = float(np.exp(known[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
         walked = Walked(
@@ -181,7 +182,7 @@ class WeightedTracker:
         )
         passage = Passage(
             ModeEstimates(known, known_cov, before.prob),
-            Transition(np.ones((1, 1)), known, mean, F, Q),
+            Transition(np.ones((1, 1)), known, mean, ahead.F, ahead.Q),
             shared_cov(after),
             is_step=True,
         )

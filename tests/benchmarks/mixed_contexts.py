@@ -23,7 +23,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from scipy.spatial.transform import Rotation
 from threadpoolctl import threadpool_limits
 
@@ -35,6 +34,7 @@ from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext

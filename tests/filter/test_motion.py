@@ -62,7 +62,7 @@ def advance_one(
         walking([offset_rad], [heading_var_rad2]),
         noise,
     )
-    return moved[0][0], moved[1][0]
+    return moved.mean[0], moved.cov[0]
 
 
 # --- where a step leads ---------------------------------------------------------------------------------------------
@@ -185,9 +185,9 @@ def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
         "bag", "walking", known_length(0.7, 0.0), heading_std_rad=0.0, carrying_mode="bag",
         heading_drift_rad_per_sqrt_s=0.3, extra_noise_m=0.2,
     )  # fmt: skip
-    _, cov = advance(
+    cov = advance(
         np.zeros((1, 4)), NO_COV, a_step(duration_s=0.5), np.array([0.7]), np.zeros(1), Directions.of([mode]), STILL
-    )
+    ).cov
     np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.09 * 0.5, 0.0]), atol=1e-15)
 
 
@@ -211,7 +211,7 @@ def test_every_mode_moves_on_its_own() -> None:
     length, var_l, offset, var_h = rng.uniform(0.1, 1, (4, 3))
     copies = mean.copy(), cov.copy()
     step = a_step(heading_rad=0.4)
-    moved_mean, moved_cov = advance(mean, cov, step, length, var_l, walking(offset, var_h), STILL)
+    moved = advance(mean, cov, step, length, var_l, walking(offset, var_h), STILL)
     for j in range(3):
         alone = advance_one(
             mean[j],
@@ -222,8 +222,8 @@ def test_every_mode_moves_on_its_own() -> None:
             offset_rad=offset[j],
             heading_var_rad2=var_h[j],
         )
-        np.testing.assert_allclose(moved_mean[j], alone[0], atol=1e-12)
-        np.testing.assert_allclose(moved_cov[j], alone[1], atol=1e-12)
+        np.testing.assert_allclose(moved.mean[j], alone[0], atol=1e-12)
+        np.testing.assert_allclose(moved.cov[j], alone[1], atol=1e-12)
     np.testing.assert_array_equal(mean, copies[0])
     np.testing.assert_array_equal(cov, copies[1])
 
@@ -339,7 +339,7 @@ def test_the_heading_wanders_while_nobody_steps() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5)
     arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), walking([0.0], [0.0]), noise)
-    _, rested = advance(*arguments, elapsed_s=600.0)
+    rested = advance(*arguments, elapsed_s=600.0).cov
     assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(
         noise.heading_drift.random_walk_rad_per_sqrt_s**2 * 600
     )

@@ -442,7 +442,7 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
     mean, cov = initial_estimate(filter_.model.noise)
     step = a_step(heading_rad=0.4)
     length, variance = StepLengths(tuple(m.step_length for m in modes())).predict(step)
-    moved, _ = advance(
+    moved = advance(
         np.tile(mean, (6, 1)),
         np.tile(cov, (6, 1, 1)),
         step,
@@ -450,7 +450,7 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         variance,
         Directions.of(modes()),
         filter_.model.noise,
-    )
+    ).mean
     _, [update] = updates_of(filter_.on_step(filter_.init(), step))
     np.testing.assert_allclose(update.position_m, update.mode_prob @ moved[:, :2], atol=1e-12)
     assert update.step_length_m == pytest.approx(update.mode_prob @ length)

@@ -18,35 +18,38 @@ direction does, and what was learnt in a former place that this looks like.
 The angle is learnt in the attitude's own frame, in which `AttitudeBlock.horizontal_mps2` is given, and said against
 `device_heading_rad`, both averaged over a stride: how the two relate does not matter, and swings cancel.
 
-Measurements for a filter. A memory makes errors of successive directions alike, and a Kalman filter would take them for
-independent. So each step says only what is new: the measurement and the variance which, by the Kalman update, take a
-filter from what all measurements before told it to what is known now. A filter that starts with the first measurement,
-lets the offset wander as `drift` says and believes all it is told then has the learnt direction
-and its variance, systematic error included. One measurement alone has a large deviation: it is what one more step is
-worth. Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration
-brings it back: that variance stays in what is told.
+What is reported to the filter of each step is only what is new: `pdr_filter.sensing.heading.reported`.
 """
 
 from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field, replace
-from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.heading.reported import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Reported
+from pdr_filter.sensing.heading.strides import (
+    Stride,
+    carry_axis,
+    cross,
+    harmonics,
+    in_mean_frame,
+    in_phase,
+    pointing_axis,
+    power,
+)
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step
 
 _TEXTING = CARRYING_MODES.index("texting")
 _SWINGING = CARRYING_MODES.index("swinging")
 _HELD = (_TEXTING, CARRYING_MODES.index("calling"))
 _SIDEWAYS = CONTEXTS.index("sideways")
 _RUNNING = CONTEXTS.index("running")
-_TELLS_SWINGING_APART = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
+_MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
 
 # Rows of the remembered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
@@ -55,13 +58,9 @@ _N_ROWS = 12
 # Two steps between these are a stride: 0.9 to 4.5 steps a second, as the step detectors have it.
 _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
 _MAX_LATENCY_S = 8.0
-# Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
-_TWO_STRIDES_S = 1.4
-# Horizontal amplitude at step frequency beyond that of slow steps: a swinging hand has it at stride frequency.
-_SLOW_STEP_MPS2 = 2.0
 # A step longer than this part of the stride is not one of two alike: one was missed, or the walk has just begun.
 _MAX_SHARE = 0.68
-# Strides over which the powers that tell a swinging hand are averaged.
+# Strides over which the powers that distinguish a swinging hand are averaged.
 _POWER_STRIDES = 6.0
 # Before strides have shown their scatter: a vector is off by half its length across, worth four strides.
 _PRIOR_SCATTER, _PRIOR_STRIDES = 0.5, 4.0
@@ -78,21 +77,9 @@ _UP_STRIDES = 8.0
 # Classifiers of carrying modes look at some seconds, and follow slowly.
 _LABEL_LAG_S = 10.0
 # A hand that is said to swing may have more at step frequency than one that nobody speaks of, and need not lift.
-_TOLD_STEP_SHARE = 1.3
+_LABELLED_STEP_SHARE = 1.3
 # People turn while nothing is known of it: 3 degrees in a second, as a random walk.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
-# y is up rather than forward beyond 60 degrees.
-_UPRIGHT = math.sin(math.radians(60.0))
-# What was told is doubtful if its mean squared distance from what is known now is so many variances beyond its own.
-_DOUBT = 2.0
-# Less is not worth telling, and its measurement would be far from everything.
-_MIN_GAIN = 1e-3
-_MAX_INNOVATION_RAD = 2.5
-# An angle that could be anything is uniform on the circle.
-_UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
-_UNKNOWN_VAR_RAD2 = _UNKNOWN_STD_RAD**2
-# Where more is lost it is not told: the filter must still hear of a phone that is moved.
-_MAX_LOST_VAR_RAD2 = 1.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,16 +112,6 @@ class Former:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Told:
-    """What a filter knows that believes all measurements so far: walking less device heading."""
-
-    offset_rad: float = 0.0
-    var_rad2: float = math.inf
-    lost_var_rad2: float = 0.0  # the part of it that the device's heading has lost
-    time_s: float = math.nan
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class WalkingHeadingState:
     """Signals of the last seconds, the last contacts, and what was learnt."""
 
@@ -145,7 +122,7 @@ class WalkingHeadingState:
     up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
     place: Place | None
-    told: Told
+    reported: Reported
     walking_rad: float  # last walking heading that was learnt well, in the attitude's frame; NaN before
     walking_s: float
     direction: FloatArray  # (3,) the same in the sensor frame, across `direction_up`
@@ -237,7 +214,7 @@ class WalkingHeading:
             up=None,
             axis=np.zeros(3),
             place=None,
-            told=Told(),
+            reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
             direction=np.zeros(3),
@@ -267,8 +244,8 @@ class WalkingHeading:
         n_before = state.n_samples
         if n_before == 0:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
-            told = _lose(state.told, float(self.drift.unmeasured_rad2(gap_s)))
-            state = replace(state, start_s=float(block.time_s[0]), told=told)
+            reported = state.reported.after_loss(float(self.drift.unmeasured_rad2(gap_s)))
+            state = replace(state, start_s=float(block.time_s[0]), reported=reported)
         new = np.empty((_N_ROWS, len(block.time_s)))
         new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
         new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
@@ -305,7 +282,7 @@ class WalkingHeading:
         self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
     ) -> tuple[WalkingHeadingState, Step]:
         contacts_s = (*state.contacts_s, step.time_s)[-3:]
-        state = replace(state, contacts_s=contacts_s[-2:], told=self._drift(state.told, step))
+        state = replace(state, contacts_s=contacts_s[-2:], reported=state.reported.at_step(step, self.drift))
         samples = self._stride_samples(state, contacts_s, known)
         # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
         if samples is None or context == _SIDEWAYS:
@@ -315,7 +292,7 @@ class WalkingHeading:
         place = self._learn(place, stride, step.duration_s)
         angle_rad, var_rad2 = self._estimate(place, stride)
         if place.n_strides >= _SETTLED_STRIDES and var_rad2 < self.change_std_rad**2:
-            right = _cross(stride.axis, stride.up)
+            right = cross(stride.axis, stride.up)
             state = replace(
                 state,
                 walking_rad=stride.axis_heading_rad + angle_rad,
@@ -324,8 +301,8 @@ class WalkingHeading:
                 direction_up=stride.up,
             )
         offset_rad = stride.axis_heading_rad - stride.device_heading_rad + angle_rad
-        told, step = self._tell(state.told, step, offset_rad, var_rad2, change_std_rad)
-        return replace(state, place=place, told=told), step
+        reported, step = state.reported.with_report(step, offset_rad, var_rad2, change_std_rad, self.first_std_rad)
+        return replace(state, place=place, reported=reported), step
 
     def _stride_samples(
         self, state: WalkingHeadingState, contacts_s: tuple[float, ...], known: int
@@ -351,7 +328,7 @@ class WalkingHeading:
         mean_up = up.mean(axis=1)
         mean_up = mean_up / math.sqrt(float(mean_up @ mean_up))
         axis = pointing_axis(mean_up) if state.up is None else carry_axis(state.axis, state.up, mean_up)
-        right = _cross(axis, mean_up)
+        right = cross(axis, mean_up)
         # complex numbers: forward along the axis, and right of it
         device = in_mean_frame(samples[_FORCE], up, np.stack([axis, right, mean_up]))
         world = samples[_NORTH] + 1j * samples[_EAST]
@@ -375,7 +352,7 @@ class WalkingHeading:
             vectors=np.stack(
                 [in_phase(once, 0.0), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
             ),
-            powers=np.array([_power(once[:2]), _power(twice[:2]), _power(once[2:])]),
+            powers=np.array([power(once[:2]), power(twice[:2]), power(once[2:])]),
         )
 
     # --- where the phone is ---------------------------------------------------------------------------------------
@@ -408,7 +385,7 @@ class WalkingHeading:
         if state.walking_s >= before.start_s:
             former = Former(time_s, before.n_strides, state.direction_up, state.direction)
             state = replace(state, formers=(*state.formers, former)[-_N_FORMERS:])
-        return state, place, _UNKNOWN_STD_RAD
+        return state, place, UNKNOWN_STD_RAD
 
     def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> complex:
         """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
@@ -421,7 +398,7 @@ class WalkingHeading:
             return 0j
         former = max(alike, key=lambda f: f.n_strides)
         direction = carry_axis(former.direction, former.up, stride.up)
-        right = _cross(stride.axis, stride.up)
+        right = cross(stride.axis, stride.up)
         angle_rad = math.atan2(float(direction @ right), float(direction @ stride.axis))
         return _von_mises(angle_rad, self.return_std_rad**2)
 
@@ -444,14 +421,14 @@ class WalkingHeading:
     def _swings(self, place: Place) -> bool:
         """Whether the phone is in a hand that swings."""
         stride_power, step_power, lift_power = place.powers
-        if place.carrying_mode not in _TELLS_SWINGING_APART or stride_power < self.swinging_mps2**2:
+        if place.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
             return False
         # Steps that agree on a direction: the hand knows nothing of them, a pocket does.
         in_phase_sum, length2 = place.vectors[1], place.products[1, 1]
         agree = float(in_phase_sum @ in_phase_sum) > self.swinging_agreement * place.weight * float(length2)
         if place.carrying_mode == _SWINGING:
             is_pocket = agree and place.n_strides >= _SETTLED_STRIDES
-            return not is_pocket and bool(step_power <= _TOLD_STEP_SHARE**2 * stride_power)
+            return not is_pocket and bool(step_power <= _LABELLED_STEP_SHARE**2 * stride_power)
         lifts = lift_power >= self.swinging_lift**2 * stride_power
         return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
 
@@ -469,7 +446,7 @@ class WalkingHeading:
             axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
             total += _von_mises(stride.pointing_rad, axis_rad**2)
         concentration = abs(total)
-        variance = _UNKNOWN_VAR_RAD2 if concentration == 0 else min(1.0 / concentration, _UNKNOWN_VAR_RAD2)
+        variance = UNKNOWN_VAR_RAD2 if concentration == 0 else min(1.0 / concentration, UNKNOWN_VAR_RAD2)
         return math.atan2(total.imag, total.real), variance
 
     def _direction(self, place: Place) -> tuple[float, float]:
@@ -503,160 +480,6 @@ class WalkingHeading:
         ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
         return min(max(ahead_rad, -limit_rad), limit_rad)
-
-    # --- what is told ---------------------------------------------------------------------------------------------
-
-    def _drift(self, told: Told, step: Step) -> Told:
-        """What a filter still knows at this step, before it is told more."""
-        elapsed_s = step.duration_s if math.isnan(told.time_s) else step.time_s - told.time_s
-        times_s = (elapsed_s, step.heading_unknown_s)
-        lost_var = float(sum(self.drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)))
-        wandered_var = float(self.drift.variances_rad2(*times_s, 0.0)[0])
-        return replace(_lose(replace(told, var_rad2=told.var_rad2 + wandered_var), lost_var), time_s=step.time_s)
-
-    def _tell(
-        self, told: Told, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float
-    ) -> tuple[Told, Step]:
-        """What the filter knows after this step, and the step with the measurement that tells it.
-
-        With the variance P- that the filter has before and P that is known now, K = 1 - P / P-, the measurement is
-        z = o- + (o - o-) / K and its variance R = P- P / (P- - P): the Kalman update leads from o- to o, from P- to P.
-        Where the filter was told something and strides since then have made it doubtful, it is told of a change.
-        """
-        if math.isinf(told.var_rad2):
-            if var_rad2 > self.first_std_rad**2:
-                return told, step
-            offset_rad, change_std_rad = float(wrap_angle(offset_rad)), 0.0
-            told = replace(told, offset_rad=offset_rad, var_rad2=var_rad2 + told.lost_var_rad2)
-            return told, _with_direction(step, offset_rad, told.var_rad2, 0.0)
-        away_rad = float(wrap_angle(offset_rad - told.offset_rad))
-        told_var = max(told.var_rad2 - told.lost_var_rad2, 0.0)
-        doubt_var = var_rad2 + away_rad**2 - told_var
-        if doubt_var > _DOUBT * told_var:
-            change_std_rad = max(change_std_rad, math.sqrt(doubt_var))
-        var_rad2 += told.lost_var_rad2
-        before_var = min(told.var_rad2 + change_std_rad**2, _UNKNOWN_VAR_RAD2)
-        gain = 1.0 - var_rad2 / before_var
-        if gain < _MIN_GAIN:
-            return replace(told, var_rad2=before_var), replace(step, offset_change_std_rad=change_std_rad)
-        # half a turn and more would be taken for the other way round
-        innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
-        measured_rad = told.offset_rad + innovation_rad
-        told = replace(told, offset_rad=told.offset_rad + gain * innovation_rad, var_rad2=var_rad2)
-        return told, _with_direction(step, measured_rad, var_rad2 / gain, change_std_rad)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Stride:
-    """What one stride shows. Angles are clockwise, vectors (forward, right) of the reference axis, m/s2."""
-
-    up: FloatArray  # (3,) mean, sensor frame
-    axis: FloatArray  # (3,) the reference axis, sensor frame
-    axis_heading_rad: float  # its mean direction in the attitude's frame, clockwise from north
-    device_heading_rad: float  # mean
-    pointing_rad: float  # where the phone points, from the axis
-    vectors: FloatArray  # (3, 2) as in `Place`
-    powers: FloatArray  # (3,) squared amplitudes: horizontal once and twice a stride, vertical once
-
-
-def _with_direction(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> Step:
-    return replace(
-        step,
-        walking_heading_rad=step.device_heading_rad + offset_rad,
-        walking_heading_std_rad=math.sqrt(var_rad2),
-        offset_change_std_rad=change_std_rad,
-    )
-
-
-def _lose(told: Told, lost_var_rad2: float) -> Told:
-    """After the device's heading has lost this variance."""
-    lost = min(told.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
-    var = told.var_rad2 + lost_var_rad2
-    return replace(told, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, _UNKNOWN_VAR_RAD2))
-
-
-def pointing_axis(up: FloatArray) -> FloatArray:
-    """Horizontal unit vector (3,) along which somebody who reads holds the phone: y, or -z if it stands upright."""
-    axis = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < _UPRIGHT else np.array([0.0, 0.0, -1.0])
-    return _across(axis, up)
-
-
-def carry_axis(axis: FloatArray, up: FloatArray, new_up: FloatArray) -> FloatArray:
-    """The axis (3,), across `up`, turned by the shortest way from `up` to `new_up`.
-
-    v' = v - (m . v) / (1 + u . m) (u + m) turns v, across u, by the shortest way from u to m.
-    """
-    cosine = float(up @ new_up)
-    if cosine < -0.99:
-        return pointing_axis(new_up)  # turned over: no way is the shortest
-    return _across(axis - float(new_up @ axis) / (1.0 + cosine) * (up + new_up), new_up)
-
-
-def in_mean_frame(force: FloatArray, up: FloatArray, frame: FloatArray) -> FloatArray:
-    """Horizontal part of vectors (3, N), sensor frame, as complex numbers (N,): along the axis, and right of it.
-
-    Each is turned by the shortest way from its own `up` (3, N) to the mean one, as in `carry_axis`: what turns with the
-    device stays, what swings with it does not. The rows of `frame` (3, 3) are axis, right and mean up.
-    """
-    forces, ups = frame @ force, frame @ up
-    flat = forces - (force * up).sum(axis=0) * ups
-    tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)
-    return (flat[0] - tilted * ups[0]) + 1j * (flat[1] - tilted * ups[1])
-
-
-def harmonics(signals: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Complex amplitudes (3,) of signals (3, N), once and twice a stride.
-
-    The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
-    if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
-    twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
-    """
-    waves = _waves(signals.shape[1])
-    centred = signals - signals.mean(axis=1)[:, None]
-    once, twice = (centred * waves[0]).sum(axis=1), (centred * waves[1]).sum(axis=1)
-    if duration_s < _TWO_STRIDES_S:
-        return once, twice
-    four_times = (centred * waves[2]).sum(axis=1)
-    is_double = abs(four_times[-1]) > abs(twice[-1]) or _power(twice[:-1]) > _SLOW_STEP_MPS2**2
-    return (twice, four_times) if is_double else (once, twice)
-
-
-def in_phase(amplitudes: FloatArray, phase_rad: float) -> FloatArray:
-    """Part (2,) of the horizontal amplitudes, m/s2, in phase with the vertical one advanced by an angle."""
-    horizontal, vertical = amplitudes[:2], amplitudes[2]
-    size = abs(vertical)
-    if size == 0:
-        return np.zeros(2)
-    return np.asarray((horizontal * (vertical / size * np.exp(1j * phase_rad)).conjugate()).real)
-
-
-def _power(amplitudes: FloatArray) -> float:
-    return float((amplitudes * amplitudes.conj()).real.sum())
-
-
-@lru_cache(maxsize=512)
-def _waves(n: int) -> NDArray[np.complex128]:
-    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle.
-
-    The faster ones have no slope, so that a slow change of the signal does not enter. Of the first, which is half a
-    slope itself, too little would remain.
-    """
-    part = (np.arange(n) - 0.5 * (n - 1)) / n
-    waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer([1.0, 2.0, 4.0], part))
-    waves[1:] -= np.outer(waves[1:] @ part / (part @ part), part)
-    return 2.0 / n * waves
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product of two vectors (3,): np.cross takes ten times as long."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
-def _across(axis: FloatArray, up: FloatArray) -> FloatArray:
-    """Unit vector (3,): the part of an axis across up."""
-    flat = axis - float(axis @ up) * up
-    return flat / math.sqrt(float(flat @ flat))
 
 
 def _von_mises(angle_rad: float, var_rad2: float) -> complex:

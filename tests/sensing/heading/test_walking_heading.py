@@ -21,15 +21,8 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.recipes import default
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.heading.walking_heading import (
-    WalkingHeading,
-    WalkingHeadingState,
-    carry_axis,
-    harmonics,
-    in_mean_frame,
-    in_phase,
-    pointing_axis,
-)
+from pdr_filter.sensing.heading.strides import carry_axis, harmonics, in_mean_frame, in_phase, pointing_axis
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
@@ -292,8 +285,8 @@ def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_a
     parts = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=20.0)
     state, steps = stage_state(parts, "pocket")
     offset, variance = believed(steps)
-    assert_allclose(offset[-1], state.told.offset_rad, atol=1e-9)
-    assert_allclose(variance[-1], state.told.var_rad2, rtol=1e-9)
+    assert_allclose(offset[-1], state.reported.offset_rad, atol=1e-9)
+    assert_allclose(variance[-1], state.reported.var_rad2, rtol=1e-9)
     assert sum(np.isfinite(s.walking_heading_std_rad) for s in steps) > 20
 
 
@@ -341,7 +334,7 @@ def test_after_a_gap_a_phone_found_as_before_keeps_its_offset_and_the_heading_lo
     state, after = STAGE.step(state, block, attitude, modes(len(block.time_s), "pocket"), steps)
     told = [s for _, s in after if s.offset_change_std_rad > 1.0]
     assert len(told) == (moved_deg > 0)
-    assert state.told.lost_var_rad2 == NOISE.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5
+    assert state.reported.lost_var_rad2 == NOISE.heading_drift.unknown_rad_per_sqrt_s**2 * 0.5
     assert abs(error_deg([s for _, s in [*before, *after]], 0.6)[-1]) < 5.0
 
 

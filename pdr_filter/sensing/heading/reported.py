@@ -1,0 +1,94 @@
+"""What a filter knows that believes every walking heading that was reported to it, and what is new for it.
+
+A memory makes errors of successive headings alike, and a Kalman filter would take them for independent. So each step
+reports only what is new: the measurement and the variance which, by the Kalman update, take a filter from what all
+measurements before have taught it to what is known now. A filter that starts with the first measurement, lets the
+offset wander as `HeadingDrift` says and believes all that is reported then has the learnt heading and its variance,
+systematic error included. One measurement alone has a large standard deviation: it is what one more step is worth.
+Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration brings
+it back: that variance stays.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+from pdr_filter.values import HeadingDrift, Step, wrap_angle
+
+# What was reported is doubtful if its mean squared distance from what is known now is so many variances beyond its own.
+_DOUBT = 2.0
+# Less is not worth a report, and its measurement would be far from everything.
+_MIN_GAIN = 1e-3
+_MAX_INNOVATION_RAD = 2.5
+# An angle that could be anything is uniform on the circle.
+UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
+UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
+# Where more is lost it is not reported: the filter must still hear of a phone that is moved.
+_MAX_LOST_VAR_RAD2 = 1.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Reported:
+    """Walking less device heading, as a filter knows it that believes all measurements so far."""
+
+    offset_rad: float = 0.0
+    var_rad2: float = math.inf
+    lost_var_rad2: float = 0.0  # the part of it that the device's heading has lost
+    time_s: float = math.nan
+
+    def after_loss(self, lost_var_rad2: float) -> Reported:
+        """After the device's heading has lost this variance."""
+        lost = min(self.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
+        var = self.var_rad2 + lost_var_rad2
+        return replace(self, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, UNKNOWN_VAR_RAD2))
+
+    def at_step(self, step: Step, drift: HeadingDrift) -> Reported:
+        """What the filter still knows at a step, before more is reported."""
+        elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
+        times_s = (elapsed_s, step.heading_unknown_s)
+        lost_var = float(sum(drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)))
+        wandered_var = float(drift.variances_rad2(*times_s, 0.0)[0])
+        wandered = replace(self, var_rad2=self.var_rad2 + wandered_var)
+        return replace(wandered.after_loss(lost_var), time_s=step.time_s)
+
+    def with_report(
+        self, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float, first_std_rad: float
+    ) -> tuple[Reported, Step]:
+        """What the filter knows after a step, and the step with the measurement that takes it there.
+
+        With the variance P- that the filter has before and P that is known now, K = 1 - P / P-, the measurement is
+        z = o- + (o - o-) / K and its variance R = P- P / (P- - P): the Kalman update leads from o- to o, from P- to P.
+        Where strides have made an earlier report doubtful, a change of the offset is reported. Nothing is reported
+        before the offset is known to `first_std_rad`.
+        """
+        if math.isinf(self.var_rad2):
+            if var_rad2 > first_std_rad**2:
+                return self, step
+            first_rad = float(wrap_angle(offset_rad))
+            first = replace(self, offset_rad=first_rad, var_rad2=var_rad2 + self.lost_var_rad2)
+            return first, _with_heading(step, first_rad, first.var_rad2, 0.0)
+        away_rad = float(wrap_angle(offset_rad - self.offset_rad))
+        known_var = max(self.var_rad2 - self.lost_var_rad2, 0.0)
+        doubt_var = var_rad2 + away_rad**2 - known_var
+        if doubt_var > _DOUBT * known_var:
+            change_std_rad = max(change_std_rad, math.sqrt(doubt_var))
+        var_rad2 += self.lost_var_rad2
+        before_var = min(self.var_rad2 + change_std_rad**2, UNKNOWN_VAR_RAD2)
+        gain = 1.0 - var_rad2 / before_var
+        if gain < _MIN_GAIN:
+            return replace(self, var_rad2=before_var), replace(step, offset_change_std_rad=change_std_rad)
+        # half a turn and more would be taken for the other way round
+        innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
+        measured_rad = self.offset_rad + innovation_rad
+        after = replace(self, offset_rad=self.offset_rad + gain * innovation_rad, var_rad2=var_rad2)
+        return after, _with_heading(step, measured_rad, var_rad2 / gain, change_std_rad)
+
+
+def _with_heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> Step:
+    return replace(
+        step,
+        walking_heading_rad=step.device_heading_rad + offset_rad,
+        walking_heading_std_rad=math.sqrt(var_rad2),
+        offset_change_std_rad=change_std_rad,
+    )
