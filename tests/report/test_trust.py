@@ -125,3 +125,20 @@ def test_a_long_time_without_steps_between_two_of_them_is_told(track: Track) -> 
     gap_s = float(track.time_s[50] - track.time_s[49]) + 90.0
     assert any(f"there is nothing for {gap_s:.0f} s" in line for line in told)
     assert not any("there is nothing for" in line for line in doubts(track))
+
+
+@pytest.mark.parametrize(("lasts_s", "is_reported"), [(3.0, False), (6.0, True)])
+def test_a_doubt_of_some_seconds_is_ordinary_and_a_longer_one_is_reported(
+    track: Track, lasts_s: float, is_reported: bool
+) -> None:
+    windows = track.windows
+    begin_s = float(windows.time_s[5])
+    odd = (windows.time_s >= begin_s) & (windows.time_s <= begin_s + lasts_s)
+    unlike = replace(track, windows=replace(windows, unknown_share=read_only(np.where(odd, 0.9, 0.0))))
+    assert any("unlike all" in sentence for sentence in doubts(unlike)) == is_reported
+
+
+def test_a_recording_without_a_single_sample_that_can_be_used_begins_at_zero_and_lasts_no_time() -> None:
+    nothing = Recording("empty", Samples(np.arange(300) / 100, np.full((300, 3), np.nan)))
+    track = pdr.track(nothing)
+    assert (track.start_time_s, track.duration_s, track.n_steps) == (0.0, 0.0, 0)

@@ -290,6 +290,18 @@ def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_a
     assert sum(np.isfinite(s.walking_heading_std_rad) for s in steps) > 20
 
 
+@pytest.mark.parametrize("label", ["texting", "pocket"])
+def test_a_carrying_mode_that_is_reported_later_becomes_that_of_the_place(label: str) -> None:
+    """The phone is not moved: what the classifier reports after some seconds is of this place."""
+    block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=40.0)
+    n = len(block.time_s)
+    carrying_mode = np.where(np.arange(n) < n // 2, -1, CARRYING_MODES.index(label))
+    reported = ContextBlock(np.full(n, -1), carrying_mode)
+    state, _ = STAGE.step(STAGE.init(), block, attitude, reported, steps)
+    assert state.place is not None
+    assert state.place.carrying_mode == CARRYING_MODES.index(label)
+
+
 def test_no_number_of_strides_is_better_than_the_systematic_error() -> None:
     _, variance = believed(annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket"))
     assert STAGE.systematic_std_rad < np.sqrt(variance[-1]) < 2 * STAGE.systematic_std_rad
