@@ -1,1 +1,5 @@
 """The command `pdr-filter`."""
+
+from pdr_filter.cli.app import main
+
+__all__ = ["main"]
