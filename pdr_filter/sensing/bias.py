@@ -1,20 +1,15 @@
 """What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
 
-An error of 0.003 rad/s is 10 degrees a minute. Four kinds of measurement enter a Kalman filter, each weak, each with a
-variance of its own, and each perhaps wrong, so that an outlier hardly moves the estimate:
+Four kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
+that an outlier hardly moves the estimate (docs/methods/attitude.md):
 
-1. Still windows. The mean angular rate of a window in which nothing moves is the bias. A standing hand turns: its means
-   scatter by about half the standard deviation within the window, and it may turn evenly, as if it were a bias.
-2. Straight walking. Somebody who walks from corner to corner turned little in between, by 0.16 rad perhaps. That finds
-   a phone that is off by 0.02 rad/s in a few corridors and hardly moves one that is off by 0.003. A long curve counts
-   as one walk, or the bias would follow it.
-3. Right angles. Where walks before and after corners differ by whole right angles, time after time, there are
-   corridors or streets with two axes, and what is missing to the right angle is drift. Whether a place is like that is
-   not known: one half of the filters assumes it, and they are weighted like the rest. Only walks in new directions
-   count, so that a place without corners proves nothing.
-4. The magnetic field. Where it stands still it should not turn in the attitude's frame. Only its drift counts, never
-   where it points. How far it is trusted follows from the scatter of its horizontal and vertical parts: iron and
-   currents that change these by so much turn it by as much again. After a jump it starts again.
+1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn.
+2. Straight walking. Somebody who walks from corner to corner turned little in between. A long curve counts as one walk,
+   or the bias would follow it.
+3. Right angles. Where walks before and after corners differ by whole right angles, what is missing to them is drift.
+   One half of the filters assumes such a place. Only walks in new directions count.
+4. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
+   is trusted follows from the scatter of its horizontal and vertical parts. After a jump it starts again.
 
 The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
 goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the

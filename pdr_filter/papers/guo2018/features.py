@@ -1,19 +1,8 @@
 """What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
 
-Deviations, where the text is silent or cannot be meant:
-
-- It calls roll the rotation about the z-axis (section 2.1.2). Of a phone held flat that is the heading, which gravity
-  does not show; roll is about the y-axis here, as Android has it.
-- It does not say how the angles are computed: here from the direction of up in the sensor frame, in radians.
-- Roll jumps by a full turn when the phone passes face down, and a mean over such a jump points nowhere. Within a
-  window roll is therefore made continuous, and the whole window moved by full turns until its mean is in [-pi, pi).
-- No recording here has light or proximity among its uniform samples, so windows have the first 12 features only
-  (`WITHOUT_LIGHT_AND_PROXIMITY`); `pose_features` knows all 18.
-- Windows of the pose follow each other without overlap: it is detected every 0.6 s (section 2).
-- The level of motion is computed at every sample, as the step detector's pseudocode has it (Table 2). It adds m2/s4 and
-  rad2/s2 with a factor of 9.8 between them, and without a gyroscope it is the first half alone.
-
-Roll is undefined where the y-axis is vertical, and noisy near it, as in a trouser pocket. That is in the paper too.
+Deviations: docs/methods/guo2018.md. Angles are in radians, from the direction of up in the sensor frame; roll is about
+the y-axis, made continuous within a window, its mean in [-pi, pi). It is undefined where the y-axis is vertical, and
+noisy near it, as in a trouser pocket. The level of motion is computed at every sample (Table 2).
 """
 
 from __future__ import annotations

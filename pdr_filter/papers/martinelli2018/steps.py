@@ -4,10 +4,7 @@
 short symmetric FIR filter and the wavelet has zero mean, so that wavelet and low-pass are one symmetric kernel, taken
 from pywt and run causally with a delay line: its delay is the same at every step frequency.
 
-Deviations, where the paper is silent: the wavelet (Mexican hat), its frequency in hertz in place of scale 16, the
-low-pass, and a threshold that follows the recent peaks. Running gets a second, faster scale: with one scale either the
-two feet of a runner merge into one maximum, or a slow walker's heel strike and push-off make two (docs/benchmarks.md).
-In place of overlapping 1 s windows every sample is looked at once: the same maxima, none twice at window edges.
+Deviations: docs/methods/martinelli2018.md.
 """
 
 from __future__ import annotations

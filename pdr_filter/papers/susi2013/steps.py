@@ -4,25 +4,14 @@ Specific force and angular rate are low-passed (Butterworth, 10th order, 3 Hz) a
 an adaptive threshold lets pass is a step: a minimum of |omega| where the device is in a swinging hand, of |f|
 otherwise, none where its owner stands or the motion is irregular.
 
-A swinging arm stops twice in a full cycle, in front and behind, and |omega| is smallest there. The cycle is a stride,
-so that each minimum is a step and two are a stride, as figure 8 has it. |f| of a swinging hand need not do: its
-strongest part can be of the stride, because the hand pulls once in front, once behind, and hardly alike (4 of 10 steps
-of Tyrex's swinging walks are missing in |f|, but only 4 of 100 of Oxford's).
+The filter is causal: a contact is earlier than the minimum by its phase delay (0.34 to 0.40 s) at the step frequency,
+for |omega| at half of it, the frequency of the arm. A minimum of |f| is the middle of the step, half way between two
+contacts (0.41 of a step after Oxford's foot switches, which are read 0.05 s late); a minimum of |omega| is a contact,
+because the arm turns when the other foot touches the ground.
 
-When a foot touches the ground:
-
-- The filter is causal. A contact is earlier than the minimum by its phase delay (0.34 to 0.40 s) at the step frequency,
-  for |omega| at half of it, the frequency of the arm.
-- A minimum of |f| is the middle of the step, half way between two contacts: with Oxford's foot switches it comes 0.41
-  (median over 16 recordings) of a step after the switch, which is read every 0.1 s, so 0.05 s late on average. So the
-  contact of the step is put half way between two minima.
-- The arm turns when the other foot touches the ground, so that a minimum of |omega| is a contact: in Tyrex's swinging
-  walks the 8 to 25 Hz of |f|, the heel strike, are strongest there (4 times the least, which is half way between).
-
-Deviations, where the paper is silent or garbled ("the maximum value ... is assumed as a threshold ... a bigger value
-than the evaluated mean"): a minimum must be below the mean of the window of 2.56 s around it by a part of the window's
-standard deviation, and the signal above it by as much since the minimum before. In place of windows that overlap every
-sample has its own, centred. The mode at a sample is that of the window around it; both take 1.28 s of waiting.
+Deviations: docs/methods/susi2013.md. A minimum must be below the mean of the window of 2.56 s around it by a part of
+the window's standard deviation, and the signal above it by as much since the minimum before. The mode at a sample is
+that of the window around it; both take 1.28 s of waiting.
 """
 
 from __future__ import annotations

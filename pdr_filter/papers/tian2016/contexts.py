@@ -1,15 +1,10 @@
 """How the phone is carried, as a machine of four states: Tian et al. 2016, section III-B, Table I.
 
-HOLDING, SWING and POCKET are left when the phone is turned fast; two seconds of TRANS follow, in which the direction
-of gravity shows what comes next. As printed the machine never returns to the mode that it left: a phone that is
-turned in the hand ends in the pocket, and stays there. Ours may return to HOLDING (`held_again_s`).
+HOLDING (our `texting`), SWING (`swinging`) and POCKET (`pocket`) are left when the phone is turned fast; two seconds of
+TRANS (unknown) follow, in which the direction of gravity shows what comes next. A person walks while there are steps
+and stands when there has been none for two seconds (section III-C), during a transition as before it.
 
-HOLDING is our `texting`, SWING `swinging`, POCKET `pocket`, and in TRANS the carrying mode is unknown. A person walks
-while there are steps and stands when there has been none for two seconds (section III-C), during a transition as
-before it.
-
-The thresholds are in the convention of iOS (see `pdr_filter.papers.tian2016.steps.ios_acceleration`): gravity in g, -1
-on z for a phone that lies face up.
+Thresholds are in the convention of iOS (`steps.ios_acceleration`). Deviations: docs/methods/tian2016.md.
 """
 
 from __future__ import annotations

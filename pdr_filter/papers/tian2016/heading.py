@@ -4,11 +4,8 @@ A phone that is held points where its owner walks. One in a swinging hand or in 
 offset, which is taken from the first steps after the transition: they are assumed to go where the last step before it
 went (Table V). The yaw swings with hand and leg and is averaged over a step, in a pocket over two.
 
-Deviations. The yaw of iOS is an Euler angle, singular for a phone upright in a pocket; here a held phone's yaw is the
-direction in which its user looks, at right angles to its x axis (well defined from flat to upright), and elsewhere the
-turn about the vertical, whose unknown zero the trained offset takes up. Table IV, which adds 2 pi to negative yaws
-before it averages, moves the jump from pi to 0: yaws around 0 then average to pi. `average_angle` does what is meant.
-In a pocket every step has the mean of itself and the step before, in place of one mean for each pair.
+Deviations: docs/methods/tian2016.md. A held phone's yaw is the direction in which its user looks, at right angles to
+its x axis; elsewhere it is the turn about the vertical, whose unknown zero the trained offset takes up.
 """
 
 from __future__ import annotations

@@ -8,10 +8,7 @@ meanwhile is filled in afterwards (eq. 8).
 The equations are in the convention of iOS: gravity and user acceleration in g, -1 on z for a phone that lies face up.
 `ios_acceleration` is the only place that converts.
 
-Deviations, where the paper is silent: the thresholds of the peaks (0.2 g in the pocket of Fig. 7 is one example), the
-order of the low-pass, the times of the steps that are filled in, and what is done while a carrying mode other than
-theirs, or none, is known. Eq. 6 is taken with the signs of the gravity, so that it also holds for a phone whose top
-points down.
+Deviations: docs/methods/tian2016.md.
 """
 
 from __future__ import annotations

@@ -2,15 +2,10 @@
 
 The machine keeps its behaviour while the maximum of the filtered acceleration stays as it was (Condition 1). When it
 changes (Condition 2), features decide again: running by the DC component (6), else walking by variance and energy (5),
-else irregular swing by the DC component and energy (4), else standing (3). See docs/methods/zhou2019.md.
+else irregular swing by the DC component and energy (4), else standing (3). Deviations: docs/methods/zhou2019.md.
 
-Deviations, where the text is silent or would not hold:
-
-- The thresholds are not printed: trained, see `FOOT` and `CARRIED`.
-- The transition state lasts until a window that holds nothing from before the change was classified. If it ended with
-  the window in which the change is noticed, what a mixture of both behaviours looks like would be kept.
-- Windows of 2 s follow each other every second, and the maximum is compared with that of the window 2 s before, which
-  shares no sample with it.
+The thresholds are trained (`FOOT`, `CARRIED`). The transition state lasts until a window that holds nothing from before
+the change was classified; windows of 2 s follow each other every second.
 """
 
 from __future__ import annotations

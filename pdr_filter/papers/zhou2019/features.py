@@ -4,18 +4,10 @@ Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) i
 filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
 running and irregular swing.
 
-Deviations, where the text is silent or would not hold on another device:
-
-- Eq. 3 needs the sensor horizontal, z up: whatever gravity shows across its z-axis counts as bias, 0.85 m/s2 for a
-  tilt of 5 degrees. Sensors on shoes are tilted by more, or upside down. Up is taken along the mean specific force of
-  the start unless it is given, so that b lies along it: the part of the bias that the start can show.
-- The filter of the features is not printed; those of the step detection are for a behaviour already known. Here: 10 Hz,
-  the pass band of running, in 0.5 s of taps. (Its printed transition of 0.5 Hz would need 6.6 s of them.)
-- f_0 is the coefficient at zero frequency divided by n, the mean of a in m/s2, with its sign.
-- The energy is the mean absolute Fourier coefficient, as printed; its reference (Bao and Intille 2004) squares them.
-  The coefficients are those of the plain two-sided transform: a sinusoid has its amplitude as energy, white noise grows
-  with the root of n.
-- Windows follow each other without overlap: the time resolution of the behaviour is two seconds (section IV).
+Deviations, beside those of docs/methods/zhou2019.md: up is taken along the mean specific force of the start unless it
+is given, because eq. 3 counts a tilt of 5 degrees as 0.85 m/s2 of bias; f_0 is the mean of a in m/s2, with its sign;
+the energy is the mean absolute coefficient of the two-sided transform, as printed, so that a sinusoid has its
+amplitude.
 """
 
 from __future__ import annotations

@@ -8,14 +8,7 @@ not counted; what happens there waits until the behaviour is known to have been 
 An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
 and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
 
-Deviations, where the text is silent or would not hold, with figures in docs/methods/zhou2019.md:
-
-- Filter: a transition of 0.5 Hz needs 6.6 s of Hamming window, 3.3 s of delay. Here 0.5 s, rolling off within 6.6 Hz.
-- Eq. 6 prints > for minima too: they are below T_S. T_L follows R_L, T_S is the mean of the last seconds.
-- R_S = 2 min (rule 2) lies beyond a negative minimum, below -g for one under -4.9 m/s2: nothing falls through it. A
-  negative minimum is halved instead, and R_S is kept a part of the range above the minimum, for a foot on the ground.
-- An END sooner than a part of a dominant period after the last is no event: a foot swings with two humps.
-- The bias of eq. 3 is not removed: the lines follow the signal, whatever its mean.
+Deviations, with reasons and figures: docs/methods/zhou2019.md.
 """
 
 from __future__ import annotations

@@ -7,11 +7,9 @@ distinguish these better than angular rates: a rate mixes the angle with the pac
 rate, each bin divided by 2 pi f, so neither drift nor the start of the window matters. Taken relative to the vertical
 acceleration, the step itself, they do not grow with the pace.
 
-Of the attitude only sizes of the components of up enter, and whether the screen faces up. A sign memorises habits: all
-twelve people of the only set with more than a few have the phone in the pocket head down, and with the positive part of
-up_y as a further feature eleven points of pocket recall were lost on a person of another set. Nothing depends on north,
-on left or right, or on which end of the phone is up. Use them of windows of a moving person only: a phone that lies
-still is carried nowhere.
+Of the attitude only sizes of the components of up enter, and whether the screen faces up: a sign memorises habits.
+Nothing depends on north, on left or right, or on which end of the phone is up. Use them of windows of a moving person
+only: a phone that lies still is carried nowhere.
 """
 
 from __future__ import annotations

@@ -6,14 +6,9 @@ follow each other. No feature depends on the device's attitude, on its handednes
 memorise a person's habit and fail on the next one (docs/benchmarks.md).
 
 Stairs differ from walking in when in the step things happen: the swing of the limb that carries the phone against
-the bounce of the body. The limb swings about a horizontal axis that is found as the main axis of the angular rate. The
-sign of that axis is arbitrary, so it is either squared away (the limb swings once a stride, its square once a step,
-like the bounce), or both the swing and the acceleration across the axis are taken, whose product has no sign, or the
-sign is the one for which the acceleration across the axis points forward: where it follows minus the vertical velocity
-(the body is pushed forward while it sinks), weighted by how clearly it does.
-
-Amplitudes and powers enter as logarithms: people differ by factors, and a classifier that is linear in the features
-then needs no interactions for it.
+the bounce of the body. The limb swings about the main axis of the angular rate, whose sign is arbitrary: it is squared
+away, or cancels in a product, or is the one for which the acceleration across the axis points forward, weighted by how
+clearly it does (docs/methods/contexts.md). Amplitudes and powers enter as logarithms: people differ by factors.
 """
 
 from __future__ import annotations
@@ -109,10 +104,6 @@ _RATE_NAMES: tuple[str, ...] = (
 )
 NAMES: tuple[str, ...] = (*_FORCE_NAMES, *_RATE_NAMES)
 WITHOUT_GYROSCOPE: tuple[str, ...] = _FORCE_NAMES
-# Of the vertical force alone: what every way of carrying shares.
-VERTICAL: tuple[str, ...] = tuple(
-    n for n in _FORCE_NAMES if not any(other in n for other in ("horizontal", "forward", "lateral"))
-)
 
 
 @cache

@@ -1,12 +1,9 @@
 """What a filter knows that believes every walking heading that was reported to it, and what is new for it.
 
-A memory makes errors of successive headings alike, and a Kalman filter would take them for independent. So each step
-reports only what is new: the measurement and the variance which, by the Kalman update, take a filter from what all
-measurements before have taught it to what is known now. A filter that starts with the first measurement, lets the
-offset wander as `HeadingDrift` says and believes all that is reported then has the learnt heading and its variance,
-systematic error included. One measurement alone has a large standard deviation: it is what one more step is worth.
-Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration brings
-it back: that variance stays.
+Errors of successive headings are alike, and a Kalman filter would take them for independent. So each step reports only
+what is new: the measurement and the variance which, by the Kalman update, take a filter that lets the offset wander as
+`HeadingDrift` says from what all measurements before have taught it to what is known now (docs/methods/heading.md).
+Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, that variance stays.
 """
 
 from __future__ import annotations

@@ -1,13 +1,8 @@
 """Where a person walks, from a phone carried anywhere: the body's push forward shows in every stride.
 
-A walking body speeds up and slows down once a step, a quarter of a step apart from its rise and fall. So the
-horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the vertical
-velocity), points where the person walks, sign included. Sideways sway has stride frequency and drops out over a whole
-stride. Two motions are different:
-
-- Running: the body flies between steps, and the phase is another one.
-- A swinging hand moves at stride frequency, far more than the body. It is higher in front than behind, so its
-  horizontal force in phase with its vertical one, both at stride frequency, points forward.
+The horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the
+vertical velocity), points where the person walks, sign included. Running has another phase; a swinging hand moves at
+stride frequency, and its horizontal force in phase with its vertical one points forward (docs/methods/heading.md).
 
 What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
 Vectors of single strides, turned with the device, are summed with a memory of `memory_s`: each is a von Mises
@@ -15,10 +10,9 @@ likelihood, and the product of such is the sum of their vectors (Mardia and Jupp
 phone's own axis joins the sum where somebody reads on it; after the phone was moved to another place, the last walking
 direction does, and what was learnt in a former place that this looks like.
 
-The angle is learnt in the attitude's own frame, in which `AttitudeBlock.horizontal_mps2` is given, and said against
-`device_heading_rad`, both averaged over a stride: how the two relate does not matter, and swings cancel.
-
-What is reported to the filter of each step is only what is new: `pdr_filter.sensing.heading.reported`.
+The angle is learnt in the attitude's own frame (`AttitudeBlock.horizontal_mps2`) and said against `device_heading_rad`,
+both averaged over a stride: how the two relate does not matter, and swings cancel. What is reported to the filter of
+each step is only what is new: `pdr_filter.sensing.heading.reported`.
 """
 
 from __future__ import annotations

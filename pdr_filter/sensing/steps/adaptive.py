@@ -1,24 +1,16 @@
 """Steps as local maxima of a wavelet transform whose scale follows the power of the motion: the default detector.
 
-The step frequency follows from the strength of the motion: people step faster where they step harder. Over 66 walks of
-13 people with seven placements, 16 of another and 24 runs of twelve the frequency is
-
-    f = 1.43 R^0.31,  R the rms of |specific force| around the step, m/s2, f in Hz,
-
-with a standard deviation of 11 %, whoever walks and wherever the phone is (regression of log f on log R,
-tests/benchmarks/steps.py); the Mexican hat is an octave wide. 1.37 R^0.3 is taken, a little lower: heel strike and
-push-off are one step more surely. A frequency taken from the autocorrelation of the signal was worse: in a back pocket
-the stride repeats better than the step, and half of the steps are lost.
+People step faster where they step harder, whoever walks and wherever the phone is: f = 1.43 R^0.31 within 11 %, R the
+rms of |specific force| around the step, m/s2, f in Hz (tests/benchmarks/steps.py).
 
 1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t.
 2. Response: transform of |f| with the Mexican hat of frequency 1.37 R(t)^0.3, interpolated between a bank of hats, each
    low-passed and cut off at `after_s`. It has unit gain at its frequency.
 3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` of the last ones, and comes
    `min_interval` periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects
-   it, `rhythm_share` of both thresholds is enough: a weak step of one foot, and the last one of a walk, are kept.
+   it, `rhythm_share` of both thresholds is enough.
 
-What the parameters stand between, and what came out, is in docs/methods/steps.md. Source of the transform: Martinelli
-et al. 2018, section IV (see `pdr_filter.papers.martinelli2018.steps`), which has one scale for everybody.
+Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli et al. 2018, section IV.
 """
 
 from __future__ import annotations

@@ -1,13 +1,10 @@
 """Steps of somebody who walks, without those of a phone that is handled: a causal gate behind the step detector.
 
-A step detector counts every bump, so a phone that is taken out, typed on or put in a bag makes steps. The gate holds
-each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It needs the
-specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
+The gate holds each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It
+needs the specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
 
-1. Evidence of each step, from the specific force f around its contact and the contacts before it (`evidence_features`):
-   does the force repeat, do its changes of direction, does the rhythm hold, and does the phone turn far for how little
-   it bounces? With x the four features, the log odds of walking are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3), of
-   which `evidence_weight` counts, because the windows of neighbouring steps overlap.
+1. Evidence of each step, from the specific force around its contact and the contacts before it (`evidence_features`).
+   Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
    (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
    is more probable than not, from its own evidence and all before.
@@ -16,18 +13,7 @@ specific force alone: neither gyroscope nor attitude, no model, no carrying mode
 4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
    `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
 
-Where the numbers come from: the weights are a logistic regression on the steps that
-`pdr_filter.sensing.steps.adaptive` finds while people walk (66 walks of A. Brajdic and R. Harle, "Walk detection and
-step counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449; Oxford, MotionSense, Tyrex,
-humolire, ms_indoor) and while they do not (before and after these walks, where the phone is handled; MotionSense's
-sitting and standing). Nothing of that data is here but these weights. tests/benchmarks/step_gate.py fits them and
-prints what the gate does to people left out of the fit; docs/methods/steps.md has the figures.
-
-Limits:
-
-- Slow walking with many turns, below 0.7 m/s, is partly refused: the phone turns far for how little it bounces.
-- Handling that keeps a rhythm and repeats itself for four steps passes: a phone that is shaken.
-- A walk of fewer than `min_steps` steps is dropped, also where a gap or the end cuts it off.
+tests/benchmarks/step_gate.py fits the weights; docs/methods/steps.md has data, figures and limits.
 """
 
 from __future__ import annotations
