@@ -68,8 +68,6 @@ class AttitudeEstimator:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     tau_acc_s : float
         Time constant of the inclination correction (VQF default).
     bias : GyroBias

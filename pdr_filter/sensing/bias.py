@@ -236,8 +236,6 @@ class GyroBias:
         mean, cov, log_weight = bank
         return replace(state, mean=mean, cov=cov, log_weight=log_weight, bias_radps=bias, bias_cov_radps2=bias_cov)
 
-    # --- the three measurements -----------------------------------------------------------------------------------
-
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
@@ -311,15 +309,12 @@ class GyroBias:
     def _see_axis(
         self, bank: _Bank, state: GyroBiasState, direction_rad: float, row: FloatArray
     ) -> tuple[_Bank, GyroBiasState]:
-        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be.
-
-        Where the axes are not known to a sixth of that, a walk shows nothing of the bias, only where they may be.
-        """
+        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be."""
         mean, cov, _ = bank
         n_outliers, lost = 0, np.full(len(mean), True)
         if state.axis_tracked:
             spread = ((cov * row).sum(axis=2) * row).sum(axis=1)
-            lost = spread > (math.pi / 12) ** 2
+            lost = spread > (math.pi / 12) ** 2  # such a walk shows only where the axes may be
             seen = _wrapped(direction_rad - (mean * row).sum(axis=1), 0.5 * math.pi)
             outlier_prob = np.where(lost, _NEVER, np.repeat([_NEVER, self.axis_outlier_prob], len(mean) // 2))
             otherwise = _uniform_log_density(0.5 * math.pi)
@@ -374,8 +369,6 @@ class GyroBias:
         return FieldScatter(n, field.mean_ut + gain * away, variance_ut2, direction_rad), variance_ut2 + own_ut2
 
 
-# --- the bank of Kalman filters ------------------------------------------------------------------------------------
-
 _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
 # A filter is not written off for good: later measurements may speak for it.
 _MIN_LOG_WEIGHT = -12.0
@@ -385,11 +378,7 @@ _MAX_AXIS_OUTLIERS = 3
 
 
 def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
-    """The bank one window later.
-
-    A bias b about up that is corrected by b' turns the attitude's frame counter-clockwise by b - b', so that the field
-    turns clockwise by b' - b in it; a straight line turns by -b in uncorrected headings.
-    """
+    """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
     dt = bias.window_s
     transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
     transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = -dt * up_sensor
@@ -408,11 +397,7 @@ def _update(
     outlier_prob: float | FloatArray,
     outlier_log_density: float,
 ) -> tuple[_Bank, float]:
-    """The bank after a measurement with innovations (M, k), and the probability that it was no outlier.
-
-    H is `rows` (k, 5), S = H P H' + variance I, K = P H' inv(S). With the probability w that the measurement is no
-    outlier, m += w K nu and P += -w K H P + w (1 - w) K nu nu' K'.
-    """
+    """The bank after a measurement, H = `rows` (k, 5), innovations (M, k); the probability that it is no outlier."""
     mean, cov, log_weight = bank
     hp = rows @ cov
     inverse = np.asarray(np.linalg.inv(hp @ rows.T + variance * np.eye(len(rows))), dtype=np.float64)

@@ -30,8 +30,6 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
 
     Parameters
     ----------
-    windows : PoseWindows
-        Of 0.6 s.
     model : ContextModel
         Of the carrying mode, on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`.
     min_level, max_level : float

@@ -44,10 +44,7 @@ def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
 def pose_features(window: FloatArray) -> FloatArray:
     """Features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
 
-    Parameters
-    ----------
-    window : (2, N) or (4, N)
-        Rows: pitch and roll in radians, and, where the phone has both sensors, light in lux and proximity in cm.
+    Rows of the window, (2, N) or (4, N): pitch and roll in radians, light in lux and proximity in cm.
     """
     if window.ndim != 2 or window.shape[0] not in (2, 4) or window.shape[1] == 0:
         raise ValueError(
@@ -95,13 +92,6 @@ class MotionLevel:
 
     T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
     start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate of the blocks.
-    window_s : float
-        Length of the window.
     """
 
     rate_hz: float = 100.0
@@ -154,13 +144,7 @@ class PoseWindowState:
 
 @dataclass(frozen=True)
 class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
-    """Windows of pitch and roll, their features and the level of motion; causal.
-
-    Parameters
-    ----------
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`.
-    """
+    """Windows of pitch and roll, their features and the level of motion; causal."""
 
     window_s: float = 0.6
     hop_s: float = 0.6

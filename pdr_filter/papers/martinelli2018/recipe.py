@@ -41,9 +41,7 @@ def magnitude_contexts() -> LearnedContexts:
 def martinelli2018(subject: Subject | None = None) -> Config:
     """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
 
-    Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
-    walking, for which no public recordings exist; the parameters of eq. 12 are fitted to other walks, because theirs
-    are not printed.
+    docs/methods/martinelli2018.md has all deviations.
     """
     return Config(
         name="martinelli2018",

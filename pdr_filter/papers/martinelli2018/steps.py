@@ -61,8 +61,6 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         A step must also reach this part of the running mean of the last peaks.
     min_interval_s : float
         Two maxima closer than this are one step: heel strike, then push-off. 0.25 s allows 4 steps a second.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`.
     """
 
     wavelet: str = "mexh"

@@ -134,13 +134,6 @@ class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
     and swinging. Irregular motion is stationary with `irregular_prob`: nobody goes anywhere. Running and stairs count
     as walking. Where nobody walks the device may be held in any of the four ways.
-
-    Parameters
-    ----------
-    windows : MotionWindows
-        Windows of 256 samples at 100 Hz, half of them new.
-    with_gyroscope, without_gyroscope : MotionModeTree
-        Of windows whose angular rate is known throughout, and of all others.
     """
 
     windows: MotionWindows = field(default_factory=MotionWindows)

@@ -42,13 +42,8 @@ _MIN_AMPLITUDE = 1e-9
 def motion_features(norms: FloatArray, rate_hz: float) -> FloatArray:
     """Features of a window in the order of `NAMES`, shape (10,).
 
-    Parameters
-    ----------
-    norms : (2, N)
-        Rows: filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing sensor is a row
-        of zeros, whose features are zero.
-    rate_hz : float
-        Sampling rate.
+    Rows of `norms` (2, N): filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing
+    sensor is a row of zeros, whose features are zero.
     """
     energy = (norms * norms).mean(axis=1)
     centred = norms - norms.mean(axis=1)[:, None]

@@ -78,8 +78,6 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         Two contacts closer than this are one step; the low-pass leaves nothing faster.
     max_wait_s : float
         A trough ends so long after its lowest sample, if the signal does not rise before.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`.
     """
 
     low_pass_hz: float = 3.0

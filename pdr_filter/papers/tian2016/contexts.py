@@ -56,8 +56,6 @@ class CarryingMachine:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate.
     rate_y_radps, rate_z_radps : float
         R_y and R_z: faster about an axis that the mode watches (Table II), and the phone is being moved.
     transition_s : float
@@ -196,8 +194,6 @@ class TianContexts:
 
     Parameters
     ----------
-    machine : CarryingMachine
-        Of the carrying mode.
     steps : TianStepDetector
         Whoever makes steps walks; the same detector as that of the recipe.
     stationary_s : float

@@ -82,16 +82,12 @@ class OffsetCompensation:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     n_swing : int
         M_SWING: steps that train the offset of a swinging hand.
     n_pocket : int
         M_POCKET: steps until the offset of a pocket is trained.
     n_omit : int
         M_omit: of them those at the start that are left out, while the phone slides into place.
-    transition_s : float
-        Longest transition.
     direction_std_rad : float
         Given to every direction. The paper trusts them fully; its median errors are 1 to 5 degrees (Tables VIII, IX).
         On winding walks in a room ours are 5 to 17 (docs/methods/tian2016.md): give more where other measurements of

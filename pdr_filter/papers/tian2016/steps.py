@@ -72,13 +72,6 @@ class Carried:
 
     An unknown carrying mode is a transition, but for `transition_s` at most: then it is that before again. Before
     anything is known the phone is held, because somebody has just started the program (section III-B).
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate.
-    transition_s : float
-        Longest transition.
     """
 
     rate_hz: float = 100.0
@@ -184,10 +177,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
         return replace(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
     def _continued(self, state: TianDetectorState) -> FloatArray:
-        """The signals go on straight, in the same mode.
-
-        A transition that has not ended is not filled in: nobody knows what comes after it.
-        """
+        """The signals go on straight, in the same mode: a transition that has not ended is not filled in."""
         last, slope = state.line[:, -1:], state.line[:, -1:] - state.line[:, -2:-1]
         slope[3] = 0.0  # the mode stays
         return last + slope * np.arange(1, self._n_ahead + 1)

@@ -88,12 +88,7 @@ class BehaviourMemory:
 class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemory]):
     """Causal stage of the behaviours; a `ContextStage`. After a gap the behaviour has to show again.
 
-    Parameters
-    ----------
-    windows : BehaviourWindows
-        Filter and windows; the window is a whole number of hops.
-    thresholds : BehaviourThresholds
-        For the place of the sensor.
+    The window is a whole number of hops.
     """
 
     windows: BehaviourWindows = field(default_factory=lambda: BehaviourWindows(hop_s=1.0))

@@ -28,16 +28,9 @@ NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
 
 def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
-    """Bias b of the accelerometer in m/s2, sensor frame, shape (3,), from samples of a sensor at rest (eq. 3).
+    """Bias b = mean(f) - g up, m/s2, sensor frame, (3,), from specific force (N, 3) of a sensor at rest (eq. 3).
 
-    b = mean(f) - g up.
-
-    Parameters
-    ----------
-    static_mps2 : (N, 3)
-        Specific force at rest.
-    up_sensor : (3,), optional
-        Unit vector up, sensor frame; [0, 0, 1] is eq. 3 as printed. If not given, the direction of the mean.
+    `up_sensor` is a unit vector (3,); [0, 0, 1] is eq. 3 as printed. If not given, it is the direction of the mean.
     """
     mean = static_mps2.mean(axis=0)
     up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
@@ -82,8 +75,6 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
 
     Parameters
     ----------
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`.
     static_s : float
         Length of the static start, at most the window, so that no window is late for it.
     static_std_mps2 : float

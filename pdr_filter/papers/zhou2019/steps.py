@@ -101,8 +101,6 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         Time before a window from which its dominant frequency comes.
     hold_s : float
         How long an event waits for walking or running, which is known only after a window of mostly that.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`.
     """
 
     walking: EventSearch
@@ -188,10 +186,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         return replace(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """A complete window: its lines, the events that end in it, and the length of the next.
-
-        `first` is the number of the buffer's first sample.
-        """
+        """A complete window of the buffer from `first` on: its lines, events, and the length of the next."""
         window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
         begin, end = state.window_start - first, window_end - first
         search = self.running if state.is_running else self.walking

@@ -99,13 +99,7 @@ class ClimbRate:
         return ClimbState(np.empty((2, 0)), np.nan)
 
     def step(self, state: ClimbState, time_s: FloatArray, pressure_hpa: FloatArray) -> tuple[ClimbState, list[Climb]]:
-        """New state and the windows that became complete.
-
-        Parameters
-        ----------
-        time_s, pressure_hpa : (N,)
-            Samples as they come, N may be zero. Raises ValueError for pressures in Pa or kPa.
-        """
+        """New state and the windows that became complete, from samples (N,), N >= 0; ValueError for Pa or kPa."""
         samples = _checked(time_s, pressure_hpa)
         kept: list[tuple[float, float]] = [(t, p) for t, p in state.samples.T.tolist()]
         due_s, behind_s, n_behind = state.due_s, state.behind_s, state.n_behind

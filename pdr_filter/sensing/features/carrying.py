@@ -212,12 +212,8 @@ def _turning(
 
 
 def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,).
-
-    A phone at the end of a limb accelerates by lever times angular acceleration: least squares, bin by bin, of the
-    spectra of the horizontal acceleration (W, 2, K) on those of the angular acceleration (W, K). The angular rate's
-    spectrum stands for the latter's but for a quarter turn, whose size is one and which falls out here.
-    """
+    """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,)."""
+    # least squares of the horizontal acceleration on the angular one, whose quarter turn to the rate falls out
     product = (horizontal * acceleration_about.conj()[:, None]).sum(axis=2)
     matched = (product.real**2 + product.imag**2).sum(axis=1)
     about = (acceleration_about.real**2 + acceleration_about.imag**2).sum(axis=1)

@@ -222,10 +222,7 @@ def _quantile_places(n: int) -> IntArray:
 
 
 def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it.
-
-    Whether that axis is the walking heading does not matter here; which way it points is not used.
-    """
+    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it."""
     east, north = horizontal[:, 0], horizontal[:, 1]
     difference, mixed = (east * east - north * north).sum(axis=1), 2 * (east * north).sum(axis=1)
     # half of the angle whose cosine is difference / size: without trigonometry, whose bits depend on the processor
@@ -268,10 +265,7 @@ def _taper_correlation(n: int) -> FloatArray:
 
 
 def _regularity(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it.
-
-    From the power spectrum (Wiener-Khinchin), divided by the overlap's share of the taper at each lag.
-    """
+    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it."""
     correlation = np.fft.irfft(power, n)
     correlation = correlation / np.maximum(correlation[:, :1], 1e-12) / _taper_correlation(n)
     first, last = round(0.28 * rate_hz), min(round(1.0 * rate_hz), n // 2)
@@ -328,10 +322,7 @@ def _swing_timing(
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`.
-
-    Standard deviations are taken larger by a floor: of a phone that lies still the correlation is near zero.
-    """
+    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`; near 0 at rest."""
     centred = about_mean(lines)
     std = np.sqrt((centred * centred).mean(axis=2)) + floor
     product = centred @ lagged_vertical.transpose(0, 2, 1)

@@ -54,10 +54,9 @@ class Reported:
     ) -> tuple[Reported, Step]:
         """What the filter knows after a step, and the step with the measurement that takes it there.
 
-        With the variance P- that the filter has before and P that is known now, K = 1 - P / P-, the measurement is
-        z = o- + (o - o-) / K and its variance R = P- P / (P- - P): the Kalman update leads from o- to o, from P- to P.
-        Where strides have made an earlier report doubtful, a change of the offset is reported. Nothing is reported
-        before the offset is known to `first_std_rad`.
+        The measurement is z = o- + (o - o-) / K, K = 1 - P / P-, and its variance P- P / (P- - P)
+        (docs/methods/heading.md). Where strides have made an earlier report doubtful, a change of the offset is
+        reported. Nothing is reported before the offset is known to `first_std_rad`.
         """
         if math.isinf(self.var_rad2):
             if var_rad2 > first_std_rad**2:

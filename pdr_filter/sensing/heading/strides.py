@@ -94,13 +94,10 @@ def power(amplitudes: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def _waves(n: int) -> NDArray[np.complex128]:
-    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle.
-
-    The faster ones have no slope, so that a slow change of the signal does not enter. Of the first, which is half a
-    slope itself, too little would remain.
-    """
+    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle."""
     part = (np.arange(n) - 0.5 * (n - 1)) / n
     waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer([1.0, 2.0, 4.0], part))
+    # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
     waves[1:] -= np.outer(waves[1:] @ part / (part @ part), part)
     return 2.0 / n * waves
 

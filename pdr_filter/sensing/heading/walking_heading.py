@@ -130,8 +130,6 @@ class WalkingHeading:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     phase_rad : float
         By which the vertical specific force is advanced to be in phase with the push forward. Phones in hands, at ears
         and in pockets have 40 to 145 degrees.
@@ -270,8 +268,6 @@ class WalkingHeading:
         # a stride, and the time that the slowest detector, or a gate behind it, takes to let its last step pass
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
 
-    # --- one step -------------------------------------------------------------------------------------------------
-
     def _annotate(
         self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
     ) -> tuple[WalkingHeadingState, Step]:
@@ -349,8 +345,6 @@ class WalkingHeading:
             powers=np.array([power(once[:2]), power(twice[:2]), power(once[2:])]),
         )
 
-    # --- where the phone is ---------------------------------------------------------------------------------------
-
     def _settle(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[WalkingHeadingState, Place, float]:
@@ -395,8 +389,6 @@ class WalkingHeading:
         right = cross(stride.axis, stride.up)
         angle_rad = math.atan2(float(direction @ right), float(direction @ stride.axis))
         return _von_mises(angle_rad, self.return_std_rad**2)
-
-    # --- what is learnt -------------------------------------------------------------------------------------------
 
     def _learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
         """The place after one stride more."""
@@ -444,11 +436,7 @@ class WalkingHeading:
         return math.atan2(total.imag, total.real), variance
 
     def _direction(self, place: Place) -> tuple[float, float]:
-        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2.
-
-        With mean length m and scatter s2 of one component, each of n strides has s2 / m2; strides overlap by half, so
-        that n of them are worth half of n. What is off in every stride is not in it.
-        """
+        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2."""
         if self._swings(place):
             mix = np.array([1.0, 0.0, 0.0])
         else:
@@ -459,17 +447,14 @@ class WalkingHeading:
         if mean2 == 0:
             return 0.0, math.inf
         length2 = float(mix @ place.products @ mix) / place.weight
+        # overlapping by half, n strides are worth half of n
         scatter = place.weight * 0.5 * max(length2 - mean2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
         variance = 2.0 * scatter / (place.weight + _PRIOR_STRIDES) / (place.weight * mean2)
         leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
         return math.atan2(right, forward), variance + leak2 / mean2
 
     def _phase_ahead(self, place: Place) -> float:
-        """By how much this person's phase is ahead of the usual one.
-
-        With a and b the sums in phase and 90 degrees ahead, |a cos x + b sin x| is largest at
-        tan 2x = 2 a . b / (a . a - b . b). What few strides say counts little.
-        """
+        """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
         a, b = place.vectors[1], place.vectors[2]
         ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)

@@ -209,7 +209,7 @@ class StepGate:
         return replace(state, rows=state.rows[-self._n_rows_kept :]), released
 
     def close(
-        self, state: StepGateState, steps: Sequence[tuple[int, Step]], gap_s: float
+        self, state: StepGateState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
 
@@ -224,8 +224,6 @@ class StepGate:
         # Steps that are no bout yet are given up: what the gap holds is unknown.
         after = StepGateState(state.walking_prob, state.judged_s)
         return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
-
-    # --- the evidence of a step -----------------------------------------------------------------------------------
 
     def _row(self, state: StepGateState, step: Step) -> int:
         """Number of the row that a contact is in."""
@@ -264,8 +262,6 @@ class StepGate:
         oldest = n_rows - len(state.rows)
         return np.ascontiguousarray(state.rows[max(first - oldest, 0) : max(last - oldest, 0)])
 
-    # --- the fate of a step ---------------------------------------------------------------------------------------
-
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
         """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
         continues = contact_s - state.run_s[1] <= self.max_interval_s
@@ -301,8 +297,6 @@ class StepGate:
         if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
             begin_s = state.run_s[0]
         return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= self.max_edge_s))
-
-    # --- the Markov chain -----------------------------------------------------------------------------------------
 
     @property
     def _walking_share(self) -> float:
