@@ -61,8 +61,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     frequency_at_1_mps2_hz, frequency_exponent : float
         Step frequency where R is 1 m/s2, and its power of R; see the module.
     before_s, after_s : float
-        What R is taken over: about three steps, the one in question in the middle. Twice as long mixes the end of a
-        walk with the rest after it. `after_s` is also half the length of the longest hat.
+        What R is taken over: about three steps, the one in question in the middle. `after_s` is also half the length of
+        the longest hat.
     power_low_pass_hz, low_pass_hz : float
         Cutoffs (Hamming window, 0.25 s) before R and in the response.
     min_peak_mps2 : float
@@ -117,13 +117,9 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
-    def _n_after(self) -> int:
+    def _delay_samples(self) -> int:
         """Samples after a contact that enter."""
         return round(self.after_s * self.rate_hz) + len(self._power_low_pass) // 2
-
-    @property
-    def _delay_samples(self) -> int:
-        return self._n_after
 
     @property
     def _min_response(self) -> float:
@@ -135,7 +131,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @property
     def _n_line(self) -> int:
-        return self._n_before + self._n_after
+        return self._n_before + self._delay_samples
 
     def _signals(
         self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
@@ -210,12 +206,7 @@ def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, ra
     peak is left there) or at `max_half_s`.
     """
     half = round(min(3.5 * 0.25 / frequency_hz, max_half_s) * rate_hz)
-    kernel = np.convolve(_hat(0.25 / frequency_hz, half, rate_hz), low_pass_kernel(low_pass_hz, rate_hz))
-    return with_unit_gain(kernel, frequency_hz, rate_hz)
-
-
-def _hat(scale_s: float, half: int, rate_hz: float) -> FloatArray:
-    """Mexican hat with so many samples on each side, less its mean."""
-    u = np.arange(-half, half + 1) / (rate_hz * scale_s)
+    u = np.arange(-half, half + 1) / (rate_hz * (0.25 / frequency_hz))
     hat = (1.0 - u * u) * np.exp(-0.5 * u * u)
-    return np.asarray(hat - hat.mean(), dtype=float)
+    kernel = np.convolve(np.asarray(hat - hat.mean(), dtype=float), low_pass_kernel(low_pass_hz, rate_hz))
+    return with_unit_gain(kernel, frequency_hz, rate_hz)
