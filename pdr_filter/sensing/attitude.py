@@ -2,9 +2,7 @@
 
 VQF: D. Laidig, T. Seel, "VQF: Highly accurate IMU orientation estimation with bias estimation and magnetic disturbance
 rejection", Information Fusion 91 (2023), doi:10.1016/j.inffus.2022.10.014. Its state is carried as plain values, so
-that a filter can be saved in the middle of a walk. Its own bias estimation is off: at rest it needs 1.5 s below
-2 deg/s, which no hand that holds a phone reaches, and in motion it takes walking for bias. `pdr_filter.sensing.bias`
-does it.
+that a filter can be saved in the middle of a walk. Its bias estimation is off: `pdr_filter.sensing.bias` does it.
 """
 
 from __future__ import annotations
@@ -22,8 +20,7 @@ from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
 
-# The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
-# theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
+# Against an attitude tilted by theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees.
 _MAX_TILT_COS = 0.5
 
 # Columns of the samples that wait for a whole window of the bias.
@@ -62,18 +59,14 @@ class AttitudeEstimator:
 
     The heading is the turn about up of the attitude against an earlier one (its twist in the swing-twist
     decomposition): with q the quaternion of the sensor's attitude now and q_0 then, d = q q_0*, the heading is
-    psi = -2 atan2(d_z, d_w). Unlike the direction of one device axis this has no singular attitude short of upside
-    down, and long before that a new reference takes over, so that it works for a phone upright in a pocket as well as
-    flat in the hand. Unlike the integral of the angular rate about the vertical, psi' = -omega . up, it comes back when
-    the device does. That integral does not: while the device wobbles so that up goes round a cone of half angle theta,
-    it gains the solid angle 2 pi (1 - cos theta) each round, 5 degrees at 10 degrees, without any turn. Arms and legs
-    swing so. (It is the noncommutativity that J. E. Bortz, "A new mathematical formulation for strapdown inertial
-    navigation", IEEE Trans. Aerospace and Electronic Systems 7(1), 1971, doi:10.1109/TAES.1971.310252, treats.)
+    psi = -2 atan2(d_z, d_w). This has no singular attitude short of upside down, and long before that a new reference
+    takes over. Unlike the integral of the angular rate about the vertical it comes back when the device does: while up
+    goes round a cone of half angle theta, that integral gains the solid angle 2 pi (1 - cos theta) each round. (It is
+    the noncommutativity that J. E. Bortz, "A new mathematical formulation for strapdown inertial navigation", IEEE
+    Trans. Aerospace and Electronic Systems 7(1), 1971, doi:10.1109/TAES.1971.310252, treats.)
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     tau_acc_s : float
         Time constant of the inclination correction (VQF default).
     bias : GyroBias

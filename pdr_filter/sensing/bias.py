@@ -1,20 +1,15 @@
 """What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
 
-An error of 0.003 rad/s is 10 degrees a minute. Four kinds of measurement enter a Kalman filter, each weak, each with a
-variance of its own, and each perhaps wrong, so that an outlier hardly moves the estimate:
+Four kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
+that an outlier hardly moves the estimate (docs/methods/attitude.md):
 
-1. Still windows. The mean angular rate of a window in which nothing moves is the bias. A standing hand turns: its means
-   scatter by about half the standard deviation within the window, and it may turn evenly, as if it were a bias.
-2. Straight walking. Somebody who walks from corner to corner turned little in between, by 0.16 rad perhaps. That finds
-   a phone that is off by 0.02 rad/s in a few corridors and hardly moves one that is off by 0.003. A long curve counts
-   as one walk, or the bias would follow it.
-3. Right angles. Where walks before and after corners differ by whole right angles, time after time, there are
-   corridors or streets with two axes, and what is missing to the right angle is drift. Whether a place is like that is
-   not known: one half of the filters assumes it, and they are weighted like the rest. Only walks in new directions
-   count, so that a place without corners proves nothing.
-4. The magnetic field. Where it stands still it should not turn in the attitude's frame. Only its drift counts, never
-   where it points. How far it is trusted follows from the scatter of its horizontal and vertical parts: iron and
-   currents that change these by so much turn it by as much again. After a jump it starts again.
+1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn.
+2. Straight walking. Somebody who walks from corner to corner turned little in between. A long curve counts as one walk,
+   or the bias would follow it.
+3. Right angles. Where walks before and after corners differ by whole right angles, what is missing to them is drift.
+   One half of the filters assumes such a place. Only walks in new directions count.
+4. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
+   is trusted follows from the scatter of its horizontal and vertical parts. After a jump it starts again.
 
 The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
 goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the
@@ -106,9 +101,8 @@ class GyroBias:
     window_s : float
         Length of the windows. One second averages a step or two, and the turning that each brings.
     prior_std_radps, prior_prob : tuple of float
-        The mixture the bias comes from: phones that calibrate themselves well (the drifts of known walks here are 0.001
-        to 0.003 rad/s), less well (0.01), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
-        seen elsewhere).
+        The mixture the bias comes from: phones that calibrate themselves well (0.001 to 0.003 rad/s), less well (0.01),
+        and not (0.03 to 0.1).
     prior_radps : tuple of float
         What it is scattered about, x, y, z: zero, or what an earlier recording of the same phone ended with.
     walk_radps_per_sqrt_s : float
@@ -118,8 +112,8 @@ class GyroBias:
     still_max_radps : float
         No bias is above this; what is still and faster turns evenly.
     still_std_radps, still_std_share : float
-        Standard deviation of the mean of a still window: a constant and a share of that within it. On people who stand
-        with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their correlation in time.
+        Standard deviation of the mean of a still window: a constant and a share of that within it (0.45 to 0.6 on
+        people who stand; 0.8 for their correlation in time).
     still_outlier_prob, turning_radps : float
         How often a still phone turns evenly, and how fast.
     walking_acc_mps2 : float
@@ -151,8 +145,7 @@ class GyroBias:
     field_std_rad : float
         Of the direction in an undisturbed field: attitude and calibration.
     field_walk_rad_per_sqrt_s : float
-        Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
-        a corridor of a minute, smoothly and with hardly a change of its size.
+        Random walk of the field's direction from place to place: up to 0.7 rad along a corridor of a minute.
     field_jump_rad : float
         After a larger change since the last window the direction starts again: no bias does that.
     field_outlier_prob : float
@@ -241,8 +234,6 @@ class GyroBias:
         mean, cov, log_weight = bank
         return replace(state, mean=mean, cov=cov, log_weight=log_weight, bias_radps=bias, bias_cov_radps2=bias_cov)
 
-    # --- the three measurements -----------------------------------------------------------------------------------
-
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         is_still = (
             window.angular_rate_std_radps < self.still_gyr_radps
@@ -316,15 +307,12 @@ class GyroBias:
     def _see_axis(
         self, bank: _Bank, state: GyroBiasState, direction_rad: float, row: FloatArray
     ) -> tuple[_Bank, GyroBiasState]:
-        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be.
-
-        Where the axes are not known to a sixth of that, a walk shows nothing of the bias, only where they may be.
-        """
+        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be."""
         mean, cov, _ = bank
         n_outliers, lost = 0, np.full(len(mean), True)
         if state.axis_tracked:
             spread = ((cov * row).sum(axis=2) * row).sum(axis=1)
-            lost = spread > (math.pi / 12) ** 2
+            lost = spread > (math.pi / 12) ** 2  # such a walk shows only where the axes may be
             seen = _wrapped(direction_rad - (mean * row).sum(axis=1), 0.5 * math.pi)
             outlier_prob = np.where(lost, _NEVER, np.repeat([_NEVER, self.axis_outlier_prob], len(mean) // 2))
             otherwise = _uniform_log_density(0.5 * math.pi)
@@ -379,8 +367,6 @@ class GyroBias:
         return FieldScatter(n, field.mean_ut + gain * away, variance_ut2, direction_rad), variance_ut2 + own_ut2
 
 
-# --- the bank of Kalman filters ------------------------------------------------------------------------------------
-
 _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
 # A filter is not written off for good: later measurements may speak for it.
 _MIN_LOG_WEIGHT = -12.0
@@ -390,11 +376,7 @@ _MAX_AXIS_OUTLIERS = 3
 
 
 def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
-    """The bank one window later.
-
-    A bias b about up that is corrected by b' turns the attitude's frame counter-clockwise by b - b', so that the field
-    turns clockwise by b' - b in it; a straight line turns by -b in uncorrected headings.
-    """
+    """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
     dt = bias.window_s
     transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
     transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = -dt * up_sensor
@@ -413,11 +395,7 @@ def _update(
     outlier_prob: float | FloatArray,
     outlier_log_density: float,
 ) -> tuple[_Bank, float]:
-    """The bank after a measurement with innovations (M, k), and the probability that it was no outlier.
-
-    H is `rows` (k, 5), S = H P H' + variance I, K = P H' inv(S). With the probability w that the measurement is no
-    outlier, m += w K nu and P += -w K H P + w (1 - w) K nu nu' K'.
-    """
+    """The bank after a measurement, H = `rows` (k, 5), innovations (M, k); the probability that it is no outlier."""
     mean, cov, log_weight = bank
     hp = rows @ cov
     inverse = np.asarray(np.linalg.inv(hp @ rows.T + variance * np.eye(len(rows))), dtype=np.float64)

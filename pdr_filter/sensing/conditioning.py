@@ -204,10 +204,7 @@ class Conditioner:
         return replace(state, last_rate=last_rate, last_field=last_field, clock=clock, report=report), rows
 
     def _follow_clock(self, clock: ClockState, rows: FloatArray) -> tuple[ClockState, FloatArray, int, int]:
-        """Rows (N, 10) with believable increasing times, how many were dropped, and how often the clock jumped.
-
-        Most blocks are in order and pass at once; the others go row by row.
-        """
+        """Rows (N, 10) with believable increasing times, how many were dropped, and how often the clock jumped."""
         time_s = rows[:, 0] + clock.offset_s
         steps_s = np.diff(np.concatenate([[clock.last_s], time_s]))
         settled = len(clock.held) == 0 and clock.n_behind == 0

@@ -110,7 +110,7 @@ class Sensing:
         events: list[tuple[float, Event]] = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
-                state, last = self._close_segment(state, part.gap_before_s)
+                state, last = self._close_segment(state)
                 events += [*last, (state.processed_s, Gap(part.gap_before_s))]
                 state = self._after_gap(state)
             state, found = self._sense(state, part)
@@ -119,7 +119,7 @@ class Sensing:
 
     def finish(self, state: SensingState) -> list[tuple[float, Event]]:
         """The steps that were still waiting for samples when the recording ended."""
-        return self._close_segment(state, float("inf"))[1]
+        return self._close_segment(state)[1]
 
     def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         n_before = state.n_samples
@@ -153,11 +153,11 @@ class Sensing:
         )
         return state, [(float(part.time_s[i - n_before]), event) for i, event in in_order]
 
-    def _close_segment(self, state: SensingState, gap_s: float) -> tuple[SensingState, list[tuple[float, Event]]]:
+    def _close_segment(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
         """The steps that wait for samples which a gap or the end keeps away."""
         steps = self.steps.finish(state.steps)
         if self.gate:
-            gate, steps = self.gate.close(state.gate, steps, gap_s)
+            gate, steps = self.gate.close(state.gate, steps)
             state = replace(state, gate=gate)
         if self.heading:
             heading, steps = self.heading.finish(state.heading, steps)

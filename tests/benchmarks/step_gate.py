@@ -112,7 +112,7 @@ def through_gate(found: Found, gate: StepGate) -> list[Step]:
         for block, known in zip(blocks, steps[:-1], strict=True):
             state, out = gate.step(state, block, flat(block), known)
             passed += out
-        state, out = gate.close(state, steps[-1], np.inf)
+        state, out = gate.close(state, steps[-1])
         passed += out
     return [s for _, s in passed]
 

@@ -1,26 +1,11 @@
 """Does somebody walk, and where is the phone: Guo et al. 2018, sections 2.1 and 2.2.1.
 
-Every 0.6 s, without overlap:
+Every 0.6 s, without overlap: walking where delta_min < T < delta_max (eq. 1, `features.MotionLevel`), stationary
+elsewhere; and, while somebody walks, the pose by a random forest on the statistics of pitch and roll (Table 1). Before
+anybody walked all poses are alike; after a gap, too. Stairs and running are walking here.
 
-1. Walk detection: walking where delta_min < T < delta_max, stationary elsewhere (eq. 1, `features.MotionLevel`).
-2. The pose, while somebody walks: texting, calling, swinging or pocket, by a random forest on the statistics of pitch
-   and roll (Table 1). While nobody walks the pose stays what it was.
-
-Deviations:
-
-- A recording here has no light and no proximity with its uniform samples, so the forest has 12 of the 18 features; the
-  name of the model on its windows shows it. What the other six would show (the ear and the pocket are dark and near) is
-  missed most by phones upright in a pocket, which pitch and roll hardly distinguish from one at the ear.
-- A forest that has not seen a person's grips knows little, so it is also trained on windows that stand for other people
-  (`pdr_filter.training.guo2018`).
-- Before anybody walked all poses are alike; after a gap, too.
-- Left and right of a pose are not distinguished: no recording with a licence labels them.
-- delta_min and delta_max are not printed. They are fitted on motionsense, tyrex, humolire and ms_indoor
-  (`pdr_filter.training.guo2018`): delta_min where the worse of the two recalls, of standing and sitting and of the
-  worst place of the phone of somebody who walks, is best; delta_max above all that anybody does who moves, running
-  included, because a runner whose speed is set to zero is a worse error than a shaken phone that walks.
-- Without gyroscope eq. 1 has its first half only, and a delta_min of its own.
-- Stairs and running are walking here: eq. 1 has no other word for them.
+docs/methods/guo2018.md has the deviations. delta_min and delta_max are fitted on motionsense, tyrex, humolire and
+ms_indoor (`pdr_filter.training.guo2018`).
 """
 
 from __future__ import annotations
@@ -45,8 +30,6 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
 
     Parameters
     ----------
-    windows : PoseWindows
-        Of 0.6 s.
     model : ContextModel
         Of the carrying mode, on the 12 features `WITHOUT_LIGHT_AND_PROXIMITY`.
     min_level, max_level : float

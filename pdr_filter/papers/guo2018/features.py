@@ -1,19 +1,8 @@
 """What Guo et al. 2018 compute from windows of 0.6 s: 18 pose features (Table 1) and the level of motion (eq. 1).
 
-Deviations, where the text is silent or cannot be meant:
-
-- It calls roll the rotation about the z-axis (section 2.1.2). Of a phone held flat that is the heading, which gravity
-  does not show; roll is about the y-axis here, as Android has it.
-- It does not say how the angles are computed: here from the direction of up in the sensor frame, in radians.
-- Roll jumps by a full turn when the phone passes face down, and a mean over such a jump points nowhere. Within a
-  window roll is therefore made continuous, and the whole window moved by full turns until its mean is in [-pi, pi).
-- No recording here has light or proximity among its uniform samples, so windows have the first 12 features only
-  (`WITHOUT_LIGHT_AND_PROXIMITY`); `pose_features` knows all 18.
-- Windows of the pose follow each other without overlap: it is detected every 0.6 s (section 2).
-- The level of motion is computed at every sample, as the step detector's pseudocode has it (Table 2). It adds m2/s4 and
-  rad2/s2 with a factor of 9.8 between them, and without a gyroscope it is the first half alone.
-
-Roll is undefined where the y-axis is vertical, and noisy near it, as in a trouser pocket. That is in the paper too.
+Deviations: docs/methods/guo2018.md. Angles are in radians, from the direction of up in the sensor frame; roll is about
+the y-axis, made continuous within a window, its mean in [-pi, pi). It is undefined where the y-axis is vertical, and
+noisy near it, as in a trouser pocket. The level of motion is computed at every sample (Table 2).
 """
 
 from __future__ import annotations
@@ -43,10 +32,9 @@ WITHOUT_LIGHT_AND_PROXIMITY: tuple[str, ...] = NAMES[:12]
 def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
 
-    The device turns from flat, face up and y north, by yaw about z, then pitch about x, then roll about y, each by the
-    right-hand rule: R = R_z(yaw) R_x(pitch) R_y(roll), sensor to world. Then up = [-sin(roll) cos(pitch), sin(pitch),
-    cos(roll) cos(pitch)]. Pitch is positive with the top edge up, roll with the right edge down. (Android's
-    `getOrientation` has the same roll and the opposite pitch.)
+    The device turns from flat, face up and y north, by yaw about z, pitch about x, roll about y, each by the right-hand
+    rule: up = [-sin(roll) cos(pitch), sin(pitch), cos(roll) cos(pitch)]. (Android's `getOrientation` has the same roll
+    and the opposite pitch.)
     """
     x, y, z = up_sensor.T
     return np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, z)
@@ -55,10 +43,7 @@ def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
 def pose_features(window: FloatArray) -> FloatArray:
     """Features of a window in the order of `NAMES`: (18,), or (12,) without light and proximity.
 
-    Parameters
-    ----------
-    window : (2, N) or (4, N)
-        Rows: pitch and roll in radians, and, where the phone has both sensors, light in lux and proximity in cm.
+    Rows of the window, (2, N) or (4, N): pitch and roll in radians, light in lux and proximity in cm.
     """
     if window.ndim != 2 or window.shape[0] not in (2, 4) or window.shape[1] == 0:
         raise ValueError(
@@ -106,13 +91,6 @@ class MotionLevel:
 
     T_n = (1/N) sum_k (|f_k - mean f|^2 + 9.8 |w_k|^2), k over the last `window_s`, or over the samples so far at the
     start of a segment; f the specific force (m/s2), w the angular rate (rad/s).
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate of the blocks.
-    window_s : float
-        Length of the window.
     """
 
     rate_hz: float = 100.0
@@ -136,7 +114,6 @@ class MotionLevel:
             [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
         )
         line = np.concatenate([state.delay_line, new], axis=1)
-        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
         sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
         seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
         x, y, z, force, rate, missing = sums / seen
@@ -165,13 +142,7 @@ class PoseWindowState:
 
 @dataclass(frozen=True)
 class PoseWindows(SlidingWindows[PoseWindowState, PoseWindow]):
-    """Windows of pitch and roll, their features and the level of motion; causal.
-
-    Parameters
-    ----------
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`.
-    """
+    """Windows of pitch and roll, their features and the level of motion; causal."""
 
     window_s: float = 0.6
     hop_s: float = 0.6

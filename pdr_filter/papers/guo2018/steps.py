@@ -1,32 +1,14 @@
 """Steps as local maxima of a signal that depends on where the phone is: Guo et al. 2018, sections 2.2.2 and 2.2.3.
 
-The signal is (ay^2 + az^2)^(1/2) when texting, (ax^2 + ay^2)^(1/2) when calling, |a| in a pocket and |gz| when swinging
-(eq. 3 to 6), low-passed at 3 Hz. While the level of motion is that of walking (eq. 1), a local maximum (criterion 1)
-above mean + c_M standard deviations of the last seconds (criterion 2) is a step if the step frequency is one of people
-(criterion 3). All four signals are filtered all the time, so that a change of pose restarts no filter.
+While the level of motion is that of walking (eq. 1), a local maximum (criterion 1) of the low-passed signal of the pose
+(eq. 3 to 6) above mean + c_M standard deviations of the last seconds (criterion 2) is a step if the step frequency is
+one of people (criterion 3). All four signals are filtered all the time, so that a change of pose restarts no filter.
 
-Deviations:
-
-- In criterion 2, mu - omega_M sigma / alpha, the constants are not printed, only that they depend on the pose. They are
-  one number here, c_M = -omega_M / alpha. Mean and standard deviation are those of the last `statistics_s` up to the
-  maximum, at every maximum: the pseudocode updates them with each step, in a window whose length is not printed.
-- c_M, v_min and v_max are the same for all poses: one for each was no better on those whom they were chosen on.
-- The 10th-order low-pass delays a sinusoid by 0.34 s at 1 Hz and 0.42 s at 3 Hz. That is taken off the time of each
-  contact, at the frequency of the step, the first of a bout at that of a typical one.
-- A maximum that comes too early after a step is dropped; after a pause longer than 1 / v_min a new bout begins.
-- Where the pose is unknown or a bag, or the angular rate of a swinging phone is missing, the signal is |a| (eq. 2).
-- A swinging hand is fastest beside the hip, a part of a step after the contact; the time is not corrected for that.
-
-Where the constants come from: c_M, `statistics_s` and v_max were chosen on people 1 to 6 of A. Brajdic and R. Harle,
-"Walk detection and step counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449, with the
-poses of the forest; people 7 to 13 had no say, and nothing else of that data is here. Their count error is flat from
-0.4 to 0.5 standard deviations and 1.75 to 2 s. A v_max of 2.7 Hz is slightly better for them (2.0 % in place of 2.2 %
-at 0.4), because slow walkers make two maxima a step, but a runner would lose every second step. delta_min and delta_max
-are those of `pdr_filter.papers.guo2018.contexts`.
-
-Limits: there is no gate for a phone that is handled; on people 7 to 13 that makes 35 false steps a minute. The count
-error there is 2.9 % (mean absolute, 35 walks, median 1.4 %); it was 3.4 % with another training of the forest, and is
-3.0 % with |a| in all poses: what the poses gain in one place they lose in another (docs/methods/guo2018.md).
+Deviations: docs/methods/guo2018.md. c_M = -omega_M / alpha of the paper; a maximum that comes too early after a step is
+dropped; after a pause longer than 1 / v_min a new bout begins. c_M, `statistics_s` and v_max were chosen on people 1 to
+6 of A. Brajdic and R. Harle, "Walk detection and step counting on unconstrained smartphones", UbiComp 2013,
+doi:10.1145/2493432.2493449, with the poses of the forest; people 7 to 13 had no say: the count error there is 2.9 %
+(mean absolute, 35 walks, median 1.4 %).
 """
 
 from __future__ import annotations

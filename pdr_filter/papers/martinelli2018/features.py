@@ -2,12 +2,8 @@
 
 F6, F10 and F14 of the low-passed |a| are about the mean of |a| itself, as printed.
 
-Deviations, each an error or a silence of the printed table: F2 is the range of the low-passed accelerometer (printed
-m); F9 to F16 are the standardised third and fourth moments (as printed they are not), those of the low-passed |a| by
-F6; F18 is the energy of the low-passed |a|; the spectra and the zero-crossing rates are of the magnitude less its mean,
-because a magnitude never crosses zero and its largest Fourier coefficient is always the mean; the frequencies F24 to
-F26 are in hertz (index divided by the window's length). The low-pass is Butterworth, second order, 5 Hz
-(`FeatureWindows.low_pass_hz`).
+Deviations, each an error or a silence of the printed table: docs/methods/martinelli2018.md. F9 to F16 are standardised
+moments; the spectra and the zero-crossing rates are of the magnitude less its mean; F24 to F26 are in hertz.
 """
 
 from __future__ import annotations
@@ -37,21 +33,15 @@ SELECTED_18: tuple[str, ...] = tuple(
 WITHOUT_MAGNETOMETER: tuple[str, ...] = tuple(n for n in NAMES if "magn" not in n)
 WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in WITHOUT_MAGNETOMETER if "gyro" not in n)
 
-# Below this spread the third and fourth moments are rounding noise divided by itself; they are then those of a
-# constant: zero.
+# Below this spread the third and fourth moments are rounding noise: those of a constant are zero.
 _MIN_STD = 1e-9
 
 
 def features_28(magnitudes: FloatArray, rate_hz: float) -> FloatArray:
     """F1 to F28 of a window, shape (28,), in the order of `NAMES`.
 
-    Parameters
-    ----------
-    magnitudes : (4, N)
-        Rows: |a| and low-passed |a| in m/s2, |g| in rad/s, |m| in uT. A missing sensor is a row of zeros, whose
-        features are zero.
-    rate_hz : float
-        Sampling rate.
+    Rows of `magnitudes` (4, N): |a| and low-passed |a| in m/s2, |g| in rad/s, |m| in uT. A missing sensor is a row of
+    zeros, whose features are zero.
     """
     n = magnitudes.shape[1]
     mean = magnitudes.mean(axis=1)

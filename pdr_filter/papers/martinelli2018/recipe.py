@@ -18,9 +18,7 @@ from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
-# the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
-# each cannot show) and k2 = 0 +- 0.003. The default recipe has a model that carries over better between people, sites
-# and carrying modes (docs/methods/step_length.md).
+# the priors k1 = 0.30 +- 0.05 m s and k2 = 0 +- 0.003.
 _FREQUENCY_VARIANCE_WALKING = StepLengthFit(
     FrequencyVarianceStepLength(max_variance=8.0),
     theta=np.array([0.4298, 0.1776, -0.0020]),
@@ -41,9 +39,7 @@ def magnitude_contexts() -> LearnedContexts:
 def martinelli2018(subject: Subject | None = None) -> Config:
     """Martinelli et al. 2018: wavelet steps, relevance vector machine on the 28 features, weighted context.
 
-    Deviations: the machine is trained on other people than theirs, without a magnetometer and without sideways
-    walking, for which no public recordings exist; the parameters of eq. 12 are fitted to other walks, because theirs
-    are not printed.
+    docs/methods/martinelli2018.md has all deviations.
     """
     return Config(
         name="martinelli2018",

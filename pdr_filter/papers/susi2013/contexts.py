@@ -1,14 +1,9 @@
 """Motion modes of a handheld device by a multivariate decision tree: Susi et al. 2013, sections 5 and 6.3.
 
 Four classes (section 5): static; the arm at rest while its owner walks (texting, phoning, or the device in a bag held
-in the hand); the device in a swinging hand; irregular motion that moves nobody. The tree asks (figure 7 is missing in
-the copy of the text at hand; this is the order of section 6.3):
-
-1. Is it static? The variances of |f| and |omega| are both small.
-2. Does somebody walk, or is it irregular? Walking bounces and repeats; a hand that handles a phone turns it.
-3. Does the arm swing? Much rotation, of which the mean counts more than the variance.
-
-Each node after the first is a linear test w . x + b > 0 of the six values of `tree_features`.
+in the hand); the device in a swinging hand; irregular motion that moves nobody. The tree asks whether it is static,
+then whether somebody walks, then whether the arm swings (section 6.3); each node after the first is a linear test w . x
++ b > 0 of the six values of `tree_features`. docs/methods/susi2013.md has the deviations, and where it fails.
 
 Where the numbers come from, and with which weights of the training sets:
 
@@ -27,12 +22,8 @@ Where the numbers come from, and with which weights of the training sets:
   people 1 to 6 (50 %), Tyrex (30 %), humolire (20 %).
 - Probabilities are the purities of the leaves on the training windows, every class with the same mass.
 
-Without angular rate (the paper always has it) nothing shows a swinging arm: one test of three values separates walking
-from irregular motion, and the four ways to hold a device stay equally probable.
-
-Deviations: the paper's thresholds are not printed, and its tree has no probabilities; the dominance of the peaks and
-the energy of |omega| itself are numbers for what section 6.2 says in words (see `pdr_filter.papers.susi2013.features`).
-What it is worth on other people, and where it fails: docs/methods/susi2013.md.
+Without angular rate nothing shows a swinging arm: one test of three values separates walking from irregular motion, and
+the four ways to hold a device stay equally probable.
 """
 
 from __future__ import annotations
@@ -140,16 +131,8 @@ TREE_ACCELEROMETER = MotionModeTree(
 class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     """Motion mode of every window as context, carrying mode and irregular motion; a `ContextStage`.
 
-    Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
-    and swinging. Irregular motion is stationary with `irregular_prob`: nobody goes anywhere. Running and stairs count
-    as walking. Where nobody walks the device may be held in any of the four ways.
-
-    Parameters
-    ----------
-    windows : MotionWindows
-        Windows of 256 samples at 100 Hz, half of them new.
-    with_gyroscope, without_gyroscope : MotionModeTree
-        Of windows whose angular rate is known throughout, and of all others.
+    An arm at rest is walking, with texting, calling and a bag alike. Irregular motion is stationary with
+    `irregular_prob`. Running and stairs count as walking. Where nobody walks all ways to hold it are alike.
     """
 
     windows: MotionWindows = field(default_factory=MotionWindows)

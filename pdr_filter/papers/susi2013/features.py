@@ -4,22 +4,11 @@ Angular rate and specific force are low-passed (Butterworth, 10th order, 15 Hz),
 moving mean removed (eq. 3); windows of 256 samples at 100 Hz overlap by half. Features of each norm: energy (eq. 4-5),
 variance (eq. 6-7) and dominant frequencies of the short-time Fourier transform.
 
-Equations 1 to 7 are missing or partly missing in the copy of the text at hand. Assumed from the words around them:
-
-- The moving mean of eq. 3 is causal and as long as the window, N = 256, over the samples so far at the start of a
-  segment: its length is "explained in section 6.2", which chooses N.
-- Energy, variance and frequencies are of the norm less its moving mean: all three carry the same tilde, and section 4
-  says that windows have their mean removed. (The words below eq. 5 can also be read as the norm itself. Its energy is
-  nearly g squared, so that it shows the accelerometer's bias in the direction of gravity: how one phone lies in the
-  hand, and nothing of another phone.) Energy is the mean square, variance the mean squared deviation from the window's
-  mean; they differ by the square of that mean only, which is what the norm still drifts within a window.
-- A frame of the transform is the window, with a Hann taper. Figure 5 shows the three highest maxima of the spectrogram,
-  so there are three dominant frequencies, highest first, zero where the spectrum has fewer maxima. A maximum at zero
-  frequency counts: "when the user is static the frequencies are almost equal to zero".
-
-Two numbers for what the paper says in words, beside the features: the energy of the norm of the angular rate itself
-(the other reading of eq. 5; figure 2 shows a swinging hand by it), and how much of a window is its dominant
-frequencies, since frequencies alone do not say whether there are peaks at all.
+Equations 1 to 7 are missing or partly missing in the copy of the text at hand. Assumed from the words around them
+(docs/methods/susi2013.md): the moving mean of eq. 3 is causal and as long as the window, over the samples so far at the
+start of a segment; energy, variance and frequencies are of the norm less its moving mean; a frame of the transform is
+the window, with a Hann taper. Beside the features a window has the energy of the norm of the angular rate itself, and
+how much of it is its dominant frequencies.
 """
 
 from __future__ import annotations
@@ -53,13 +42,8 @@ _MIN_AMPLITUDE = 1e-9
 def motion_features(norms: FloatArray, rate_hz: float) -> FloatArray:
     """Features of a window in the order of `NAMES`, shape (10,).
 
-    Parameters
-    ----------
-    norms : (2, N)
-        Rows: filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing sensor is a row
-        of zeros, whose features are zero.
-    rate_hz : float
-        Sampling rate.
+    Rows of `norms` (2, N): filtered |f| in m/s2 and filtered |omega| in rad/s, each less its moving mean. A missing
+    sensor is a row of zeros, whose features are zero.
     """
     energy = (norms * norms).mean(axis=1)
     centred = norms - norms.mean(axis=1)[:, None]
@@ -180,7 +164,6 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
     def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
         """Mean over the last L samples, or those so far, of each sample after the delay line (eq. 3)."""
         length = self.window_samples
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         sums = np.stack([np.convolve(row, np.ones(length), mode="valid") for row in line])
         seen = np.minimum(n_before + 1 + np.arange(sums.shape[1]), length)
         return sums / seen

@@ -1,28 +1,16 @@
 """Steps as minima of low-passed norms, chosen by motion mode: Susi et al. 2013, section 7.
 
 Specific force and angular rate are low-passed (Butterworth, 10th order, 3 Hz) and their norms taken. Each minimum that
-an adaptive threshold lets pass is a step: a minimum of |omega| where the device is in a swinging hand, of |f|
-otherwise, none where its owner stands or the motion is irregular.
+an adaptive threshold lets pass is a step: of |omega| where the device is in a swinging hand, of |f| otherwise, none
+where its owner stands or the motion is irregular.
 
-A swinging arm stops twice in a full cycle, in front and behind, and |omega| is smallest there. The cycle is a stride,
-so that each minimum is a step and two are a stride, as figure 8 has it. |f| of a swinging hand need not do: its
-strongest part can be of the stride, because the hand pulls once in front, once behind, and hardly alike (4 of 10 steps
-of Tyrex's swinging walks are missing in |f|, but only 4 of 100 of Oxford's).
+The filter is causal: a contact is earlier than the minimum by its phase delay (0.34 to 0.40 s) at the step frequency,
+for |omega| at half of it, the frequency of the arm. A minimum of |f| is the middle of the step, half way between two
+contacts (0.41 of a step after Oxford's foot switches, which are read 0.05 s late); a minimum of |omega| is a contact,
+because the arm turns when the other foot touches the ground.
 
-When a foot touches the ground:
-
-- The filter is causal. A contact is earlier than the minimum by its phase delay (0.34 to 0.40 s) at the step frequency,
-  for |omega| at half of it, the frequency of the arm.
-- A minimum of |f| is the middle of the step, half way between two contacts: with Oxford's foot switches it comes 0.41
-  (median over 16 recordings) of a step after the switch, which is read every 0.1 s, so 0.05 s late on average. So the
-  contact of the step is put half way between two minima.
-- The arm turns when the other foot touches the ground, so that a minimum of |omega| is a contact: in Tyrex's swinging
-  walks the 8 to 25 Hz of |f|, the heel strike, are strongest there (4 times the least, which is half way between).
-
-Deviations, where the paper is silent or garbled ("the maximum value ... is assumed as a threshold ... a bigger value
-than the evaluated mean"): a minimum must be below the mean of the window of 2.56 s around it by a part of the window's
-standard deviation, and the signal above it by as much since the minimum before. In place of windows that overlap every
-sample has its own, centred. The mode at a sample is that of the window around it; both take 1.28 s of waiting.
+Deviations: docs/methods/susi2013.md. The mode at a sample is that of the window of 2.56 s around it:
+1.28 s of waiting.
 """
 
 from __future__ import annotations
@@ -81,16 +69,13 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         Around a minimum; its mean and standard deviation are the threshold. That of the motion modes.
     force_depth, rate_depth : float
         How far below the mean a minimum is, and above it the signal before, in standard deviations of the window, for
-        |f| and |omega|. Chosen on people 1 to 6 of ubicomp13 (0.4 counts slow walkers' second harmonic, 0.6 loses
-        trouser pockets) and on one swinging walk of Tyrex.
+        |f| and |omega|. Chosen on people 1 to 6 of ubicomp13 and on one swinging walk of Tyrex.
     min_force_std_mps2, min_rate_std_radps : float
         Smallest standard deviation of a window that can hold steps: a device at rest has none.
     min_interval_s : float
         Two contacts closer than this are one step; the low-pass leaves nothing faster.
     max_wait_s : float
         A trough ends so long after its lowest sample, if the signal does not rise before.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`.
     """
 
     low_pass_hz: float = 3.0
@@ -193,7 +178,6 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         depth = self.force_depth if norm == _FORCE else self.rate_depth
         min_std = self.min_force_std_mps2 if norm == _FORCE else self.min_rate_std_radps
         ones = np.ones(2 * self._half_samples)
-        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
         number = np.maximum(np.convolve(is_sample, ones, mode="valid"), 1.0)
         mean = np.convolve(norm_line, ones, mode="valid") / number
         power = np.convolve(norm_line * norm_line, ones, mode="valid") / number

@@ -1,15 +1,10 @@
 """How the phone is carried, as a machine of four states: Tian et al. 2016, section III-B, Table I.
 
-HOLDING, SWING and POCKET are left when the phone is turned fast; two seconds of TRANS follow, in which the direction
-of gravity shows what comes next. As printed the machine never returns to the mode that it left: a phone that is
-turned in the hand ends in the pocket, and stays there. Ours may return to HOLDING (`held_again_s`).
+HOLDING (our `texting`), SWING (`swinging`) and POCKET (`pocket`) are left when the phone is turned fast; two seconds of
+TRANS (unknown) follow, in which the direction of gravity shows what comes next. A person walks while there are steps
+and stands when there has been none for two seconds (section III-C), during a transition as before it.
 
-HOLDING is our `texting`, SWING `swinging`, POCKET `pocket`, and in TRANS the carrying mode is unknown. A person walks
-while there are steps and stands when there has been none for two seconds (section III-C), during a transition as
-before it.
-
-The thresholds are in the convention of iOS (see `pdr_filter.papers.tian2016.steps.ios_acceleration`): gravity in g, -1
-on z for a phone that lies face up.
+Thresholds are in the convention of iOS (`steps.ios_acceleration`). Deviations: docs/methods/tian2016.md.
 """
 
 from __future__ import annotations
@@ -54,15 +49,11 @@ class MachineState:
 class CarryingMachine:
     """The machine of Table I, sample by sample.
 
-    It sees transitions in the angular rate. Where that is missing, gravity alone decides: every `transition_s` the
-    phone is held if its screen looks up (g_z < -GH_z) in more than half of the samples, swinging if it lies on its long
-    edge in more than half, in a pocket otherwise. That is ours: the paper always has a gyroscope. An upright phone
-    is taken to be in a pocket there, because most are.
+    It sees transitions in the angular rate. Where that is missing, gravity alone decides every `transition_s`
+    (docs/methods/tian2016.md). An upright phone is taken to be in a pocket there, because most are.
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate.
     rate_y_radps, rate_z_radps : float
         R_y and R_z: faster about an axis that the mode watches (Table II), and the phone is being moved.
     transition_s : float
@@ -74,8 +65,8 @@ class CarryingMachine:
     face_down_z_g : float
         GS_z: gravity on z never reached on the way into a swinging hand.
     held_again_s : float
-        A phone that was held and whose screen looks up (g_z < -GH_z) all through the end of the window, for this
-        long, was only turned, and is still held. Longer than the window: never, as printed.
+        A phone that was held and whose screen looks up (g_z < -GH_z) for this long at the end of the window was only
+        turned, and is still held. Longer than the window: never, as printed.
     """
 
     rate_hz: float = 100.0
@@ -201,8 +192,6 @@ class TianContexts:
 
     Parameters
     ----------
-    machine : CarryingMachine
-        Of the carrying mode.
     steps : TianStepDetector
         Whoever makes steps walks; the same detector as that of the recipe.
     stationary_s : float

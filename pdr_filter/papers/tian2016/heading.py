@@ -4,11 +4,8 @@ A phone that is held points where its owner walks. One in a swinging hand or in 
 offset, which is taken from the first steps after the transition: they are assumed to go where the last step before it
 went (Table V). The yaw swings with hand and leg and is averaged over a step, in a pocket over two.
 
-Deviations. The yaw of iOS is an Euler angle, singular for a phone upright in a pocket; here a held phone's yaw is the
-direction in which its user looks, at right angles to its x axis (well defined from flat to upright), and elsewhere the
-turn about the vertical, whose unknown zero the trained offset takes up. Table IV, which adds 2 pi to negative yaws
-before it averages, moves the jump from pi to 0: yaws around 0 then average to pi. `average_angle` does what is meant.
-In a pocket every step has the mean of itself and the step before, in place of one mean for each pair.
+Deviations: docs/methods/tian2016.md. A held phone's yaw is the direction in which its user looks, at right angles to
+its x axis; elsewhere it is the turn about the vertical, whose unknown zero the trained offset takes up.
 """
 
 from __future__ import annotations
@@ -42,9 +39,8 @@ def average_angle(angle_rad: FloatArray) -> float:
 def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) -> FloatArray:
     """Where the user of a held phone looks: horizontal, at right angles to its x axis, (N,), clockwise, any zero.
 
-    With up u and x axis e, u x e is that direction in the sensor frame. The attitude gives specific force f both in
-    the sensor frame and along the horizontal axes of the world: the angles from it to either frame differ by the
-    heading. Undefined, and then 0, where f or the x axis is exactly vertical.
+    With up u and x axis e, u x e is that direction in the sensor frame; specific force f is known there and along the
+    horizontal axes of the world. Undefined, and then 0, where f or the x axis is exactly vertical.
     """
     f, up = specific_force_mps2, attitude.up_sensor
     along = f[:, 0] * up[:, 0] + f[:, 1] * up[:, 1] + f[:, 2] * up[:, 2]
@@ -85,20 +81,15 @@ class OffsetCompensation:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     n_swing : int
         M_SWING: steps that train the offset of a swinging hand.
     n_pocket : int
         M_POCKET: steps until the offset of a pocket is trained.
     n_omit : int
         M_omit: of them those at the start that are left out, while the phone slides into place.
-    transition_s : float
-        Longest transition.
     direction_std_rad : float
-        Given to every direction. The paper trusts them fully; its median errors are 1 to 5 degrees (Tables VIII, IX).
-        On winding walks in a room ours are 5 to 17 (docs/methods/tian2016.md): give more where other measurements of
-        direction compete.
+        Given to every direction: more than the paper's median errors, 1 to 5 degrees (Tables VIII, IX). On winding
+        walks in a room ours are 5 to 17: give more where other measurements of direction compete.
     """
 
     rate_hz: float = 100.0

@@ -5,13 +5,9 @@ axis, whose peaks of both signs are steps, because an arm swings once in two ste
 (Table III). While the phone moves from one place to another nothing can be detected: what the person walked
 meanwhile is filled in afterwards (eq. 8).
 
-The equations are in the convention of iOS: gravity and user acceleration in g, -1 on z for a phone that lies face up.
-`ios_acceleration` is the only place that converts.
+The equations are in the convention of iOS (`ios_acceleration`), gravity and user acceleration in g.
 
-Deviations, where the paper is silent: the thresholds of the peaks (0.2 g in the pocket of Fig. 7 is one example), the
-order of the low-pass, the times of the steps that are filled in, and what is done while a carrying mode other than
-theirs, or none, is known. Eq. 6 is taken with the signs of the gravity, so that it also holds for a phone whose top
-points down.
+Deviations: docs/methods/tian2016.md.
 """
 
 from __future__ import annotations
@@ -51,9 +47,8 @@ def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> 
 def step_signals(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> FloatArray:
     """User acceleration in which steps are sought, (3, N), in g: vertical (HOLDING), y (SWING), z (POCKET); Table III.
 
-    The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5, 6), that is
-    -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2): as printed where g_y and g_z are negative, as they are for a phone
-    that somebody reads, and with the right sign elsewhere. Zero where both are.
+    The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5, 6), with the signs of gravity:
+    -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2). Zero where both are.
     """
     gravity, user = ios_acceleration(specific_force_mps2, up_sensor)
     in_plane = np.sqrt(gravity[:, 1] ** 2 + gravity[:, 2] ** 2)
@@ -75,13 +70,6 @@ class Carried:
 
     An unknown carrying mode is a transition, but for `transition_s` at most: then it is that before again. Before
     anything is known the phone is held, because somebody has just started the program (section III-B).
-
-    Parameters
-    ----------
-    rate_hz : float
-        Sampling rate.
-    transition_s : float
-        Longest transition.
     """
 
     rate_hz: float = 100.0
@@ -123,8 +111,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
     Parameters
     ----------
     holding_peak_g, swing_peak_g, pocket_peak_g : float
-        Smallest peak that is a step. The paper prints one only, the 0.2 g of the walk in a pocket of Fig. 7, which
-        loses a fifth of the steps of other people.
+        Smallest peak that is a step.
     low_pass_hz : float
         Cutoff of the low-pass (Butterworth, second order): people make 0.5 to 5 steps a second.
     min_interval_s : float
@@ -187,10 +174,7 @@ class TianStepDetector(StepDetector[TianDetectorState]):
         return replace(state, carried=carried, low_pass_zi=zi), np.vstack([signals, states.astype(float)])
 
     def _continued(self, state: TianDetectorState) -> FloatArray:
-        """The signals go on straight, in the same mode.
-
-        A transition that has not ended is not filled in: nobody knows what comes after it.
-        """
+        """The signals go on straight, in the same mode: a transition that has not ended is not filled in."""
         last, slope = state.line[:, -1:], state.line[:, -1:] - state.line[:, -2:-1]
         slope[3] = 0.0  # the mode stays
         return last + slope * np.arange(1, self._n_ahead + 1)

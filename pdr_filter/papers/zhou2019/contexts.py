@@ -1,16 +1,10 @@
 """Standing, walking, running or irregular swing by a state machine: Zhou et al. 2019, section III, Table 1.
 
 The machine keeps its behaviour while the maximum of the filtered acceleration stays as it was (Condition 1). When it
-changes (Condition 2), features decide again: running by the DC component (6), else walking by variance and energy (5),
-else irregular swing by the DC component and energy (4), else standing (3). See docs/methods/zhou2019.md.
+changes (Condition 2), the features decide again. Deviations: docs/methods/zhou2019.md.
 
-Deviations, where the text is silent or would not hold:
-
-- The thresholds are not printed: trained, see `FOOT` and `CARRIED`.
-- The transition state lasts until a window that holds nothing from before the change was classified. If it ended with
-  the window in which the change is noticed, what a mixture of both behaviours looks like would be kept.
-- Windows of 2 s follow each other every second, and the maximum is compared with that of the window 2 s before, which
-  shares no sample with it.
+The thresholds are trained (`FOOT`, `CARRIED`). The transition state lasts until a window that holds nothing from before
+the change was classified; windows of 2 s follow each other every second.
 """
 
 from __future__ import annotations
@@ -51,11 +45,8 @@ class BehaviourThresholds:
         return "standing"
 
 
-# On the foot, from the 24 trials of pyshoe, behaviour by the speed of the foot in motion capture (windows of 2 s):
-# standing (19 windows) has a variance below 0.02, |f_0| below 0.03 and an energy below 0.6; walking at 0.2 to 1.5 m/s,
-# sideways and backwards too (647), at least 0.76 and 5.0, f_0 at most 8.9; the one trial that runs, at 1.8 m/s (11),
-# f_0 7.4 to 12.1. T^W is below the slowest walking, T_f^R where the sum of both errors is smallest, T^I above standing.
-# Nobody swings a foot irregularly there: what is neither walking nor standing is called so.
+# On the foot, from the 24 trials of pyshoe, behaviour by the speed of the foot in motion capture: T^W is below the
+# slowest walking, T_f^R where the sum of both errors is smallest, T^I above standing. Nobody swings a foot there.
 FOOT = BehaviourThresholds(
     max_change_mps2=1.0,
     running_dc_mps2=8.5,
@@ -65,11 +56,9 @@ FOOT = BehaviourThresholds(
     irregular_energy=1.0,
 )
 
-# Elsewhere on the body, from persons 1 to 6 of motionsense (front pocket: sitting, standing, walking, stairs, jogging)
-# and of ubicomp13 (seven places: walking, and the phone handled while nobody walks): T_f^R has the best mean recall of
-# standing, walking and running; T^W the smallest count error of `steps.zhou.CARRIED`, and the fewest false steps with
-# it; T_E^I is above 97 % of sitting and standing. f_0 at rest is the error of the accelerometer's scale, down to -0.7
-# on these phones: T_f^I lets all pass.
+# Elsewhere on the body, from persons 1 to 6 of motionsense and ubicomp13: T_f^R has the best mean recall of standing,
+# walking and running; T^W the smallest count error and the fewest false steps; T_E^I is above 97 % of sitting and
+# standing; f_0 at rest is the error of the accelerometer's scale, down to -0.7 on these phones: T_f^I lets all pass.
 CARRIED = BehaviourThresholds(
     max_change_mps2=0.5,
     running_dc_mps2=2.2,
@@ -93,12 +82,7 @@ class BehaviourMemory:
 class BehaviourStage(WindowStage[BehaviourState, BehaviourWindow, BehaviourMemory]):
     """Causal stage of the behaviours; a `ContextStage`. After a gap the behaviour has to show again.
 
-    Parameters
-    ----------
-    windows : BehaviourWindows
-        Filter and windows; the window is a whole number of hops.
-    thresholds : BehaviourThresholds
-        For the place of the sensor.
+    The window is a whole number of hops.
     """
 
     windows: BehaviourWindows = field(default_factory=lambda: BehaviourWindows(hop_s=1.0))

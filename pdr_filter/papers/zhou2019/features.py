@@ -4,18 +4,10 @@ Acceleration a = |f - b| - g (eq. 2) with the bias b of a static start (eq. 3) i
 filter with a Hamming window; over 2 s its variance, DC component f_0 and energy (eq. 4) distinguish standing, walking,
 running and irregular swing.
 
-Deviations, where the text is silent or would not hold on another device:
-
-- Eq. 3 needs the sensor horizontal, z up: whatever gravity shows across its z-axis counts as bias, 0.85 m/s2 for a
-  tilt of 5 degrees. Sensors on shoes are tilted by more, or upside down. Up is taken along the mean specific force of
-  the start unless it is given, so that b lies along it: the part of the bias that the start can show.
-- The filter of the features is not printed; those of the step detection are for a behaviour already known. Here: 10 Hz,
-  the pass band of running, in 0.5 s of taps. (Its printed transition of 0.5 Hz would need 6.6 s of them.)
-- f_0 is the coefficient at zero frequency divided by n, the mean of a in m/s2, with its sign.
-- The energy is the mean absolute Fourier coefficient, as printed; its reference (Bao and Intille 2004) squares them.
-  The coefficients are those of the plain two-sided transform: a sinusoid has its amplitude as energy, white noise grows
-  with the root of n.
-- Windows follow each other without overlap: the time resolution of the behaviour is two seconds (section IV).
+Deviations, beside those of docs/methods/zhou2019.md: up is taken along the mean specific force of the start unless it
+is given, because eq. 3 counts a tilt of 5 degrees as 0.85 m/s2 of bias; f_0 is the mean of a in m/s2, with its sign;
+the energy is the mean absolute coefficient of the two-sided transform, as printed, so that a sinusoid has its
+amplitude.
 """
 
 from __future__ import annotations
@@ -36,16 +28,9 @@ NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
 
 def static_bias(static_mps2: FloatArray, up_sensor: FloatArray | None = None) -> FloatArray:
-    """Bias b of the accelerometer in m/s2, sensor frame, shape (3,), from samples of a sensor at rest (eq. 3).
+    """Bias b = mean(f) - g up, m/s2, sensor frame, (3,), from specific force (N, 3) of a sensor at rest (eq. 3).
 
-    b = mean(f) - g up.
-
-    Parameters
-    ----------
-    static_mps2 : (N, 3)
-        Specific force at rest.
-    up_sensor : (3,), optional
-        Unit vector up, sensor frame; [0, 0, 1] is eq. 3 as printed. If not given, the direction of the mean.
+    `up_sensor` is a unit vector (3,); [0, 0, 1] is eq. 3 as printed. If not given, it is the direction of the mean.
     """
     mean = static_mps2.mean(axis=0)
     up = mean / np.sqrt((mean * mean).sum()) if up_sensor is None else up_sensor
@@ -90,13 +75,10 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
 
     Parameters
     ----------
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`.
     static_s : float
         Length of the static start, at most the window, so that no window is late for it.
     static_std_mps2 : float
         If |f| spreads more than this over the start, or is not gravity, nobody stood still: the bias is taken as zero.
-        Over a second a standing foot stays below 0.05 m/s2 (pyshoe), a walking one above 1 m/s2.
     low_pass_hz : float
         Cutoff (-6 dB) of the FIR filter.
     low_pass_s : float
@@ -149,10 +131,8 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
                 return replace(state, waiting=rows), []
             bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
         a = acceleration(rows[:, 1:], bias)
-        # What was before the first sample is taken to be like it: a zero there would look like a blow.
         before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
         line = np.concatenate([before, a])
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         buffer, windows = self.cut(state.buffer, rows[:, 0], np.convolve(line, self._taps, mode="valid")[None])
         state = BehaviourState(np.empty((0, 4)), bias, line[len(a) :], buffer)
         return state, [(window.last, self._describe(window)) for window in windows]

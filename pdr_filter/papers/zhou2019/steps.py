@@ -1,21 +1,13 @@
 """Steps between crossings of adaptive reference lines: Zhou et al. 2019, section IV.
 
-Acceleration a = |f| - g is low-passed as the behaviour asks for (stage 1), its dominant frequency f_D sets a window of
-one period (eq. 5, stage 2), the extrema in the window (eq. 6, stage 3) place the lines R_L, R_M, R_S (Table 2), and an
-event reaches from the first rise through R_M to the next fall through R_S (stage 4). Standing and irregular swing are
-not counted; what happens there waits until the behaviour is known to have been walking or running.
+In four stages (docs/methods/zhou2019.md): a = |f| - g is low-passed as the behaviour asks for, its dominant frequency
+f_D sets a window (eq. 5), the extrema in it (eq. 6) place the lines R_L, R_M, R_S (Table 2), and an event reaches from
+the first rise through R_M to the next fall through R_S. Standing and irregular swing are not counted; what happens
+there waits until the behaviour is known to have been walking or running.
 
-An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
-and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
+An event of the paper is a stride of the instrumented foot, two steps (`FOOT`); of a phone elsewhere a step.
 
-Deviations, where the text is silent or would not hold, with figures in docs/methods/zhou2019.md:
-
-- Filter: a transition of 0.5 Hz needs 6.6 s of Hamming window, 3.3 s of delay. Here 0.5 s, rolling off within 6.6 Hz.
-- Eq. 6 prints > for minima too: they are below T_S. T_L follows R_L, T_S is the mean of the last seconds.
-- R_S = 2 min (rule 2) lies beyond a negative minimum, below -g for one under -4.9 m/s2: nothing falls through it. A
-  negative minimum is halved instead, and R_S is kept a part of the range above the minimum, for a foot on the ground.
-- An END sooner than a part of a dominant period after the last is no event: a foot swings with two humps.
-- The bias of eq. 3 is not removed: the lines follow the signal, whatever its mean.
+Deviations, with reasons and figures: docs/methods/zhou2019.md.
 """
 
 from __future__ import annotations
@@ -108,8 +100,6 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         Time before a window from which its dominant frequency comes.
     hold_s : float
         How long an event waits for walking or running, which is known only after a window of mostly that.
-    rate_hz, max_interval_s, first_step_s : float
-        Of every `StepDetector`.
     """
 
     walking: EventSearch
@@ -182,7 +172,6 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     def _detect(
         self, state: ReferenceLineState, line: FloatArray, first: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
         new = np.stack([*filtered, line[1, self._n_line :]])
         n_samples = first + new.shape[1]
@@ -195,10 +184,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
         return replace(state, buffer=state.buffer[:, -n_kept:]), steps
 
     def _window(self, state: ReferenceLineState, first: int) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
-        """A complete window: its lines, the events that end in it, and the length of the next.
-
-        `first` is the number of the buffer's first sample.
-        """
+        """A complete window of the buffer from `first` on: its lines, events, and the length of the next."""
         window_end = state.window_start + _window_samples(state.period_s, self.rate_hz)
         begin, end = state.window_start - first, window_end - first
         search = self.running if state.is_running else self.walking

@@ -16,13 +16,6 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
     """Context stage that classifies feature windows with trained models.
 
     What lasts from window to window are the probabilities (5,) of `CARRYING_MODES`, over a gap, too.
-
-    Parameters
-    ----------
-    windows : FeatureWindows
-        The windows and their features.
-    models : ContextModels
-        Of those features.
     """
 
     windows: FeatureWindows

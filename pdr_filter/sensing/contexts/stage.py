@@ -96,13 +96,7 @@ class WindowStageState(Generic[W, M]):
 
 @dataclass(frozen=True, eq=False)
 class WindowStage(ABC, Generic[W, X, M]):
-    """A context stage that judges windows one after the other.
-
-    Parameters
-    ----------
-    windows : SlidingWindows
-        Where the windows come from.
-    """
+    """A context stage that judges windows one after the other."""
 
     windows: SlidingWindows[W, X]
 

@@ -1,17 +1,14 @@
 """Features that show where a moving person carries the phone: its attitude, how it turns and what shakes it.
 
-Held for reading, the screen looks up and the phone barely turns. At the ear it stands on its edge, its long axis
-aslant. In a swinging hand it tilts by tens of degrees once a stride about one axis, at the end of a lever, the arm. In
-a trouser pocket it tilts with the thigh about the pocket's axis, and heel strikes reach it hard, sideways too. Angles
-distinguish these better than angular rates: a rate mixes the angle with the pace. They come from the spectrum of the
-rate, each bin divided by 2 pi f, so neither drift nor the start of the window matters. Taken relative to the vertical
-acceleration, the step itself, they do not grow with the pace.
+Held for reading, the screen looks up and the phone barely turns. At the ear it stands on its edge. In a swinging hand
+it tilts by tens of degrees once a stride about one axis, at the end of a lever, the arm. In a trouser pocket it tilts
+with the thigh, and heel strikes reach it hard, sideways too. Angles come from the spectrum of the rate, each bin
+divided by 2 pi f, so neither drift nor the start of the window matters; relative to the vertical acceleration, the step
+itself, they do not grow with the pace.
 
-Of the attitude only sizes of the components of up enter, and whether the screen faces up. A sign memorises habits: all
-twelve people of the only set with more than a few have the phone in the pocket head down, and with the positive part of
-up_y as a further feature eleven points of pocket recall were lost on a person of another set. Nothing depends on north,
-on left or right, or on which end of the phone is up. Use them of windows of a moving person only: a phone that lies
-still is carried nowhere.
+Of the attitude only sizes of the components of up enter, and whether the screen faces up: a sign memorises habits.
+Nothing depends on north, on left or right, or on which end of the phone is up. Use them of windows of a moving person
+only: a phone that lies still is carried nowhere.
 """
 
 from __future__ import annotations
@@ -79,8 +76,7 @@ _FLOOR_MPS2, _FLOOR_RADPS, _FLOOR_RAD = 0.02, 0.005, 0.002
 _FACES_UP = 0.5
 # The lowest that the screen faces up: below it for a tenth of the window, which one knock is not.
 _LOWEST = 0.1
-# A heel strike is a blow of some 20 ms, so its power is above the harmonics of the step; how much of it is left, and in
-# which band, shows what lies between heel and phone. Above 20 Hz phones that give 50 Hz have nothing.
+# How much of a heel strike is left, in which band, shows what lies between heel and phone.
 _BLOWS_HZ: tuple[tuple[float, float], ...] = ((4.0, 7.5), (7.5, 12.0), (12.0, 20.0))
 # Angles: from the slowest stride to the fastest step; slower is turning round a corner, and drift.
 _ANGLE_HZ = (0.5, 3.5)
@@ -99,8 +95,7 @@ _LEVER_NOISE, _COHERENCE_NOISE, _FLOOR_M = 0.02, 1e-3, 0.05
 def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     """Features (W, 38) of windows of `invariant.SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
 
-    A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
-    the same bits alone and among others, for the reasons that `invariant.invariant_features` gives.
+    A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it.
     """
     return in_groups(_of_group, windows, rate_hz, len(NAMES))
 
@@ -118,13 +113,15 @@ def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
     lines = [each[:, 0], each[:, 1] + each[:, 2], tilt, tilt / squared_omega, each[:, 6] / squared_omega]
     power = np.stack(lines, axis=1)
     bands = power @ _bands(n, rate_hz)
+    centred_rate = about_mean(rate)
+    about_axes = (centred_rate * centred_rate).mean(axis=2)
     stride, step = _stride_and_step(power, n, rate_hz)
     return np.column_stack(
         [
             _attitude(up),
             _shaking(centred[:, :3], bands, stride, step),
             _turning(centred[:, 3:6], spectrum, bands, stride, step, rate_hz),
-            _shares(rate),
+            about_axes / (about_axes.sum(axis=1) + _FLOOR_RADPS**2)[:, None],
         ]
     )
 
@@ -214,12 +211,8 @@ def _turning(
 
 
 def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -> tuple[FloatArray, FloatArray]:
-    """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,).
-
-    A phone at the end of a limb accelerates by lever times angular acceleration: least squares, bin by bin, of the
-    spectra of the horizontal acceleration (W, 2, K) on those of the angular acceleration (W, K). The angular rate's
-    spectrum stands for the latter's but for a quarter turn, whose size is one and which falls out here.
-    """
+    """Length of the lever, m, and how much of the horizontal acceleration it explains, 0 to 1, each (W,)."""
+    # least squares of the horizontal acceleration on the angular one, whose quarter turn to the rate falls out
     product = (horizontal * acceleration_about.conj()[:, None]).sum(axis=2)
     matched = (product.real**2 + product.imag**2).sum(axis=1)
     about = (acceleration_about.real**2 + acceleration_about.imag**2).sum(axis=1)
@@ -228,13 +221,6 @@ def _lever(acceleration_about: ComplexArray, horizontal: ComplexArray, n: int) -
     lever = np.sqrt(matched) / (about + _LEVER_NOISE * noise)
     coherence = matched / ((about + _COHERENCE_NOISE * noise) * (moved + _COHERENCE_NOISE * noise))
     return lever, coherence
-
-
-def _shares(rate: FloatArray) -> FloatArray:
-    """Shares (W, 3) of the turning about the phone's own axes."""
-    centred = about_mean(rate)
-    variance = (centred * centred).mean(axis=2)
-    return variance / (variance.sum(axis=1) + _FLOOR_RADPS**2)[:, None]
 
 
 def _stride_and_step(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:

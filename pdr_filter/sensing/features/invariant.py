@@ -6,14 +6,9 @@ follow each other. No feature depends on the device's attitude, on its handednes
 memorise a person's habit and fail on the next one (docs/benchmarks.md).
 
 Stairs differ from walking in when in the step things happen: the swing of the limb that carries the phone against
-the bounce of the body. The limb swings about a horizontal axis that is found as the main axis of the angular rate. The
-sign of that axis is arbitrary, so it is either squared away (the limb swings once a stride, its square once a step,
-like the bounce), or both the swing and the acceleration across the axis are taken, whose product has no sign, or the
-sign is the one for which the acceleration across the axis points forward: where it follows minus the vertical velocity
-(the body is pushed forward while it sinks), weighted by how clearly it does.
-
-Amplitudes and powers enter as logarithms: people differ by factors, and a classifier that is linear in the features
-then needs no interactions for it.
+the bounce of the body. The limb swings about the main axis of the angular rate, whose sign is arbitrary: it is squared
+away, or cancels in a product, or is the one for which the acceleration across the axis points forward, weighted by how
+clearly it does (docs/methods/contexts.md). Amplitudes and powers enter as logarithms: people differ by factors.
 """
 
 from __future__ import annotations
@@ -109,10 +104,6 @@ _RATE_NAMES: tuple[str, ...] = (
 )
 NAMES: tuple[str, ...] = (*_FORCE_NAMES, *_RATE_NAMES)
 WITHOUT_GYROSCOPE: tuple[str, ...] = _FORCE_NAMES
-# Of the vertical force alone: what every way of carrying shares.
-VERTICAL: tuple[str, ...] = tuple(
-    n for n in _FORCE_NAMES if not any(other in n for other in ("horizontal", "forward", "lateral"))
-)
 
 
 @cache
@@ -149,8 +140,7 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     """Features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
 
     A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
-    the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
-    transforms are made window by window.
+    the same bits alone and among others: sums run along contiguous axes, matrix products window by window.
     """
     return in_groups(_of_group, windows, rate_hz, len(NAMES))
 
@@ -231,10 +221,7 @@ def _quantile_places(n: int) -> IntArray:
 
 
 def _main_axes(horizontal: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it.
-
-    Whether that axis is the walking heading does not matter here; which way it points is not used.
-    """
+    """Components (W, N) along the axis of largest spread in the horizontal plane, and across it."""
     east, north = horizontal[:, 0], horizontal[:, 1]
     difference, mixed = (east * east - north * north).sum(axis=1), 2 * (east * north).sum(axis=1)
     # half of the angle whose cosine is difference / size: without trigonometry, whose bits depend on the processor
@@ -277,10 +264,7 @@ def _taper_correlation(n: int) -> FloatArray:
 
 
 def _regularity(power: FloatArray, n: int, rate_hz: float) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it.
-
-    From the power spectrum (Wiener-Khinchin), divided by the overlap's share of the taper at each lag.
-    """
+    """Largest autocorrelation at a step's lag (0.28 to 1 s), that lag in s, and the autocorrelation at twice it."""
     correlation = np.fft.irfft(power, n)
     correlation = correlation / np.maximum(correlation[:, :1], 1e-12) / _taper_correlation(n)
     first, last = round(0.28 * rate_hz), min(round(1.0 * rate_hz), n // 2)
@@ -337,10 +321,7 @@ def _swing_timing(
 
 
 def _timing(lines: FloatArray, floor: FloatArray, lagged_vertical: FloatArray, vertical_std: FloatArray) -> FloatArray:
-    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`.
-
-    Standard deviations are taken larger by a floor: of a phone that lies still the correlation is near zero.
-    """
+    """Correlation (W, K, L) of lines (W, K, N) with the vertical, later by each of `STEP_LAGS_S`; near 0 at rest."""
     centred = about_mean(lines)
     std = np.sqrt((centred * centred).mean(axis=2)) + floor
     product = centred @ lagged_vertical.transpose(0, 2, 1)

@@ -83,10 +83,6 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
 
     Parameters
     ----------
-    features : FeatureSet
-        What is computed of each window.
-    rate_hz, window_s, hop_s : float
-        Of every `SlidingWindows`.
     low_pass_hz : float
         Cutoff of the low-pass of Table II of Martinelli et al. 2018, which does not give it: 5 Hz keeps the first
         harmonics of a step.

@@ -1,12 +1,9 @@
 """What a filter knows that believes every walking heading that was reported to it, and what is new for it.
 
-A memory makes errors of successive headings alike, and a Kalman filter would take them for independent. So each step
-reports only what is new: the measurement and the variance which, by the Kalman update, take a filter from what all
-measurements before have taught it to what is known now. A filter that starts with the first measurement, lets the
-offset wander as `HeadingDrift` says and believes all that is reported then has the learnt heading and its variance,
-systematic error included. One measurement alone has a large standard deviation: it is what one more step is worth.
-Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, no acceleration brings
-it back: that variance stays.
+Errors of successive headings are alike, and a Kalman filter would take them for independent. So each step reports only
+what is new: the measurement and the variance which, by the Kalman update, take a filter that lets the offset wander as
+`HeadingDrift` says from what all measurements before have taught it to what is known now (docs/methods/heading.md).
+Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, that variance stays.
 """
 
 from __future__ import annotations
@@ -57,10 +54,9 @@ class Reported:
     ) -> tuple[Reported, Step]:
         """What the filter knows after a step, and the step with the measurement that takes it there.
 
-        With the variance P- that the filter has before and P that is known now, K = 1 - P / P-, the measurement is
-        z = o- + (o - o-) / K and its variance R = P- P / (P- - P): the Kalman update leads from o- to o, from P- to P.
-        Where strides have made an earlier report doubtful, a change of the offset is reported. Nothing is reported
-        before the offset is known to `first_std_rad`.
+        The measurement is z = o- + (o - o-) / K, K = 1 - P / P-, and its variance P- P / (P- - P)
+        (docs/methods/heading.md). Where strides have made an earlier report doubtful, a change of the offset is
+        reported. Nothing is reported before the offset is known to `first_std_rad`.
         """
         if math.isinf(self.var_rad2):
             if var_rad2 > first_std_rad**2:

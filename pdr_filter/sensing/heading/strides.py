@@ -65,8 +65,7 @@ def harmonics(signals: FloatArray, duration_s: float) -> tuple[FloatArray, Float
     """Complex amplitudes (3,) of signals (3, N), once and twice a stride.
 
     The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
-    if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
-    twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
+    if every other step was missed: if they are slow and the harmonics say so.
     """
     waves = _waves(signals.shape[1])
     centred = signals - signals.mean(axis=1)[:, None]
@@ -94,13 +93,10 @@ def power(amplitudes: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def _waves(n: int) -> NDArray[np.complex128]:
-    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle.
-
-    The faster ones have no slope, so that a slow change of the signal does not enter. Of the first, which is half a
-    slope itself, too little would remain.
-    """
+    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle."""
     part = (np.arange(n) - 0.5 * (n - 1)) / n
     waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer([1.0, 2.0, 4.0], part))
+    # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
     waves[1:] -= np.outer(waves[1:] @ part / (part @ part), part)
     return 2.0 / n * waves
 

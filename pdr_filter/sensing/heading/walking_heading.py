@@ -1,13 +1,8 @@
 """Where a person walks, from a phone carried anywhere: the body's push forward shows in every stride.
 
-A walking body speeds up and slows down once a step, a quarter of a step apart from its rise and fall. So the
-horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the vertical
-velocity), points where the person walks, sign included. Sideways sway has stride frequency and drops out over a whole
-stride. Two motions are different:
-
-- Running: the body flies between steps, and the phase is another one.
-- A swinging hand moves at stride frequency, far more than the body. It is higher in front than behind, so its
-  horizontal force in phase with its vertical one, both at stride frequency, points forward.
+The horizontal specific force at step frequency, in phase with the vertical one advanced by 85 degrees (minus the
+vertical velocity), points where the person walks, sign included. Running has another phase; a swinging hand moves at
+stride frequency, and its horizontal force in phase with its vertical one points forward (docs/methods/heading.md).
 
 What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
 Vectors of single strides, turned with the device, are summed with a memory of `memory_s`: each is a von Mises
@@ -15,10 +10,9 @@ likelihood, and the product of such is the sum of their vectors (Mardia and Jupp
 phone's own axis joins the sum where somebody reads on it; after the phone was moved to another place, the last walking
 direction does, and what was learnt in a former place that this looks like.
 
-The angle is learnt in the attitude's own frame, in which `AttitudeBlock.horizontal_mps2` is given, and said against
-`device_heading_rad`, both averaged over a stride: how the two relate does not matter, and swings cancel.
-
-What is reported to the filter of each step is only what is new: `pdr_filter.sensing.heading.reported`.
+The angle is learnt in the attitude's own frame (`AttitudeBlock.horizontal_mps2`) and said against `device_heading_rad`,
+both averaged over a stride: how the two relate does not matter, and swings cancel. What is reported to the filter of
+each step is only what is new: `pdr_filter.sensing.heading.reported`.
 """
 
 from __future__ import annotations
@@ -136,14 +130,10 @@ class WalkingHeading:
 
     Parameters
     ----------
-    rate_hz : float
-        Sampling rate of the blocks.
     phase_rad : float
-        By which the vertical specific force is advanced to be in phase with the push forward. Phones in hands, at ears
-        and in pockets have 40 to 145 degrees.
+        By which the vertical specific force is advanced to be in phase with the push forward: 40 to 145 degrees.
     running_phase_rad : float
-        The same for running: -60 to -180 degrees in the trouser pockets of twelve people, if they run with the phone
-        as they walk with it.
+        The same for running: -60 to -180 degrees in the trouser pockets of twelve people.
     max_phase_rad : float
         How far the phase of a person may be from these.
     phase_strides : float
@@ -153,10 +143,9 @@ class WalkingHeading:
         jogging 11 to 16.
     swinging_mps2, swinging_lift, swinging_step_share, swinging_agreement : float
         A hand swings if its horizontal amplitude at stride frequency is at least the first, the vertical one at least
-        the second part of it (a back pocket has less), the horizontal one at step frequency at most the third (a pocket
-        has more), and its vectors from step frequency agree no better than the fourth, the squared length of their
-        mean over their mean squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. Of a hand
-        that is said to swing less is asked.
+        the second part of it, the horizontal one at step frequency at most the third, and its vectors from step
+        frequency agree no better than the fourth, the squared length of their mean over their mean squared length. Of a
+        hand that is said to swing less is asked.
     memory_s : float
         How long a stride counts, in time of walking.
     prior_memory_s : float
@@ -223,10 +212,7 @@ class WalkingHeading:
         )
 
     def after_gap(self, state: WalkingHeadingState) -> WalkingHeadingState:
-        """State after a time without samples: where the person turned in it is unknown, where the phone is may not be.
-
-        A phone that is found tilted as before is taken to be where it was.
-        """
+        """State after a time without samples: a phone that is found tilted as before is taken to be where it was."""
         signals = np.empty((_N_ROWS, 0))
         return replace(
             state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
@@ -275,8 +261,6 @@ class WalkingHeading:
     def _n_kept(self) -> int:
         # a stride, and the time that the slowest detector, or a gate behind it, takes to let its last step pass
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
-
-    # --- one step -------------------------------------------------------------------------------------------------
 
     def _annotate(
         self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
@@ -355,8 +339,6 @@ class WalkingHeading:
             powers=np.array([power(once[:2]), power(twice[:2]), power(once[2:])]),
         )
 
-    # --- where the phone is ---------------------------------------------------------------------------------------
-
     def _settle(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
     ) -> tuple[WalkingHeadingState, Place, float]:
@@ -401,8 +383,6 @@ class WalkingHeading:
         right = cross(stride.axis, stride.up)
         angle_rad = math.atan2(float(direction @ right), float(direction @ stride.axis))
         return _von_mises(angle_rad, self.return_std_rad**2)
-
-    # --- what is learnt -------------------------------------------------------------------------------------------
 
     def _learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
         """The place after one stride more."""
@@ -450,11 +430,7 @@ class WalkingHeading:
         return math.atan2(total.imag, total.real), variance
 
     def _direction(self, place: Place) -> tuple[float, float]:
-        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2.
-
-        With mean length m and scatter s2 of one component, each of n strides has s2 / m2; strides overlap by half, so
-        that n of them are worth half of n. What is off in every stride is not in it.
-        """
+        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2."""
         if self._swings(place):
             mix = np.array([1.0, 0.0, 0.0])
         else:
@@ -465,17 +441,14 @@ class WalkingHeading:
         if mean2 == 0:
             return 0.0, math.inf
         length2 = float(mix @ place.products @ mix) / place.weight
+        # overlapping by half, n strides are worth half of n
         scatter = place.weight * 0.5 * max(length2 - mean2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
         variance = 2.0 * scatter / (place.weight + _PRIOR_STRIDES) / (place.weight * mean2)
         leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
         return math.atan2(right, forward), variance + leak2 / mean2
 
     def _phase_ahead(self, place: Place) -> float:
-        """By how much this person's phase is ahead of the usual one.
-
-        With a and b the sums in phase and 90 degrees ahead, |a cos x + b sin x| is largest at
-        tan 2x = 2 a . b / (a . a - b . b). What few strides say counts little.
-        """
+        """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
         a, b = place.vectors[1], place.vectors[2]
         ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)

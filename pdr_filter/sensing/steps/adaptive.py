@@ -1,24 +1,16 @@
 """Steps as local maxima of a wavelet transform whose scale follows the power of the motion: the default detector.
 
-The step frequency follows from the strength of the motion: people step faster where they step harder. Over 66 walks of
-13 people with seven placements, 16 of another and 24 runs of twelve the frequency is
-
-    f = 1.43 R^0.31,  R the rms of |specific force| around the step, m/s2, f in Hz,
-
-with a standard deviation of 11 %, whoever walks and wherever the phone is (regression of log f on log R,
-tests/benchmarks/steps.py); the Mexican hat is an octave wide. 1.37 R^0.3 is taken, a little lower: heel strike and
-push-off are one step more surely. A frequency taken from the autocorrelation of the signal was worse: in a back pocket
-the stride repeats better than the step, and half of the steps are lost.
+People step faster where they step harder, whoever walks and wherever the phone is: f = 1.43 R^0.31 within 11 %, R the
+rms of |specific force| around the step, m/s2, f in Hz (tests/benchmarks/steps.py).
 
 1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t.
 2. Response: transform of |f| with the Mexican hat of frequency 1.37 R(t)^0.3, interpolated between a bank of hats, each
    low-passed and cut off at `after_s`. It has unit gain at its frequency.
 3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` of the last ones, and comes
    `min_interval` periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects
-   it, `rhythm_share` of both thresholds is enough: a weak step of one foot, and the last one of a walk, are kept.
+   it, `rhythm_share` of both thresholds is enough.
 
-What the parameters stand between, and what came out, is in docs/methods/steps.md. Source of the transform: Martinelli
-et al. 2018, section IV (see `pdr_filter.papers.martinelli2018.steps`), which has one scale for everybody.
+Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli et al. 2018, section IV.
 """
 
 from __future__ import annotations
@@ -69,8 +61,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     frequency_at_1_mps2_hz, frequency_exponent : float
         Step frequency where R is 1 m/s2, and its power of R; see the module.
     before_s, after_s : float
-        What R is taken over: about three steps, the one in question in the middle. Twice as long mixes the end of a
-        walk with the rest after it. `after_s` is also half the length of the longest hat.
+        What R is taken over: about three steps, the one in question in the middle. `after_s` is also half the length of
+        the longest hat.
     power_low_pass_hz, low_pass_hz : float
         Cutoffs (Hamming window, 0.25 s) before R and in the response.
     min_peak_mps2 : float
@@ -125,13 +117,9 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
-    def _n_after(self) -> int:
+    def _delay_samples(self) -> int:
         """Samples after a contact that enter."""
         return round(self.after_s * self.rate_hz) + len(self._power_low_pass) // 2
-
-    @property
-    def _delay_samples(self) -> int:
-        return self._n_after
 
     @property
     def _min_response(self) -> float:
@@ -143,7 +131,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     @property
     def _n_line(self) -> int:
-        return self._n_before + self._n_after
+        return self._n_before + self._delay_samples
 
     def _signals(
         self, state: AdaptiveDetectorState, block: UniformBlock, attitude: AttitudeBlock, contexts: ContextBlock
@@ -218,12 +206,7 @@ def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, ra
     peak is left there) or at `max_half_s`.
     """
     half = round(min(3.5 * 0.25 / frequency_hz, max_half_s) * rate_hz)
-    kernel = np.convolve(_hat(0.25 / frequency_hz, half, rate_hz), low_pass_kernel(low_pass_hz, rate_hz))
-    return with_unit_gain(kernel, frequency_hz, rate_hz)
-
-
-def _hat(scale_s: float, half: int, rate_hz: float) -> FloatArray:
-    """Mexican hat with so many samples on each side, less its mean."""
-    u = np.arange(-half, half + 1) / (rate_hz * scale_s)
+    u = np.arange(-half, half + 1) / (rate_hz * (0.25 / frequency_hz))
     hat = (1.0 - u * u) * np.exp(-0.5 * u * u)
-    return np.asarray(hat - hat.mean(), dtype=float)
+    kernel = np.convolve(np.asarray(hat - hat.mean(), dtype=float), low_pass_kernel(low_pass_hz, rate_hz))
+    return with_unit_gain(kernel, frequency_hz, rate_hz)

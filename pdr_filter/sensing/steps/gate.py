@@ -1,13 +1,10 @@
 """Steps of somebody who walks, without those of a phone that is handled: a causal gate behind the step detector.
 
-A step detector counts every bump, so a phone that is taken out, typed on or put in a bag makes steps. The gate holds
-each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It needs the
-specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
+The gate holds each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It
+needs the specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
 
-1. Evidence of each step, from the specific force f around its contact and the contacts before it (`evidence_features`):
-   does the force repeat, do its changes of direction, does the rhythm hold, and does the phone turn far for how little
-   it bounces? With x the four features, the log odds of walking are b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3), of
-   which `evidence_weight` counts, because the windows of neighbouring steps overlap.
+1. Evidence of each step, from the specific force around its contact and the contacts before it (`evidence_features`).
+   Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
    (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
    is more probable than not, from its own evidence and all before.
@@ -16,18 +13,7 @@ specific force alone: neither gyroscope nor attitude, no model, no carrying mode
 4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
    `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
 
-Where the numbers come from: the weights are a logistic regression on the steps that
-`pdr_filter.sensing.steps.adaptive` finds while people walk (66 walks of A. Brajdic and R. Harle, "Walk detection and
-step counting on unconstrained smartphones", UbiComp 2013, doi:10.1145/2493432.2493449; Oxford, MotionSense, Tyrex,
-humolire, ms_indoor) and while they do not (before and after these walks, where the phone is handled; MotionSense's
-sitting and standing). Nothing of that data is here but these weights. tests/benchmarks/step_gate.py fits them and
-prints what the gate does to people left out of the fit; docs/methods/steps.md has the figures.
-
-Limits:
-
-- Slow walking with many turns, below 0.7 m/s, is partly refused: the phone turns far for how little it bounces.
-- Handling that keeps a rhythm and repeats itself for four steps passes: a phone that is shaken.
-- A walk of fewer than `min_steps` steps is dropped, also where a gap or the end cuts it off.
+tests/benchmarks/step_gate.py fits the weights; docs/methods/steps.md has data, figures and limits.
 """
 
 from __future__ import annotations
@@ -74,8 +60,7 @@ class WalkEvidence:
         return total
 
 
-# In the order of `evidence_features`; see the module's docstring. Walking and not walking had the same mass, and 0.7
-# was added to the intercept: to lose a step of a walk is worse than a false step now and then.
+# In the order of `evidence_features`; docs/methods/steps.md.
 EVIDENCE = WalkEvidence(
     mean=np.array([0.41, 0.23, -0.37, 0.57]),
     scale=np.array([0.37, 0.20, 1.03, 0.26]),
@@ -114,9 +99,8 @@ class StepGateState:
 class StepGate:
     """Causal gate for steps.
 
-    In a bout a step passes `latency_s` after its contact, 1.04 s, or as soon as the detector knows it. The first steps
-    of a bout pass together with the one that makes it `min_steps`: the first waits three step intervals longer, 2.7 s
-    at 1.8 steps a second, and longer where the evidence is weak. A gap or the end decides at once.
+    In a bout a step passes `latency_s` after its contact, 1.04 s, or as soon as the detector knows it; the first steps
+    of a bout pass with the one that makes it `min_steps`. A gap or the end decides at once.
 
     Parameters
     ----------
@@ -223,7 +207,7 @@ class StepGate:
         return replace(state, rows=state.rows[-self._n_rows_kept :]), released
 
     def close(
-        self, state: StepGateState, steps: Sequence[tuple[int, Step]], gap_s: float
+        self, state: StepGateState, steps: Sequence[tuple[int, Step]]
     ) -> tuple[StepGateState, list[tuple[int, Step]]]:
         """State before the first sample after a gap or the end, and the steps that pass of those that still waited.
 
@@ -238,8 +222,6 @@ class StepGate:
         # Steps that are no bout yet are given up: what the gap holds is unknown.
         after = StepGateState(state.walking_prob, state.judged_s)
         return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
-
-    # --- the evidence of a step -----------------------------------------------------------------------------------
 
     def _row(self, state: StepGateState, step: Step) -> int:
         """Number of the row that a contact is in."""
@@ -278,8 +260,6 @@ class StepGate:
         oldest = n_rows - len(state.rows)
         return np.ascontiguousarray(state.rows[max(first - oldest, 0) : max(last - oldest, 0)])
 
-    # --- the fate of a step ---------------------------------------------------------------------------------------
-
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
         """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
         continues = contact_s - state.run_s[1] <= self.max_interval_s
@@ -316,8 +296,6 @@ class StepGate:
             begin_s = state.run_s[0]
         return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= self.max_edge_s))
 
-    # --- the Markov chain -----------------------------------------------------------------------------------------
-
     @property
     def _walking_share(self) -> float:
         return self.mean_walk_s / (self.mean_walk_s + self.mean_pause_s)
@@ -344,10 +322,8 @@ def evidence_features(
     """The features of one step in which walking and handling differ.
 
     From the specific force around the contact at 25 Hz, (N, 3), N >= 26, and the contact with up to three before it:
-    how much the force repeats with its direction (the autocorrelation's highest value after it was negative), how
-    uneven the rhythm is (standard deviation of the logarithm of three intervals; longer ones than `max_interval_s` are
-    pauses), how far the phone turns for how little it bounces (log of the rms of the force averaged over 0.76 s, over
-    that of its magnitude), and how much the magnitude repeats.
+    `repetition` of the force, standard deviation of the logarithm of three intervals (longer ones than `max_interval_s`
+    are pauses), log of the rms of the force averaged over 0.76 s over that of its magnitude, `repetition` of this.
     """
     x, y, z = force_mps2.T
     magnitude = np.sqrt(x * x + y * y + z * z)

@@ -65,7 +65,7 @@ def passed(gate: StepGate, times_s: Sequence[float], rest_s: float = 3.0) -> lis
     """What passes of steps at some times, the end included."""
     block = uniform_block(np.full(int(100 * (max(times_s, default=0.0) + rest_s)), STANDARD_GRAVITY_MPS2))
     state, released = advance(gate, [block], known_steps(times_s))
-    return [s for _, s in [*released, *gate.close(state, [], math.inf)[1]]]
+    return [s for _, s in [*released, *gate.close(state, [])[1]]]
 
 
 def times_of(steps: Sequence[Step]) -> list[float]:
@@ -284,10 +284,10 @@ def test_the_end_decides_on_what_waits() -> None:
     early, late = known_steps(times_s)[:9], [(694, a_step(times_s[9]))]
     state, released = advance(gate, [uniform_block(np.full(695, 9.8))], early)
     assert len(released) < 9
-    state, rest = gate.close(state, late, math.inf)
+    state, rest = gate.close(state, late)
     assert times_of([s for _, s in [*released, *rest]]) == times_s
     assert {number for number, _ in rest} == {694}
-    assert gate.close(state, [], math.inf)[1] == []
+    assert gate.close(state, [])[1] == []
 
 
 def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
@@ -295,7 +295,7 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
     for gap_s, n in [(0.8, 3), (5.0, 0)]:
         gate = told_gate([9.0] * 11)
         state, released = advance(gate, [uniform_block(np.full(640, 9.8))], known_steps(times_s))
-        state, rest = gate.close(state, [], gap_s)
+        state, rest = gate.close(state, [])
         assert len(released) + len(rest) == 8
         block = uniform_block(np.full(500, 9.8), start_s=6.4 + gap_s, gap_before_s=gap_s)
         later = [(number, a_step(6.4 + gap_s + 0.005 + number / 100 - 0.9)) for number in (100, 150, 200)]
@@ -307,7 +307,7 @@ def test_a_bout_goes_on_after_a_short_gap_and_not_after_a_long_one() -> None:
 def test_a_gap_drops_what_is_no_bout_yet() -> None:
     gate = told_gate([9.0] * 6)
     state, released = advance(gate, [uniform_block(np.full(400, 9.8))], known_steps([1.0, 1.5, 2.0]))
-    state, rest = gate.close(state, [], 0.5)
+    state, rest = gate.close(state, [])
     assert [*released, *rest] == []
     block = uniform_block(np.full(400, 9.8), start_s=4.5, gap_before_s=0.5)
     later = [(number, a_step(4.505 + number / 100 - 0.9)) for number in (95, 145, 195)]
@@ -343,14 +343,14 @@ def test_the_same_steps_pass_however_the_samples_are_cut_and_the_state_is_saved(
     times_s = list(1.0 + np.cumsum(rng.uniform(0.4, 0.7, 28)))
     block, steps = walk_block(times_s, 20.0, seed=seed), known_steps(times_s)
     state, whole = advance(GATE, [block], steps)
-    whole += GATE.close(state, [], math.inf)[1]
+    whole += GATE.close(state, [])[1]
     cut_state, pieces, n = GATE.init(), [], 0
     for part in cut_uniform(block, edges):
         known = [s for s in steps if n <= s[0] < n + len(part.time_s)]
         cut_state = serialise.from_bytes(serialise.to_bytes(cut_state))
         cut_state, out = GATE.step(cut_state, part, flat_attitude(part.specific_force_mps2[:, 2]), known)
         pieces, n = [*pieces, *out], n + len(part.time_s)
-    assert [*pieces, *GATE.close(cut_state, [], math.inf)[1]] == whole
+    assert [*pieces, *GATE.close(cut_state, [])[1]] == whole
     assert len(whole) > 10
 
 
