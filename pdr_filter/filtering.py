@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -19,11 +20,8 @@ from pdr_filter.values import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, No
 # How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
 # pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
 MAX_FIX_AGE_S = 60.0
-
-
 # A fix of the moment at which the sensors were switched on is one of their first sample.
 FIX_TOLERANCE_S = 1.0
-
 
 _STATIONARY = CONTEXTS.index("stationary")
 
@@ -170,12 +168,8 @@ _CLIMB_AGE_S = 1.0
 
 def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
     """The last climb rate at or before a time, if it is recent enough."""
-    i = bisect_right(climbs, time_s, key=_time_s)
+    i = bisect_right(climbs, time_s, key=attrgetter("time_s"))
     return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
-
-
-def _time_s(climb: Climb) -> float:
-    return climb.time_s
 
 
 def finish(config: Config, state: State) -> tuple[State, Output]:
@@ -218,7 +212,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         output.passages.extend(brought.passages)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
-    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
+    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0) :]
     return replace(state, climbs=climbs), output
 
 

@@ -7,27 +7,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
-    StepUpdate,
     Walked,
     elapsed_s,
     initial_state,
     is_known_to_stand,
     learned_heading,
-    position_cov,
     shared_cov,
+    step_update,
     with_first_heading,
-    with_gap,
     with_step,
 )
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
-from pdr_filter.filter.tracker import Passage, TrackerOutput
+from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, read_only
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
@@ -52,12 +50,12 @@ class ImmTracker:
     ----------
     model : PedestrianModel
         Modes, transitions, noise, evidence.
-    arithmetic : ImmArithmetic
+    arithmetic : NumpyImm
         `NumpyImm()`, or `imm_filterpy.FilterpyImm()`: the same track from filterpy's classes, many times slower.
     """
 
     model: PedestrianModel
-    arithmetic: ImmArithmetic = field(default_factory=NumpyImm)
+    arithmetic: NumpyImm = field(default_factory=NumpyImm)
 
     weighting = "imm"
     # A step is final when it is known: windows that come later are evidence for later steps.
@@ -111,20 +109,8 @@ class ImmTracker:
             own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
         )
         after = with_step(replace(pedestrian, mean=mean, cov=cov, prob=prob), step, walked, (x, P))
-        assert after.speed is not None
-        update = StepUpdate(
-            index=pedestrian.n_final,
-            step=step,
-            is_final=True,
-            position_m=read_only(x[:2]),
-            position_cov_m2=position_cov(P, after),
-            step_length_m=walked.length_m,
-            walking_heading_rad=walked.heading_rad,
-            speed=after.speed,
-            context_prob=read_only(window.prob if window else self._latest_context(state, prob)),
-            mode_prob=read_only(prob),
-            gap_before_s=pedestrian.gap_s,
-        )
+        context_prob = window.prob if window else self._latest_context(state, prob)
+        update = step_update(pedestrian, after, step, walked, (x, P), context_prob, prob)
         passage = Passage(
             ModeEstimates(known, known_cov, pedestrian.prob),
             Transition(model.transition_prob, mixed, mean, ahead.F, ahead.Q),
@@ -138,15 +124,7 @@ class ImmTracker:
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, TrackerOutput]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""
-        before = state.pedestrian
-        after = with_gap(before, gap_s, self.model.noise)
-        stay = np.broadcast_to(np.eye(before.mean.shape[1]), before.cov.shape)
-        passage = Passage(
-            ModeEstimates(before.mean, before.cov, before.prob),
-            Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, after.cov - before.cov),
-            shared_cov(after),
-            is_step=False,
-        )
+        after, passage = over_gap(state.pedestrian, gap_s, self.model.noise)
         return replace(state, pedestrian=after, windows=()), TrackerOutput(passages=(passage,))
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:

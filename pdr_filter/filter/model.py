@@ -130,10 +130,7 @@ class PedestrianModel:
 
     @cached_property
     def long_run_mode_prob(self) -> FloatArray:
-        """Mode probabilities (M,) to which the transitions lead, from an even start.
-
-        From an even start because a chain that cannot mix keeps what it started with.
-        """
+        """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
     def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:

@@ -171,15 +171,7 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
     `offset_change_std_rad` squared. The walking heading z is a measurement of frame + device heading + offset state,
     its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
     offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
-
-    Parameters
-    ----------
-    mean, cov
-        Of the modes.
-    step : Step
-        With what the heading stage says of it.
-    frame_rad : float
-        Offset that counts as zero: north of the track is where the person would have walked with the first one.
+    `frame_rad` is the offset that counts as zero: north of the track is where the person would have walked with it.
     """
     o = HEADING_OFFSET
     if step.offset_change_std_rad > 0:
@@ -234,21 +226,7 @@ def advance(
     noise: MotionNoise,
     elapsed_s: float | None = None,
 ) -> Advance:
-    """One step of means (..., M, 4) and covariances (..., M, 4, 4): P_k = F P_{k-1} F' + Q, F and Q of `linearise`."""
-    predicted_mean, F, Q = linearise(mean, step, length_m, length_var_m2, directions, noise, elapsed_s)
-    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
-
-
-def linearise(
-    mean: FloatArray,
-    step: Step,
-    length_m: FloatArray,
-    length_var_m2: FloatArray,
-    directions: Directions,
-    noise: MotionNoise,
-    elapsed_s: float | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Predicted means (..., M, 4), F (..., M, 4, 4) and Q (..., M, 4, 4) of a step, one length for each mode.
+    """One step of means (..., M, 4) and covariances (..., M, 4, 4), one length for each mode: P_k = F P_{k-1} F' + Q.
 
     p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}. The heading offset
     wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table
@@ -277,7 +255,7 @@ def linearise(
     )
     Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
     Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
-    return predicted_mean, F, Q
+    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -31,15 +31,9 @@ _VISIBLE_PROB = 0.1
 def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
     """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
 
-    The figure belongs to no window and to no pyplot state, so nothing has to be closed.
-
-    Parameters
-    ----------
-    track : TrackRows
-    path : str or Path, optional
-        Where to save it; the suffix gives the format. Folders are created.
-    reference_m : (N, 2), optional
-        East and north of the true way in the frame of the track, drawn as it is.
+    The figure belongs to no window and to no pyplot state, so nothing has to be closed. It is saved if a path is given,
+    whose suffix says the format; folders are created. `reference_m` (N, 2) is the true way, east and north in
+    the frame of the track, drawn as it is.
     """
     figure = Figure(figsize=_SIZE_IN, layout="constrained")
     FigureCanvasAgg(figure)

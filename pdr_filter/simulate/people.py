@@ -162,9 +162,7 @@ def _pocket(rng: np.random.Generator) -> Carrying:
         pitch_rad=_side(rng) * np.pi / 2 + rng.normal(0.0, 0.15),
         roll_rad=rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], p=[0.4, 0.1, 0.4, 0.1]) + rng.normal(0.0, 0.35),
         twist_rad=across + rng.normal(0.0, 0.35),
-        thigh=rng.uniform(0.4, 0.9) * _about(rng, 0.86, 0.3)
-        if back
-        else rng.uniform(0.6, 1.1) * _about(rng, 0.86, 0.3),
+        thigh=(rng.uniform(0.4, 0.9) if back else rng.uniform(0.6, 1.1)) * _about(rng, 0.86, 0.3),
         bounce=rng.uniform(0.8, 1.1),
         impact=_about(rng, 0.6 if back else 0.8, 0.4),
         impact_width_s=rng.uniform(0.012, 0.028),
