@@ -130,30 +130,16 @@ def notes_of(config: Config, state: State) -> list[Note]:
     notes = [Note("samples", text) for text in report.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
+    of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
     if seen.without_gyroscope:
-        notes.append(
-            Note(
-                "sensors",
-                f"contexts of {seen.without_gyroscope} of {seen.n} windows without gyroscope, which are less sure: "
-                "there was no angular rate",
-            )
-        )
-    if seen.unknown > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
-        notes.append(
-            Note(
-                "contexts",
-                f"{seen.unknown} of {seen.n} windows are unlike all that the context model was trained on: contexts "
-                "are unsure there",
-            )
-        )
-    if seen.irregular > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
-        notes.append(
-            Note(
-                "steps",
-                f"in {seen.irregular} of {seen.n} windows the phone seems to be handled, not carried by somebody who "
-                "walks: steps there may be false",
-            )
-        )
+        words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
+        notes.append(Note("sensors", words + "there was no angular rate"))
+    if seen.unknown > notable:
+        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
+        notes.append(Note("contexts", words + "contexts are unsure there"))
+    if seen.irregular > notable:
+        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
+        notes.append(Note("steps", words + "steps there may be false"))
     notes += config.notes
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))

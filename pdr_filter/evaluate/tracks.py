@@ -46,7 +46,7 @@ def moved_m(time_s: FloatArray, position_m: FloatArray, start_s: ArrayLike, end_
 def path_m(position_m: FloatArray) -> FloatArray:
     """Length of the line through points (N, 2) up to each of them, (N,)."""
     legs_m = np.linalg.norm(np.diff(position_m, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(legs_m)])
+    return np.append(0.0, np.cumsum(legs_m))
 
 
 def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:

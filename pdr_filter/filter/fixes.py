@@ -63,10 +63,7 @@ def use_fix(
 def _on_position(
     model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> _Result:
-    """The fix is compared with where the track was at the fix's own time, and corrects the present by it.
-
-    An approximation: the heading's part in what was walked since is not corrected again.
-    """
+    """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is."""
     since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
     # what was walked since is known as well as a person's step length is
     R = fix.cov_m2 + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)

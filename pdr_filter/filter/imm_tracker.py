@@ -25,7 +25,7 @@ from pdr_filter.filter.pedestrian import (
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
 from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
+from pdr_filter.values import Fix, FixOutcome, Step
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
@@ -46,12 +46,7 @@ class ImmState:
 class ImmTracker:
     """The interacting multiple model over the modes of a model; each step is reported once, when it is known.
 
-    Parameters
-    ----------
-    model : PedestrianModel
-        Modes, transitions, noise, evidence.
-    arithmetic : NumpyImm
-        `NumpyImm()`, or `imm_filterpy.FilterpyImm()`: the same track from filterpy's classes, many times slower.
+    With `imm_filterpy.FilterpyImm()` the same track comes from filterpy's classes, many times slower.
     """
 
     model: PedestrianModel
@@ -78,16 +73,8 @@ class ImmTracker:
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
-        ahead = advance(
-            mixed,
-            mixed_cov,
-            step,
-            length_m,
-            model.residual_var_m2,
-            model.directions,
-            model.noise,
-            elapsed_s(pedestrian, step),
-        )
+        since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2
+        ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
@@ -109,7 +96,8 @@ class ImmTracker:
             own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
         )
         after = with_step(replace(pedestrian, mean=mean, cov=cov, prob=prob), step, walked, (x, P))
-        context_prob = window.prob if window else self._latest_context(state, prob)
+        latest = window or (state.windows[-1] if state.windows else None)
+        context_prob = latest.prob if latest else model.context_prob(prob)
         update = step_update(pedestrian, after, step, walked, (x, P), context_prob, prob)
         passage = Passage(
             ModeEstimates(known, known_cov, pedestrian.prob),
@@ -136,6 +124,3 @@ class ImmTracker:
     def finish(self, state: ImmState) -> tuple[ImmState, TrackerOutput]:
         """New state when no further window will come: no step waits."""
         return state, TrackerOutput()
-
-    def _latest_context(self, state: ImmState, mode_prob: FloatArray) -> FloatArray:
-        return state.windows[-1].prob if state.windows else self.model.context_prob(mode_prob)

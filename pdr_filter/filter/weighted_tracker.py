@@ -48,16 +48,11 @@ class WeightedState:
 class WeightedTracker:
     """One filter over the weighted step lengths of the contexts: highest or weighted context.
 
-    Parameters
-    ----------
-    model : PedestrianModel
-        With exactly one mode for each context.
-    threshold : float
-        Second-highest over highest probability from which contexts are weighted (Algorithm 2: 0.8); `weighting.HC`
-        (infinity) takes the highest without exception.
+    The threshold is the second-highest over the highest probability from which contexts are weighted (Algorithm 2:
+    0.8); `weighting.HC` (infinity) takes the highest without exception.
     """
 
-    model: PedestrianModel
+    model: PedestrianModel  # with exactly one mode for each context
     threshold: float = 0.8
 
     # A step is final when the window after the one in which it is new is known.
@@ -137,16 +132,8 @@ class WeightedTracker:
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
         directions = model.directions.weighted(weights)
         known, known_cov = learned_heading(before, step)
-        ahead = advance(
-            known,
-            known_cov,
-            step,
-            np.array([mean_length_m]),
-            np.array([own_var_m2]),
-            directions,
-            model.noise,
-            elapsed_s(before, step),
-        )
+        length, var, since_s = np.array([mean_length_m]), np.array([own_var_m2]), elapsed_s(before, step)
+        ahead = advance(known, known_cov, step, length, var, directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         scale = float(np.exp(known[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])

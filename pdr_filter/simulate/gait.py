@@ -187,12 +187,10 @@ class StepPlan:
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
     """Durations and lengths of all steps, with the person's variability from step to step."""
-    leg_start: list[float] = []
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
     for k, leg in enumerate(legs):
-        leg_start.append(clock_s)
         if leg.moves:
             joins_previous = k > 0 and legs[k - 1].joins(leg)
             joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
@@ -208,17 +206,9 @@ def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> Ste
             clock_s += float(leg.duration_s or 0.0)
         leg_end.append(clock_s)
     leg_of, start, contact, length, rise, first, last = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return StepPlan(
-        leg_start_s=np.array(leg_start),
-        leg_end_s=np.array(leg_end),
-        leg=leg_of.astype(np.int64),
-        start_s=start,
-        contact_s=contact,
-        length_m=length,
-        rise_m=rise,
-        first=first.astype(bool),
-        last=last.astype(bool),
-    )
+    started, ended = np.array([0.0, *leg_end])[:-1], np.array(leg_end)
+    of_leg, first, last = leg_of.astype(np.int64), first.astype(bool), last.astype(bool)
+    return StepPlan(started, ended, of_leg, start, contact, length, rise, first, last)
 
 
 def _leg_steps(
