@@ -68,6 +68,5 @@ class Config:
     @property
     def fix_delay_s(self) -> float:
         """How long a fix waits for the step that it falls into to be final."""
-        sensing = self.sensing
-        waits_s = self.tracker.waits_for_windows * sensing.window_hop_s
-        return sensing.step_latency_s + sensing.steps.first_step_s + waits_s
+        waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s
+        return self.sensing.step_latency_s + self.sensing.steps.first_step_s + waits_s

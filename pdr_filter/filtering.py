@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from operator import attrgetter
 
 import numpy as np
 
@@ -19,11 +20,8 @@ from pdr_filter.values import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, No
 # How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
 # pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
 MAX_FIX_AGE_S = 60.0
-
-
 # A fix of the moment at which the sensors were switched on is one of their first sample.
 FIX_TOLERANCE_S = 1.0
-
 
 _STATIONARY = CONTEXTS.index("stationary")
 
@@ -132,30 +130,16 @@ def notes_of(config: Config, state: State) -> list[Note]:
     notes = [Note("samples", text) for text in report.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
+    of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
     if seen.without_gyroscope:
-        notes.append(
-            Note(
-                "sensors",
-                f"contexts of {seen.without_gyroscope} of {seen.n} windows without gyroscope, which are less sure: "
-                "there was no angular rate",
-            )
-        )
-    if seen.unknown > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
-        notes.append(
-            Note(
-                "contexts",
-                f"{seen.unknown} of {seen.n} windows are unlike all that the context model was trained on: contexts "
-                "are unsure there",
-            )
-        )
-    if seen.irregular > max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER):
-        notes.append(
-            Note(
-                "steps",
-                f"in {seen.irregular} of {seen.n} windows the phone seems to be handled, not carried by somebody who "
-                "walks: steps there may be false",
-            )
-        )
+        words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
+        notes.append(Note("sensors", words + "there was no angular rate"))
+    if seen.unknown > notable:
+        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
+        notes.append(Note("contexts", words + "contexts are unsure there"))
+    if seen.irregular > notable:
+        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
+        notes.append(Note("steps", words + "steps there may be false"))
     notes += config.notes
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
@@ -170,12 +154,8 @@ _CLIMB_AGE_S = 1.0
 
 def climb_at(climbs: Sequence[Climb], time_s: float) -> Climb | None:
     """The last climb rate at or before a time, if it is recent enough."""
-    i = bisect_right(climbs, time_s, key=_time_s)
+    i = bisect_right(climbs, time_s, key=attrgetter("time_s"))
     return climbs[i - 1] if i and climbs[i - 1].time_s >= time_s - _CLIMB_AGE_S else None
-
-
-def _time_s(climb: Climb) -> float:
-    return climb.time_s
 
 
 def finish(config: Config, state: State) -> tuple[State, Output]:
@@ -218,7 +198,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         output.passages.extend(brought.passages)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
-    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=_time_s) - 1, 0) :]
+    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0) :]
     return replace(state, climbs=climbs), output
 
 

@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
-from pdr_filter.filtering import Output, State, add_pressure, due_s, finish, init, notes_of, step, untimely
+from pdr_filter.filtering import State, add_pressure, due_s, finish, init, notes_of, step, untimely
 from pdr_filter.values import Fix, FloatArray, ImuBlock
 
 
@@ -66,7 +66,9 @@ class OnlineFilter:
         angular_rate_radps, magnetic_field_ut : (N, 3), optional
             At the same times; NaN rows, or nothing, where there is no measurement.
         """
-        return self._advance(imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)).updates
+        block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
+        self.state, output = step(self.config, self.state, block)
+        return output.updates
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
         """Take samples of a barometer, (N,) each: the climb rate distinguishes stairs from flat walking.
@@ -75,10 +77,6 @@ class OnlineFilter:
         """
         time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
         self.state = add_pressure(self.config, self.state, time, pressure)
-
-    def _advance(self, block: ImuBlock) -> Output:
-        self.state, output = step(self.config, self.state, block)
-        return output
 
     def finish(self) -> list[StepUpdate]:
         """Updates of the last steps, when no further sample will come."""

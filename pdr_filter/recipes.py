@@ -118,12 +118,5 @@ def check_name(name: str) -> None:
 
 
 RECIPES: Mapping[str, Callable[[Subject | None], Config]] = MappingProxyType(
-    {
-        "default": default,
-        "martinelli2018": martinelli2018,
-        "guo2018": guo2018,
-        "susi2013": susi2013,
-        "tian2016": tian2016,
-        "zhou2019": zhou2019,
-    }
+    {recipe.__name__: recipe for recipe in (default, martinelli2018, guo2018, susi2013, tian2016, zhou2019)}
 )

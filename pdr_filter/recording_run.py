@@ -25,7 +25,6 @@ from pdr_filter.values import (
     Fix,
     FixResult,
     ImuBlock,
-    Note,
     Step,
     Table,
     Windows,
@@ -84,7 +83,12 @@ def outputs(
 
     MissingSensorError if the tracks of the recipe need what was not recorded.
     """
-    _check_sensors(config, recording)
+    missing = [name for name in config.needs if name not in recording.streams]
+    if missing:
+        raise MissingSensorError(
+            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
+            'needs for a track; use recipe "default", which does without'
+        )
     state = replace(
         init(config),
         waiting_fixes=tuple(sorted(fixes, key=lambda f: due_s(config, f))),
@@ -106,16 +110,16 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s
     duration_s = 0.0 if np.isnan(report.last_time_s) else report.last_time_s - start_s
+    misplaced = ("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit",)
+    if config.on_foot or not recording.is_on_foot:
+        misplaced = ()
     track = _track(recording.name, config, [u for u in whole.updates if u.is_final], _windows(whole.windows))
     track = replace(
         track,
         start_time_s=start_s,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
-        notes=(
-            *recording.notes,
-            *(note.text for note in (*_placement_notes(recording, config), *notes_of(config, state))),
-        ),
+        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
     alignment = state.tracker.pedestrian.frame.alignment
     return track if alignment is None else _in_world(track, alignment)
@@ -148,16 +152,6 @@ def default_config(recording: Recording) -> Config:
     from pdr_filter.recipes import default  # loads the shipped models, which training makes
 
     return default(recording.subject)
-
-
-def _check_sensors(config: Config, recording: Recording) -> None:
-    """MissingSensorError if the tracks of the recipe need what was not recorded."""
-    missing = [name for name in config.needs if name not in recording.streams]
-    if missing:
-        raise MissingSensorError(
-            f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
-            'needs for a track; use recipe "default", which does without'
-        )
 
 
 def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
@@ -234,9 +228,3 @@ def _in_world(track: Track, alignment: Alignment) -> Track:
         ),
         walking_heading_rad=read_only(wrap_angle(turned)),
     )
-
-
-def _placement_notes(recording: Recording, config: Config) -> list[Note]:
-    if config.on_foot or not recording.is_on_foot:
-        return []
-    return [Note("placement", "worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit")]

@@ -41,8 +41,7 @@ def precision(confusion: IntArray) -> FloatArray:
 
 def macro_recall(confusion: IntArray) -> float:
     """Mean recall of the classes that occur: the mean of the diagonal of a table like Martinelli et al.'s III."""
-    of_class = recall(confusion)
-    return float(np.nanmean(of_class)) if confusion.sum() else np.nan
+    return float(np.nanmean(recall(confusion))) if confusion.sum() else np.nan
 
 
 def kappa(confusion: IntArray) -> float:

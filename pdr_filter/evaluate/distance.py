@@ -43,24 +43,12 @@ def distance_scores(error_percent: ArrayLike) -> DistanceScores:
     error = np.asarray(error_percent, dtype=float).ravel()
     if not len(error):
         return DistanceScores(0, np.nan, np.nan, np.nan, np.nan)
-    return DistanceScores(
-        len(error),
-        float(error.mean()),
-        float(error.std()),
-        float(np.sqrt((error**2).mean())),
-        float(np.abs(error).max()),
-    )
+    rmse, largest = np.sqrt((error**2).mean()), np.abs(error).max()
+    return DistanceScores(len(error), float(error.mean()), float(error.std()), float(rmse), float(largest))
 
 
 def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[str]) -> Table:
-    """A row for each context and one for all: `context, n, {bias, spread, rmse, largest}_percent`.
-
-    Parameters
-    ----------
-    estimate_m, true_m : (N,)
-    context : (N,)
-        Of each leg.
-    """
+    """A row for each context of legs (N,) and one for all: `context, n, {bias, spread, rmse, largest}_percent`."""
     error = percent_error(estimate_m, true_m).ravel()
     of_leg = np.asarray(context, dtype=str)
     if len(of_leg) != len(error):
@@ -76,12 +64,7 @@ def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[s
 def walked_m(time_s: FloatArray, step_length_m: FloatArray, start_s: ArrayLike, end_s: ArrayLike) -> FloatArray:
     """Sum of the lengths (K,) of the steps that ended after each start and not after its end, (N,).
 
-    Parameters
-    ----------
-    time_s, step_length_m : (K,)
-        Contacts that end the steps, ascending, and the lengths, as in `Track`.
-    start_s, end_s : (N,)
-        Of the legs.
+    `time_s` (K,) are the contacts that end the steps, ascending, as in `Track`.
     """
     total_m = np.concatenate([[0.0], np.cumsum(step_length_m)])
     start, end = (np.searchsorted(time_s, t, side="right") for t in (start_s, end_s))

@@ -21,15 +21,9 @@ from pdr_filter.values import FloatArray, Table, TrackRows, steps_of, table
 def weighting_tracks(
     recording: Recording, config: Config | None = None, progress: Callable[[float], None] | None = None
 ) -> dict[str, Track]:
-    """Tracks of the recording with HC, WC and IMM, all else alike.
+    """Tracks of the recording with HC, WC and IMM, all else alike, by the default recipe if no `config` is given.
 
-    Parameters
-    ----------
-    recording : Recording
-    config : Config, optional
-        A recipe; the default recipe if not given.
-    progress : callable, optional
-        Called with the fraction done, 0 to 1.
+    `progress` is called with the fraction done, 0 to 1.
     """
     tracks: dict[str, Track] = {}
     for i, name in enumerate(WEIGHTINGS):
@@ -55,13 +49,7 @@ def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray
     """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
 
     Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
-    eq. 17 and 18), and the probabilities of all windows.
-
-    Parameters
-    ----------
-    track : TrackRows
-    modes : sequence of Mode
-        One for each context, as in `config.model.modes`.
+    eq. 17 and 18), and the probabilities of all windows; the modes are `config.model.modes`, one for each context.
     """
     if sorted(m.context for m in modes) != sorted(track.contexts):
         raise ValueError(f"one mode for each of {track.contexts} is needed, got {[m.context for m in modes]}")

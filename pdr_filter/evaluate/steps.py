@@ -26,13 +26,7 @@ def matched_steps(true_s: FloatArray, found_s: FloatArray, tolerance_s: float) -
     """One-to-one matches within the tolerance, (M, 2): index of the true step, index of the found one, in time order.
 
     As many as there can be: for points on a line and one tolerance, taking the earliest pair that fits is optimal.
-
-    Parameters
-    ----------
-    true_s, found_s : (N,), (K,)
-        Times, ascending.
-    tolerance_s : float
-        Largest distance of a match, included.
+    True (N,) and found times (K,) ascend; a distance of just the tolerance is a match.
     """
     for name, times in (("true_s", true_s), ("found_s", found_s)):
         if len(times) and not (np.diff(times) >= 0).all():

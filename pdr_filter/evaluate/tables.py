@@ -30,11 +30,8 @@ def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> M
     else:
         names = list(rows.dtype.names or ())
         cells = [list(row.item()) for row in rows]
-    lines = [names, ["---"] * len(names), *([_cell(c, digits) for c in row] for row in cells)]
-    head, rule, *body = lines
-    return Markdown(
-        "\n".join([f"| {' | '.join(head)} |", f"|{'|'.join(rule)}|", *(f"| {' | '.join(b)} |" for b in body)])
-    )
+    head = [f"| {' | '.join(names)} |", f"|{'|'.join(['---'] * len(names))}|"]
+    return Markdown("\n".join([*head, *(f"| {' | '.join(_cell(c, digits) for c in row)} |" for row in cells)]))
 
 
 def _cell(value: object, digits: int) -> str:

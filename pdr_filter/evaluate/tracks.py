@@ -23,13 +23,7 @@ def positions_at(time_s: FloatArray, position_m: FloatArray, at_s: ArrayLike) ->
     """Positions (T, 2) of a track at any times (T,), linear between its steps.
 
     A track has a row for each step and begins at the origin, where it is until the first time that is asked for, or the
-    first step if that is earlier. After its last step it stays.
-
-    Parameters
-    ----------
-    time_s, position_m : (K,), (K, 2)
-        Steps, ascending.
-    at_s : (T,)
+    first step if that is earlier. After its last step it stays. Steps (K,), (K, 2) ascend in time.
     """
     at = np.asarray(at_s, dtype=float)
     if not len(at) or not len(time_s):
@@ -52,7 +46,7 @@ def moved_m(time_s: FloatArray, position_m: FloatArray, start_s: ArrayLike, end_
 def path_m(position_m: FloatArray) -> FloatArray:
     """Length of the line through points (N, 2) up to each of them, (N,)."""
     legs_m = np.linalg.norm(np.diff(position_m, axis=0), axis=1)
-    return np.concatenate([[0.0], np.cumsum(legs_m)])
+    return np.append(0.0, np.cumsum(legs_m))
 
 
 def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
@@ -84,14 +78,9 @@ def aligned(
 ) -> FloatArray:
     """The estimate (N, 2) in the frame of the reference (N, 2), never scaled.
 
-    Parameters
-    ----------
-    align : {"none", "origin", "first", "all"}
-        none: as it is. origin: moved so that the first points agree, not turned. first: turned and moved onto the first
-        fraction of the path, what a user would see who knows where he started and where to. all: onto all points, the
-        error of the shape alone; no filter could know it on the way.
-    fraction : float
-        Of the path, for "first"; never fewer than three points.
+    none: as it is. origin: moved so that the first points agree, not turned. first: turned and moved onto the first
+    fraction of the path (never fewer than three points), what a user would see who knows where he started and where to.
+    all: onto all points, the error of the shape alone; no filter could know it on the way.
     """
     if estimate_m.shape != reference_m.shape:
         raise ValueError(f"estimate and reference must be alike, got {estimate_m.shape} and {reference_m.shape}")

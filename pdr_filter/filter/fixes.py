@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter.alignment import Alignment, PairedPoint, align
-from pdr_filter.filter.imm import ImmArithmetic
+from pdr_filter.filter.imm import NumpyImm
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.filter.pedestrian import (
@@ -37,22 +37,13 @@ _Result = tuple[PedestrianState, FixOutcome, float]
 
 
 def use_fix(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
-) -> tuple[PedestrianState, FixOutcome, float]:
+    model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, offset_rad: FloatArray, fix: Fix
+) -> _Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
     A fix that no filter can explain, or that is older than the remembered steps, is rejected. Where the frame of the
     fixes is not known, the first position fixes wait until they show where the track is and which way is north.
-
-    Parameters
-    ----------
-    model, arithmetic
-        Gates and noise, and how the filters are updated.
-    state : PedestrianState
-        Of F filters.
-    offset_rad : (F,)
-        The filters' own walking heading less the heading that the body faces.
-    fix : PositionFix, HeadingFix, SpeedFix or Standstill
+    `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
     """
     if isinstance(fix, Standstill):
         standstills = (*state.standstills, (fix.time_s, fix.end_s))[-MAX_STANDSTILLS:]
@@ -70,12 +61,9 @@ def use_fix(
 
 
 def _on_position(
-    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> _Result:
-    """The fix is compared with where the track was at the fix's own time, and corrects the present by it.
-
-    An approximation: the heading's part in what was walked since is not corrected again.
-    """
+    """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is."""
     since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
     # what was walked since is known as well as a person's step length is
     R = fix.cov_m2 + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
@@ -90,7 +78,7 @@ def _on_position(
 
 def _on_heading(
     model: PedestrianModel,
-    arithmetic: ImmArithmetic,
+    arithmetic: NumpyImm,
     state: PedestrianState,
     offset_rad: FloatArray,
     fix: HeadingFix,
@@ -109,7 +97,7 @@ def _on_heading(
     return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, fix.std_rad**2)
 
 
-def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
+def _on_speed(model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, fix: SpeedFix) -> _Result:
     """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
     if state.speed is None or state.speed.smoothed_mps <= 0:
         return state, "nothing to compare", np.nan
@@ -121,7 +109,7 @@ def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: Pedestri
 
 def _on_state(
     model: PedestrianModel,
-    arithmetic: ImmArithmetic,
+    arithmetic: NumpyImm,
     state: PedestrianState,
     index: int,
     innovation: FloatArray,
@@ -136,7 +124,7 @@ def _on_state(
 
 
 def _gated(
-    arithmetic: ImmArithmetic,
+    arithmetic: NumpyImm,
     state: PedestrianState,
     updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     gate_nis: float,

@@ -9,7 +9,6 @@ interacting multiple model algorithm for systems with Markovian switching coeffi
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 
@@ -122,9 +121,8 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     is_finite = np.isfinite(highest)
     if not is_finite.any():
         return predicted_mode_prob
-    relative = np.exp(
-        log_posterior - np.where(is_finite, highest, 0.0), where=is_finite, out=np.ones_like(log_posterior)
-    )
+    above = log_posterior - np.where(is_finite, highest, 0.0)
+    relative = np.exp(above, where=is_finite, out=np.ones_like(above))
     return np.where(is_finite, relative / relative.sum(axis=-1, keepdims=True), predicted_mode_prob)
 
 
@@ -133,16 +131,8 @@ def smoothed_mode_prob(mode_prob: FloatArray, transition_prob: FloatArray, lag: 
 
     The backward pass of a hidden Markov model: p(j at k | k + L) = mu_k(j) sum_i t_ji p(i at k + 1 | k + L) /
     sum_j mu_k(j) t_ji, from k + L backwards, or from the last step. Exact for modes that move alike; what the positions
-    say of the modes between is in the filtered probabilities only.
-
-    Parameters
-    ----------
-    mode_prob : (K, M)
-        After each step, as `Track.mode_prob`.
-    transition_prob : (M, M)
-        From one step to the next, as `PedestrianModel.transition_prob`.
-    lag : int, optional
-        Steps of hindsight L; 4 are two seconds of walking. All later steps if not given.
+    say of the modes between is in the filtered probabilities only. `transition_prob` (M, M) is that of the model; the
+    lag is L in steps, 4 of which are two seconds of walking; all later steps if not given.
     """
     mode_prob = np.asarray(mode_prob, dtype=float)
     check_transition_prob(transition_prob, mode_prob.shape[-1])
@@ -185,33 +175,9 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
     return combined[..., 0, :], within + (mode_prob[..., None] * spread).swapaxes(-1, -2) @ spread
 
 
-class ImmArithmetic(Protocol):
-    """Whose arithmetic a tracker uses; the results are those of the functions here."""
-
-    def mix(
-        self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """As `mix`."""
-        ...
-
-    def update(
-        self, mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
-    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        """As `update`."""
-        ...
-
-    def update_mode_prob(self, predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
-        """As `update_mode_prob`."""
-        ...
-
-    def combine(self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """As `combine`."""
-        ...
-
-
 @dataclass(frozen=True)
 class NumpyImm:
-    """The functions of this module."""
+    """The functions of this module: whose arithmetic a tracker uses."""
 
     mix = staticmethod(mix)
     update = staticmethod(update)

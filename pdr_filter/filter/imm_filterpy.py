@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
+from pdr_filter.filter.imm import NumpyImm
 from pdr_filter.values import FloatArray
 
 
@@ -106,7 +107,7 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
 
 
 @dataclass(frozen=True)
-class FilterpyImm:
+class FilterpyImm(NumpyImm):
     """The functions of this module, as a tracker takes them."""
 
     mix = staticmethod(mix)
@@ -116,11 +117,9 @@ class FilterpyImm:
 
 
 def _filters(mean: FloatArray, cov: FloatArray, dim_z: int = 1) -> list[Any]:
-    filters: list[Any] = []
-    for x, P in zip(mean, cov, strict=True):
-        kalman: Any = KalmanFilter(dim_x=len(x), dim_z=dim_z)
+    filters: list[Any] = [KalmanFilter(dim_x=mean.shape[1], dim_z=dim_z) for _ in mean]
+    for kalman, x, P in zip(filters, mean, cov, strict=True):
         kalman.x, kalman.P, kalman.Q = x.copy(), P.copy(), np.zeros_like(P)
-        filters.append(kalman)
     return filters
 
 

@@ -7,27 +7,25 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
-    StepUpdate,
     Walked,
     elapsed_s,
     initial_state,
     is_known_to_stand,
     learned_heading,
-    position_cov,
     shared_cov,
+    step_update,
     with_first_heading,
-    with_gap,
     with_step,
 )
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
-from pdr_filter.filter.tracker import Passage, TrackerOutput
+from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, read_only
+from pdr_filter.values import Fix, FixOutcome, Step
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
@@ -48,16 +46,11 @@ class ImmState:
 class ImmTracker:
     """The interacting multiple model over the modes of a model; each step is reported once, when it is known.
 
-    Parameters
-    ----------
-    model : PedestrianModel
-        Modes, transitions, noise, evidence.
-    arithmetic : ImmArithmetic
-        `NumpyImm()`, or `imm_filterpy.FilterpyImm()`: the same track from filterpy's classes, many times slower.
+    With `imm_filterpy.FilterpyImm()` the same track comes from filterpy's classes, many times slower.
     """
 
     model: PedestrianModel
-    arithmetic: ImmArithmetic = field(default_factory=NumpyImm)
+    arithmetic: NumpyImm = field(default_factory=NumpyImm)
 
     weighting = "imm"
     # A step is final when it is known: windows that come later are evidence for later steps.
@@ -80,16 +73,8 @@ class ImmTracker:
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
-        ahead = advance(
-            mixed,
-            mixed_cov,
-            step,
-            length_m,
-            model.residual_var_m2,
-            model.directions,
-            model.noise,
-            elapsed_s(pedestrian, step),
-        )
+        since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2
+        ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
@@ -111,20 +96,9 @@ class ImmTracker:
             own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
         )
         after = with_step(replace(pedestrian, mean=mean, cov=cov, prob=prob), step, walked, (x, P))
-        assert after.speed is not None
-        update = StepUpdate(
-            index=pedestrian.n_final,
-            step=step,
-            is_final=True,
-            position_m=read_only(x[:2]),
-            position_cov_m2=position_cov(P, after),
-            step_length_m=walked.length_m,
-            walking_heading_rad=walked.heading_rad,
-            speed=after.speed,
-            context_prob=read_only(window.prob if window else self._latest_context(state, prob)),
-            mode_prob=read_only(prob),
-            gap_before_s=pedestrian.gap_s,
-        )
+        latest = window or (state.windows[-1] if state.windows else None)
+        context_prob = latest.prob if latest else model.context_prob(prob)
+        update = step_update(pedestrian, after, step, walked, (x, P), context_prob, prob)
         passage = Passage(
             ModeEstimates(known, known_cov, pedestrian.prob),
             Transition(model.transition_prob, mixed, mean, ahead.F, ahead.Q),
@@ -138,15 +112,7 @@ class ImmTracker:
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, TrackerOutput]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""
-        before = state.pedestrian
-        after = with_gap(before, gap_s, self.model.noise)
-        stay = np.broadcast_to(np.eye(before.mean.shape[1]), before.cov.shape)
-        passage = Passage(
-            ModeEstimates(before.mean, before.cov, before.prob),
-            Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, after.cov - before.cov),
-            shared_cov(after),
-            is_step=False,
-        )
+        after, passage = over_gap(state.pedestrian, gap_s, self.model.noise)
         return replace(state, pedestrian=after, windows=()), TrackerOutput(passages=(passage,))
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
@@ -158,6 +124,3 @@ class ImmTracker:
     def finish(self, state: ImmState) -> tuple[ImmState, TrackerOutput]:
         """New state when no further window will come: no step waits."""
         return state, TrackerOutput()
-
-    def _latest_context(self, state: ImmState, mode_prob: FloatArray) -> FloatArray:
-        return state.windows[-1].prob if state.windows else self.model.context_prob(mode_prob)

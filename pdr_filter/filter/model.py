@@ -19,45 +19,27 @@ from pdr_filter.values import CONTEXTS, FloatArray, Step
 class PedestrianModel:
     """Modes with their transitions, noise and evidence; what both trackers filter with.
 
-    Parameters
-    ----------
-    modes : tuple of Mode
-        Motion models; `WeightedTracker` needs exactly one for each context.
-    transition_prob : (M, M)
-        Probability from mode i to mode j between two steps; rows sum to one.
-    evidence_exponent : float
-        Tempering of the evidence of one window. Hop over window length (0.5) would let no second of overlapping windows
-        count twice; with 1 the mode probabilities of people left out are nearer to the truth (docs/benchmarks.md).
-    prior_exponent : float
-        How far the classifier's training prior is divided out. With all of it other people's flat walking is classified
-        as stairs, with none of it their stairs as walking (docs/benchmarks.md).
-    evidence_floor : float
-        Probability below which a context is not pushed by one window.
-    step_log_odds_stationary : float
-        Log evidence of a detected step for a mode that stands still against one that moves. Handling a phone makes
-        about 16 false detections a minute, walking 110 true ones: log(16 / 110).
-    noise : MotionNoise
-        Of the slow states.
-    fix_gate_nis : float
-        Fixes with a larger normalised innovation squared in every mode are rejected: chi-square with two degrees
-        of freedom keeps 99.9 % of good ones below 13.8.
-    scalar_gate_nis : float
-        The same for headings and speeds, one degree of freedom.
-    frame : Frame
-        Where fixes are: `START_FRAME`, that of the track, which starts at the origin; or `UNKNOWN_FRAME`, another one
-        whose origin and north are not known to the track before some fixes have shown them.
+    The evidence of one window is tempered by an exponent. Hop over window length (0.5) would let no second of
+    overlapping windows count twice; with 1 the mode probabilities of people left out are nearer to the truth. The
+    exponent of the prior is how far the classifier's training prior is divided out: with all of it other people's flat
+    walking is classified as stairs, with none of it their stairs as walking (docs/benchmarks.md for both).
+
+    Fixes with a larger normalised innovation squared than the gate in every mode are rejected: chi-square keeps 99.9 %
+    of good positions below 13.8, of good headings and speeds below 10.8.
     """
 
-    modes: tuple[Mode, ...]
-    transition_prob: FloatArray
+    modes: tuple[Mode, ...]  # `WeightedTracker` needs exactly one for each context
+    transition_prob: FloatArray  # (M, M) from mode i to mode j between two steps; rows sum to one
     evidence_exponent: float = 1.0
     prior_exponent: float = 0.2
-    evidence_floor: float = 0.01
+    evidence_floor: float = 0.01  # probability below which a context is not pushed by one window
+    # Log evidence of a detected step for a mode that stands still against one that moves: handling a phone makes about
+    # 16 false detections a minute, walking 110 true ones, log(16 / 110).
     step_log_odds_stationary: float = -1.9
     noise: MotionNoise = field(default_factory=MotionNoise)
     fix_gate_nis: float = 13.8
     scalar_gate_nis: float = 10.8
-    frame: Frame = START_FRAME
+    frame: Frame = START_FRAME  # of the fixes; `UNKNOWN_FRAME` until some have shown its origin and north to the track
 
     def __post_init__(self) -> None:
         if not self.modes:
@@ -130,10 +112,7 @@ class PedestrianModel:
 
     @cached_property
     def long_run_mode_prob(self) -> FloatArray:
-        """Mode probabilities (M,) to which the transitions lead, from an even start.
-
-        From an even start because a chain that cannot mix keeps what it started with.
-        """
+        """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
     def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:

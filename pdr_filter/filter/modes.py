@@ -57,12 +57,10 @@ def context_transitions() -> FloatArray:
     rows = np.zeros((len(CONTEXTS), len(CONTEXTS)))
     walking = CONTEXTS.index("walking")
     for i, context in enumerate(CONTEXTS):
-        others = [j for j in range(len(CONTEXTS)) if j != i]
         leave = 1 - stay[context]
+        rows[i] = leave / 5 if i == walking else leave * (0.1 / 4)
+        rows[i, walking] = leave * 0.9  # nine of ten leave for walking
         rows[i, i] = stay[context]
-        for j in others:
-            # nine of ten leave for walking
-            rows[i, j] = leave / 5 if i == walking else leave * (0.9 if j == walking else 0.1 / 4)
     return rows
 
 

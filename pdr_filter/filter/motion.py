@@ -24,37 +24,16 @@ IRREGULAR = "irregular"
 
 @dataclass(frozen=True, eq=False)
 class Mode:
-    """A motion model of the filter.
+    """A motion model of the filter; stationary and irregular modes move nowhere, whatever their step length."""
 
-    Parameters
-    ----------
-    name : str
-        Unique name.
-    context : str
-        The context whose probability is its evidence, or "irregular" for handling of the phone. Stationary and
-        irregular modes move nowhere, whatever their step length.
-    step_length : StepLengthFit
-        Length of a step with its uncertainty.
-    heading_offset_rad : float
-        Walking heading less the heading the body faces: +pi/2 for steps to the right.
-    heading_std_rad : float
-        Independent error of the walking heading of each step.
-    carrying_mode : str, optional
-        Where the phone is in this mode: that one's probability is evidence too. Any, if not given.
-    heading_drift_rad_per_sqrt_s : float
-        Random walk of the heading offset in this mode, besides that of all modes (`MotionNoise`).
-    extra_noise_m : float
-        Independent error of each step along each axis, besides those of length and direction.
-    """
-
-    name: str
-    context: str
+    name: str  # unique
+    context: str  # whose probability is its evidence, or "irregular" for handling of the phone
     step_length: StepLengthFit
-    heading_offset_rad: float = 0.0
-    heading_std_rad: float = 0.1
-    carrying_mode: str | None = None
-    heading_drift_rad_per_sqrt_s: float = 0.0
-    extra_noise_m: float = 0.0
+    heading_offset_rad: float = 0.0  # walking heading less the heading the body faces: +pi/2 for steps to the right
+    heading_std_rad: float = 0.1  # independent error of the walking heading of each step
+    carrying_mode: str | None = None  # where the phone is, whose probability is evidence too; None for any
+    heading_drift_rad_per_sqrt_s: float = 0.0  # random walk of the heading offset besides that of `MotionNoise`
+    extra_noise_m: float = 0.0  # independent error of each step along each axis, besides length and direction
 
     def __post_init__(self) -> None:
         if self.context not in (*CONTEXTS, IRREGULAR):
@@ -111,26 +90,15 @@ class Directions:
 class MotionNoise:
     """How fast the slow states wander, and what is known at the start.
 
-    Parameters
-    ----------
-    heading_drift : HeadingDrift
-        Of the heading offset in all modes.
-    initial_heading_offset_std_rad : float
-        How well the phone's first heading is the person's.
-    log_scale_std : float
-        Spread of people about the population's step lengths: 8 %.
-    log_scale_drift_per_sqrt_step : float
-        How fast a person's scale wanders. It keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2,
-        which forgets in 13,000 steps, so that after a day the scale is not less known than that of a stranger.
-    gap_speed_mps : float
-        In a gap the pedestrian may have gone anywhere at this speed (one standard deviation).
+    A person's log scale keeps its spread: s_k = a s_{k-1} + w with a^2 = 1 - drift^2 / std^2, which forgets in 13,000
+    steps, so that after a day the scale is not less known than that of a stranger.
     """
 
-    heading_drift: HeadingDrift = field(default_factory=HeadingDrift)
-    initial_heading_offset_std_rad: float = 0.15
-    log_scale_std: float = 0.08
+    heading_drift: HeadingDrift = field(default_factory=HeadingDrift)  # of the heading offset in all modes
+    initial_heading_offset_std_rad: float = 0.15  # how well the phone's first heading is the person's
+    log_scale_std: float = 0.08  # spread of people about the population's step lengths
     log_scale_drift_per_sqrt_step: float = 0.001
-    gap_speed_mps: float = 1.0
+    gap_speed_mps: float = 1.0  # standard deviation: in a gap the pedestrian may have gone anywhere at this speed
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
@@ -171,15 +139,7 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
     `offset_change_std_rad` squared. The walking heading z is a measurement of frame + device heading + offset state,
     its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
     offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
-
-    Parameters
-    ----------
-    mean, cov
-        Of the modes.
-    step : Step
-        With what the heading stage says of it.
-    frame_rad : float
-        Offset that counts as zero: north of the track is where the person would have walked with the first one.
+    `frame_rad` is the offset that counts as zero: north of the track is where the person would have walked with it.
     """
     o = HEADING_OFFSET
     if step.offset_change_std_rad > 0:
@@ -207,9 +167,8 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     o = HEADING_OFFSET
     cov = cov.copy()
     std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
-    variance = cov[..., o, o].copy()
+    c, variance = cov[..., :, o].copy(), cov[..., o, o].copy()
     ratio = std_rad**2 / variance
-    c = cov[..., :, o].copy()
     cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
     return cov
 
@@ -234,21 +193,7 @@ def advance(
     noise: MotionNoise,
     elapsed_s: float | None = None,
 ) -> Advance:
-    """One step of means (..., M, 4) and covariances (..., M, 4, 4): P_k = F P_{k-1} F' + Q, F and Q of `linearise`."""
-    predicted_mean, F, Q = linearise(mean, step, length_m, length_var_m2, directions, noise, elapsed_s)
-    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
-
-
-def linearise(
-    mean: FloatArray,
-    step: Step,
-    length_m: FloatArray,
-    length_var_m2: FloatArray,
-    directions: Directions,
-    noise: MotionNoise,
-    elapsed_s: float | None = None,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Predicted means (..., M, 4), F (..., M, 4, 4) and Q (..., M, 4, 4) of a step, one length for each mode.
+    """One step of means (..., M, 4) and covariances (..., M, 4, 4), one length for each mode: P_k = F P_{k-1} F' + Q.
 
     p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}. The heading offset
     wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table
@@ -277,7 +222,7 @@ def linearise(
     )
     Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
     Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
-    return predicted_mean, F, Q
+    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -348,8 +293,6 @@ def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[
 def grow_over_gap(cov: FloatArray, gap_s: float, noise: MotionNoise) -> FloatArray:
     """Covariances (M, 4, 4) after a time without samples: any way walked, any turn taken."""
     grown = cov.copy()
-    walked = noise.gap_var_m2(gap_s)
-    grown[:, EAST, EAST] += walked
-    grown[:, NORTH, NORTH] += walked
+    grown[:, [EAST, NORTH], [EAST, NORTH]] += noise.gap_var_m2(gap_s)
     grown[:, HEADING_OFFSET, HEADING_OFFSET] += noise.heading_drift.unmeasured_rad2(gap_s)
     return bound_heading_variance(grown)

@@ -14,9 +14,7 @@ from pdr_filter.filter.motion import (
     HEADING_OFFSET,
     LOG_SCALE,
     NORTH,
-    MotionNoise,
     expect_first_direction,
-    grow_over_gap,
     initial_estimate,
     learn_heading,
     second_order_errors,
@@ -165,15 +163,6 @@ def with_step(
     )
 
 
-def with_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> PedestrianState:
-    """State after a time without samples: positions and headings are less known.
-
-    The gap's own growth stands for the time since the last step.
-    """
-    cov = grow_over_gap(state.cov, gap_s, noise)
-    return replace(state, cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
-
-
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
     """State in another frame."""
     mean, cov = moved(state.mean, state.cov, alignment)
@@ -187,6 +176,34 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
         shared_m=state.shared_m @ alignment.rotation.T,
         frame=state.frame.moved(alignment),
+    )
+
+
+def step_update(
+    before: PedestrianState,
+    after: PedestrianState,
+    step: Step,
+    walked: Walked,
+    combined: tuple[FloatArray, FloatArray],
+    context_prob: FloatArray,
+    mode_prob: FloatArray,
+    is_final: bool = True,
+) -> StepUpdate:
+    """What is reported of a step that led from one state to the next, see `with_step`."""
+    x, P = combined
+    assert after.speed is not None
+    return StepUpdate(
+        index=before.n_final,
+        step=step,
+        is_final=is_final,
+        position_m=read_only(x[:2]),
+        position_cov_m2=position_cov(P, after),
+        step_length_m=walked.length_m,
+        walking_heading_rad=walked.heading_rad,
+        speed=after.speed,
+        context_prob=read_only(context_prob),
+        mode_prob=read_only(mode_prob),
+        gap_before_s=before.gap_s,
     )
 
 

@@ -35,17 +35,7 @@ def after_step(
 
     v = L / T with var v = (var L + 2 v^2 s^2) / T^2, s the standard deviation of a contact. Smoothed: P = P + q T;
     K = P / (P + var v); v_s = v_s + K (v - v_s); P = (1 - K) P. Both standard deviations have v^2 var(log scale) added.
-
-    Parameters
-    ----------
-    before : WalkingSpeed or None
-        The last step's.
-    length_m, length_var_m2 : float
-        Of this step, its variance without the person's scale.
-    duration_s : float
-        Of this step.
-    log_scale_var : float
-        Variance of the person's log step scale.
+    The variance of the length is without the person's scale.
     """
     speed = length_m / duration_s
     var = (length_var_m2 + 2 * (speed * CONTACT_STD_S) ** 2) / duration_s**2

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, Protocol
+
+import numpy as np
 
 from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
+from pdr_filter.filter.motion import N_STATES, MotionNoise, grow_over_gap
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, shared_cov
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
 
@@ -20,6 +23,19 @@ class Passage:
     transition: Transition
     shared_cov_m2: FloatArray  # (2, 2) after it, of the errors that all steps share
     is_step: bool
+
+
+def over_gap(before: PedestrianState, gap_s: float, noise: MotionNoise) -> tuple[PedestrianState, Passage]:
+    """State after a time without samples, in which positions and headings become less known, and how it came there.
+
+    The gap's own growth stands for the time since the last step.
+    """
+    cov = grow_over_gap(before.cov, gap_s, noise)
+    after = replace(before, cov=cov, last_step_s=np.nan, speed=None, gap_s=before.gap_s + gap_s)
+    stay = np.broadcast_to(np.eye(N_STATES), cov.shape)
+    transition = Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, cov - before.cov)
+    known = ModeEstimates(before.mean, before.cov, before.prob)
+    return after, Passage(known, transition, shared_cov(after), is_step=False)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

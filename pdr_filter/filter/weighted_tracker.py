@@ -22,17 +22,16 @@ from pdr_filter.filter.pedestrian import (
     initial_state,
     is_known_to_stand,
     learned_heading,
-    position_cov,
     shared_cov,
+    step_update,
     with_first_heading,
-    with_gap,
     with_step,
 )
 from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, window_after, window_around, with_window
-from pdr_filter.filter.tracker import Passage, TrackerOutput
+from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, read_only
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,16 +48,11 @@ class WeightedState:
 class WeightedTracker:
     """One filter over the weighted step lengths of the contexts: highest or weighted context.
 
-    Parameters
-    ----------
-    model : PedestrianModel
-        With exactly one mode for each context.
-    threshold : float
-        Second-highest over highest probability from which contexts are weighted (Algorithm 2: 0.8); `weighting.HC`
-        (infinity) takes the highest without exception.
+    The threshold is the second-highest over the highest probability from which contexts are weighted (Algorithm 2:
+    0.8); `weighting.HC` (infinity) takes the highest without exception.
     """
 
-    model: PedestrianModel
+    model: PedestrianModel  # with exactly one mode for each context
     threshold: float = 0.8
 
     # A step is final when the window after the one in which it is new is known.
@@ -96,14 +90,7 @@ class WeightedTracker:
     def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, TrackerOutput]:
         """New state after a time without samples: waiting steps are final, windows start afresh."""
         state, output = self._settle(state, force=True)
-        before = state.pedestrian
-        after = with_gap(before, gap_s, self.model.noise)
-        passage = Passage(
-            ModeEstimates(before.mean, before.cov, before.prob),
-            Transition(np.ones((1, 1)), before.mean, before.mean, np.eye(4)[None], after.cov - before.cov),
-            shared_cov(after),
-            is_step=False,
-        )
+        after, passage = over_gap(state.pedestrian, gap_s, self.model.noise)
         state = replace(state, pedestrian=after, windows=())
         return state, replace(output, passages=(*output.passages, passage))
 
@@ -145,16 +132,8 @@ class WeightedTracker:
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
         directions = model.directions.weighted(weights)
         known, known_cov = learned_heading(before, step)
-        ahead = advance(
-            known,
-            known_cov,
-            step,
-            np.array([mean_length_m]),
-            np.array([own_var_m2]),
-            directions,
-            model.noise,
-            elapsed_s(before, step),
-        )
+        length, var, since_s = np.array([mean_length_m]), np.array([own_var_m2]), elapsed_s(before, step)
+        ahead = advance(known, known_cov, step, length, var, directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         scale = float(np.exp(known[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
@@ -166,20 +145,8 @@ class WeightedTracker:
             own_heading_rad=np.full(len(model.modes), heading_rad),
         )
         after = with_step(replace(before, mean=mean, cov=cov), step, walked, (mean[0], cov[0]))
-        assert after.speed is not None
-        update = StepUpdate(
-            index=before.n_final,
-            step=step,
-            is_final=is_final,
-            position_m=read_only(mean[0, :2]),
-            position_cov_m2=position_cov(cov[0], after),
-            step_length_m=walked.length_m,
-            walking_heading_rad=heading_rad,
-            speed=after.speed,
-            context_prob=read_only(0.5 * (provisional + final)),
-            mode_prob=read_only(weights),
-            gap_before_s=before.gap_s,
-        )
+        context_prob = 0.5 * (provisional + final)
+        update = step_update(before, after, step, walked, (mean[0], cov[0]), context_prob, weights, is_final)
         passage = Passage(
             ModeEstimates(known, known_cov, before.prob),
             Transition(np.ones((1, 1)), known, mean, ahead.F, ahead.Q),

@@ -111,20 +111,10 @@ def carrying_log_evidence(prob: FloatArray, before: FloatArray | None, n_windows
 
 @dataclass(frozen=True, eq=False)
 class ModeEvidence:
-    """What a window says for each mode of a filter.
+    """What a window says for each mode of a filter; exponents and floor are those of `context_log_evidence`."""
 
-    Parameters
-    ----------
-    contexts : tuple of str
-        Of each mode: one of `CONTEXTS`, or "irregular".
-    carrying_modes : tuple of str or None
-        Of each mode; None for any.
-    exponent, prior_exponent, floor
-        See `context_log_evidence`.
-    """
-
-    contexts: tuple[str, ...]
-    carrying_modes: tuple[str | None, ...]
+    contexts: tuple[str, ...]  # of each mode: one of `CONTEXTS`, or "irregular"
+    carrying_modes: tuple[str | None, ...]  # of each mode; None for any
     exponent: float
     prior_exponent: float
     floor: float

@@ -27,18 +27,9 @@ def plot_calibration(
 ) -> Figure:
     """Errors of segments (each left out) over their known lengths, and the people with 95 % intervals.
 
-    Parameters
-    ----------
-    segments : Table
-        `Calibration.segments`.
-    context : str
-        What the people were calibrated for.
-    people_m : mapping
-        Length of a typical step of each person with its standard deviation.
-    population_m : tuple
-        The mean of all people and their spread, NaN for none.
-    path : str or Path, optional
-        Where to save it.
+    `segments` are those of `Calibration`; `people_m` has the length of a typical step of each person in the context and
+    its standard deviation, `population_m` the mean of all people and their spread, NaN for none. Saved if a path is
+    given.
     """
     figure = Figure(figsize=(10.0, 4.8), layout="constrained")
     FigureCanvasAgg(figure)

@@ -80,11 +80,7 @@ def write_report(track: TrackRows, path: str | Path, recording: Recording | None
 def html_report(track: TrackRows, recording: Recording | None = None) -> str:
     """The page: way with 95 % ellipses, where not to trust it, contexts, speed, step lengths, how it was read.
 
-    Parameters
-    ----------
-    track : TrackRows
-    recording : Recording, optional
-        What it was made from, for the part about the reading.
+    The last part needs the recording that the track was made from.
     """
     doubts = [*trust.doubts(track), *(_sentence(note) for note in track.notes)]
     name = text(track.name or "track")
@@ -205,8 +201,7 @@ def _odd(is_odd: bool) -> str:
 
 def _runs(ends: BoolArray) -> list[tuple[int, int]]:
     """Begin and end [a, b) of the stretches between the places where `ends` holds; it has one item less than they."""
-    edges = [0, *(int(i) + 1 for i in np.flatnonzero(ends)), len(ends) + 1]
-    return list(pairwise(edges))
+    return list(pairwise([0, *(int(i) + 1 for i in np.flatnonzero(ends)), len(ends) + 1]))
 
 
 def _words(words: str) -> str:

@@ -31,15 +31,9 @@ _VISIBLE_PROB = 0.1
 def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
     """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
 
-    The figure belongs to no window and to no pyplot state, so nothing has to be closed.
-
-    Parameters
-    ----------
-    track : TrackRows
-    path : str or Path, optional
-        Where to save it; the suffix gives the format. Folders are created.
-    reference_m : (N, 2), optional
-        East and north of the true way in the frame of the track, drawn as it is.
+    The figure belongs to no window and to no pyplot state, so nothing has to be closed. It is saved if a path is given,
+    whose suffix says the format; folders are created. `reference_m` (N, 2) is the true way, east and north in
+    the frame of the track, drawn as it is.
     """
     figure = Figure(figsize=_SIZE_IN, layout="constrained")
     FigureCanvasAgg(figure)
@@ -107,18 +101,13 @@ def plot_contexts(axes: Axes, track: TrackRows) -> None:
     axes.vlines(track.time_s / unit_s, 1.04, 1.14, color=INK, linewidth=width, snap=False)
     end_s = max([track.start_time_s + track.duration_s, *track.time_s[-1:], *windows.time_s[-1:]])
     axes.set_xlim(track.start_time_s / unit_s, max(end_s, track.start_time_s + 1.0) / unit_s)
-    axes.set_ylim(0.0, 1.18)
-    axes.set_yticks([0.0, 0.5, 1.0])
+    axes.set(ylim=(0.0, 1.18), yticks=[0.0, 0.5, 1.0], ylabel="context\nprobability")
     axes.set_xlabel(f"time ({'min' if in_minutes else 's'}); ticks on top are steps")
-    axes.set_ylabel("context\nprobability")
     axes.spines[["top", "right"]].set_visible(False)
 
 
 def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
-    """Times (2 or 3 per window) and probabilities of a curve that is constant from one window to the next.
-
-    Where windows are missing a row of NaN breaks the curve.
-    """
+    """Times and probabilities of a curve, constant in each window; a row of NaN breaks it where windows are missing."""
     starts_s, previous_s = window_starts(windows, start_time_s)
     time_s = np.stack([starts_s, windows.time_s], axis=1).ravel()
     prob = np.repeat(windows.context_prob, 2, axis=0)
@@ -158,8 +147,7 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     axes.set_aspect("equal", adjustable="datalim")
     axes.margins(0.05)
     axes.autoscale_view()
-    axes.set_xlabel("east (m)")
-    axes.set_ylabel("north (m)")
+    axes.set(xlabel="east (m)", ylabel="north (m)")
     axes.grid(color=GRID, linewidth=0.7)
     axes.set_axisbelow(True)
     axes.spines[["top", "right"]].set_visible(False)

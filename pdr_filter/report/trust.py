@@ -25,20 +25,18 @@ def doubts(track: TrackRows) -> list[str]:
         if track.n_steps == 0 and not moves.any():
             found.append("The phone did not move: there is no walk to reckon.")
         rides = [(a, b) for a, b in _stretches(windows.time_s, stepless) if b - a >= _MIN_RIDE_S]
-        found += [
-            f"From {a:.0f} to {b:.0f} s the phone moved without steps, as in a vehicle or a lift: dead reckoning does "
-            "not apply, and the track stands still there."
-            for a, b in rides
-        ]
-        found += [
-            f"From {a:.0f} to {b:.0f} s the phone was handled, not carried: steps there may be false or lost."
-            for a, b in _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
-        ]
-        found += [
-            f"From {a:.0f} to {b:.0f} s the motion is unlike all that the classifier was trained on: its contexts, and "
-            "the step lengths that follow from them, are guesses."
-            for a, b in _long(windows.time_s, windows.unknown_share > 0.5)
-        ]
+        found += _said(
+            rides,
+            "the phone moved without steps, as in a vehicle or a lift: dead reckoning does not apply, and the track "
+            "stands still there.",
+        )
+        handled = _long(windows.time_s, moves & (windows.irregular_prob > 0.5))
+        found += _said(handled, "the phone was handled, not carried: steps there may be false or lost.")
+        found += _said(
+            _long(windows.time_s, windows.unknown_share > 0.5),
+            "the motion is unlike all that the classifier was trained on: its contexts, and the step lengths that "
+            "follow from them, are guesses.",
+        )
     if track.n_steps:
         undecided = track.effective_modes > _DOUBTFUL_MODES
         found += [
@@ -46,10 +44,7 @@ def doubts(track: TrackRows) -> list[str]:
             for a, b in _long(track.time_s, undecided)
         ]
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
-        found += [
-            f"From {a:.0f} to {b:.0f} s there is no angular rate: the direction of the walk is unknown."
-            for a, b in _long(track.time_s, blind)
-        ]
+        found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
         found += [
             f"Between {a:.0f} and {b:.0f} s there is nothing for {b - a:.0f} s: a rest, or a gap in the samples; the "
             "track goes on where it was."
@@ -109,6 +104,10 @@ def _stretches(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]
 
 def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
     return [(a, b) for a, b in _stretches(time_s, holds) if b - a >= _MIN_DOUBT_S]
+
+
+def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
+    return [f"From {a:.0f} to {b:.0f} s {words}" for a, b in stretches]
 
 
 def _names(track: TrackRows, start_s: float, end_s: float) -> str:

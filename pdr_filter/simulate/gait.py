@@ -56,36 +56,18 @@ CONTEXT_GAITS = {"stationary": ContextGait()} | {name: ContextGait(*row) for nam
 
 @dataclass(frozen=True, slots=True)
 class Gait:
-    """A person; `Gait()` is a typical one and `Gait.random(seed)` somebody else.
+    """A person; `Gait()` is a typical one and `Gait.random(seed)` somebody else; factors are to the typical one."""
 
-    Parameters
-    ----------
-    height_m : float
-        Body height; step lengths and the places of the phone scale with it.
-    leg_factor : float
-        Hip height divided by body height.
-    frequency_factor, length_factor : float
-        The person's own step frequency and step length relative to those of a typical person of that height.
-    bounce_factor, impact_factor, swing_factor : float
-        Vertical motion, heel strike, and swing of legs and arms, relative to a typical person's.
-    tremor_factor : float
-        Unsteadiness of the hand, relative to a typical person's.
-    tilt_rad : float
-        How far the top end of the phone is raised when it is held for reading.
-    frequency_std, length_std : float
-        Relative standard deviation from step to step.
-    """
-
-    height_m: float = TYPICAL_HEIGHT_M
-    leg_factor: float = 0.53
+    height_m: float = TYPICAL_HEIGHT_M  # step lengths and the places of the phone scale with it
+    leg_factor: float = 0.53  # hip height divided by body height
     frequency_factor: float = 1.0
-    length_factor: float = 1.0
-    bounce_factor: float = 1.0
-    impact_factor: float = 1.0
-    swing_factor: float = 1.0
-    tremor_factor: float = 1.0
-    tilt_rad: float = 0.65
-    frequency_std: float = 0.025
+    length_factor: float = 1.0  # of steps, beside a typical person of that height
+    bounce_factor: float = 1.0  # vertical motion
+    impact_factor: float = 1.0  # heel strike
+    swing_factor: float = 1.0  # of legs and arms
+    tremor_factor: float = 1.0  # unsteadiness of the hand
+    tilt_rad: float = 0.65  # how far the top end of the phone is raised when it is held for reading
+    frequency_std: float = 0.025  # relative, from step to step, as the next
     length_std: float = 0.025
 
     @classmethod
@@ -205,12 +187,10 @@ class StepPlan:
 
 def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> StepPlan:
     """Durations and lengths of all steps, with the person's variability from step to step."""
-    leg_start: list[float] = []
     leg_end: list[float] = []
     parts: list[tuple[FloatArray, ...]] = [tuple(np.zeros(0) for _ in range(7))]
     clock_s = 0.0
     for k, leg in enumerate(legs):
-        leg_start.append(clock_s)
         if leg.moves:
             joins_previous = k > 0 and legs[k - 1].joins(leg)
             joins_next = k + 1 < len(legs) and leg.joins(legs[k + 1])
@@ -226,17 +206,9 @@ def plan_steps(legs: Sequence[Leg], gait: Gait, rng: np.random.Generator) -> Ste
             clock_s += float(leg.duration_s or 0.0)
         leg_end.append(clock_s)
     leg_of, start, contact, length, rise, first, last = (np.concatenate(column) for column in zip(*parts, strict=True))
-    return StepPlan(
-        leg_start_s=np.array(leg_start),
-        leg_end_s=np.array(leg_end),
-        leg=leg_of.astype(np.int64),
-        start_s=start,
-        contact_s=contact,
-        length_m=length,
-        rise_m=rise,
-        first=first.astype(bool),
-        last=last.astype(bool),
-    )
+    started, ended = np.array([0.0, *leg_end])[:-1], np.array(leg_end)
+    of_leg, first, last = leg_of.astype(np.int64), first.astype(bool), last.astype(bool)
+    return StepPlan(started, ended, of_leg, start, contact, length, rise, first, last)
 
 
 def _leg_steps(

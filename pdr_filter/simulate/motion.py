@@ -222,13 +222,10 @@ def body_path(
 
     The progress passes through the sum of the step lengths at every contact; the surge is zero there.
     """
-    progress = through_contacts(time_s, plan, plan.length_m)
-    progress = progress + surge_m * np.sin(2 * np.pi * phase)
+    progress = through_contacts(time_s, plan, plan.length_m) + surge_m * np.sin(2 * np.pi * phase)
     middle = 0.5 * (travel_rad[1:] + travel_rad[:-1])
-    east = np.append(0.0, np.cumsum(np.diff(progress) * np.sin(middle)))
-    north = np.append(0.0, np.cumsum(np.diff(progress) * np.cos(middle)))
-    height = through_contacts(time_s, plan, plan.rise_m)
-    return np.stack([east, north, height], axis=1)
+    east, north = (np.append(0.0, np.cumsum(np.diff(progress) * f(middle))) for f in (np.sin, np.cos))
+    return np.stack([east, north, through_contacts(time_s, plan, plan.rise_m)], axis=1)
 
 
 def pulses(time_s: FloatArray, centre_s: FloatArray, peak: FloatArray, width_s: FloatArray) -> FloatArray:

@@ -118,10 +118,7 @@ def _hand(
 
 
 def _swinging(rng: np.random.Generator) -> Carrying:
-    """At the end of the arm: mostly along the fingers, screen to the thigh or away from it, else its long edge hangs.
-
-    Three of ten hold the arm bent, which makes the lever short.
-    """
+    """At the end of the arm, bent in three of ten: mostly along the fingers, else the long edge hangs."""
     side, wobble = _side(rng), _about(rng, 1.0, 0.4)
     along = rng.uniform() < 0.7
     long_arm = rng.uniform() < 0.7
@@ -145,10 +142,7 @@ def _swinging(rng: np.random.Generator) -> Carrying:
 
 
 def _pocket(rng: np.random.Generator) -> Carrying:
-    """In a front or, nearly half, a back pocket: either end down, any face to the leg, one in twelve lying across.
-
-    A back pocket sits nearer to the hip, behind it, and moves less with the thigh.
-    """
+    """In a front or, nearly half, a back pocket: either end down, any face to the leg, one in twelve lying across."""
     side, wobble = _side(rng), _about(rng, 1.0, 0.4)
     back = rng.uniform() < 0.45
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.08 else 0.0
@@ -162,9 +156,7 @@ def _pocket(rng: np.random.Generator) -> Carrying:
         pitch_rad=_side(rng) * np.pi / 2 + rng.normal(0.0, 0.15),
         roll_rad=rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], p=[0.4, 0.1, 0.4, 0.1]) + rng.normal(0.0, 0.35),
         twist_rad=across + rng.normal(0.0, 0.35),
-        thigh=rng.uniform(0.4, 0.9) * _about(rng, 0.86, 0.3)
-        if back
-        else rng.uniform(0.6, 1.1) * _about(rng, 0.86, 0.3),
+        thigh=(rng.uniform(0.4, 0.9) if back else rng.uniform(0.6, 1.1)) * _about(rng, 0.86, 0.3),
         bounce=rng.uniform(0.8, 1.1),
         impact=_about(rng, 0.6 if back else 0.8, 0.4),
         impact_width_s=rng.uniform(0.012, 0.028),

@@ -13,30 +13,14 @@ _DEG = np.pi / 180
 
 @dataclass(frozen=True, slots=True)
 class SensorError:
-    """Errors of one sensor, in its unit (m/s2, rad/s or uT); the default is a perfect one.
+    """Errors of one sensor, in its unit (m/s2, rad/s or uT); the default is a perfect one."""
 
-    Parameters
-    ----------
-    noise_density : float
-        White noise, unit/sqrt(Hz); a sample has the standard deviation noise_density * sqrt(rate / 2).
-    bias_std : float
-        Standard deviation of the constant bias of each axis.
-    bias_walk : float
-        Random walk of the bias, unit/sqrt(s).
-    scale_std : float
-        Standard deviation of the relative scale error of each axis.
-    quantum : float
-        Smallest step of the output; 0 for none.
-    full_scale : float
-        Larger values are clipped.
-    """
-
-    noise_density: float = 0.0
-    bias_std: float = 0.0
-    bias_walk: float = 0.0
-    scale_std: float = 0.0
-    quantum: float = 0.0
-    full_scale: float = np.inf
+    noise_density: float = 0.0  # white, unit/sqrt(Hz): a sample has the standard deviation density * sqrt(rate / 2)
+    bias_std: float = 0.0  # of the constant bias of each axis
+    bias_walk: float = 0.0  # random walk of the bias, unit/sqrt(s)
+    scale_std: float = 0.0  # of the relative scale error of each axis
+    quantum: float = 0.0  # smallest step of the output; 0 for none
+    full_scale: float = np.inf  # larger values are clipped
 
     def apply(self, values: FloatArray, rate_hz: float, rng: np.random.Generator) -> FloatArray:
         """What the sensor gives for the true values, (N, 3)."""
@@ -81,25 +65,17 @@ class SensorErrors:
     The default is a TDK InvenSense ICM-20600 (100 ug/sqrt(Hz), 4 mdps/sqrt(Hz), scale 1 %; +-8 g at 4096 LSB/g,
     +-2000 deg/s at 16.4 LSB/(deg/s)) with an AKM AK09911. Offsets in data sheets are those before a phone's own
     calibration (BMI160: 40 mg, 3 deg/s), so 10 mg and 0.2 deg/s are assumed to be left; bias walks are assumed too.
-
-    Parameters
-    ----------
-    accelerometer, gyroscope, magnetometer : SensorError
-        In m/s2, rad/s, uT.
-    jitter_s : float
-        Standard deviation of the reported time of a sample about the true one.
     """
 
     accelerometer: SensorError = field(default_factory=lambda: _accelerometer(100.0))
     gyroscope: SensorError = field(default_factory=lambda: _gyroscope(4.0))
     magnetometer: SensorError = _AK09911
-    jitter_s: float = 2e-4
+    jitter_s: float = 2e-4  # standard deviation of the reported time of a sample about the true one
 
     @classmethod
     def none(cls) -> SensorErrors:
         """Perfect sensors and clocks."""
-        perfect = SensorError()
-        return cls(accelerometer=perfect, gyroscope=perfect, magnetometer=perfect, jitter_s=0.0)
+        return cls(SensorError(), SensorError(), SensorError(), jitter_s=0.0)
 
     @classmethod
     def bmi160(cls) -> SensorErrors:

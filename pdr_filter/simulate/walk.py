@@ -9,10 +9,10 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, StepPlan, plan_steps
+from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, plan_steps
 from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
 from pdr_filter.simulate.sensors import SensorErrors
-from pdr_filter.values import FloatArray, Samples, Table, table
+from pdr_filter.values import FloatArray, Samples, table
 
 MAGNETOMETER_RATE_HZ = 50.0
 # East, north, up; about that of central Europe, north being magnetic north.
@@ -68,8 +68,6 @@ def simulate(
         The same seed gives the same recording; the walk does not depend on `errors` and `rate_hz`.
     start_heading_rad : float
         Clockwise from north.
-    name : str
-        Name of the recording.
     carrying : mapping of str to Carrying, optional
         Where the phone is in each carrying mode, for persons who carry it in their own way; the typical places
         `motion.CARRYING` if not given.
@@ -164,6 +162,7 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
     position = motion.body_at(position_s)
     corner_s = np.append(0.0, plan.leg_end_s)
     corner = motion.body_at(corner_s)
+    pair = plan.leg[1:] == plan.leg[:-1]
     return Truth(
         position=table({"time_s": position_s} | dict(zip(("east_m", "north_m", "up_m"), position.T, strict=True))),
         waypoints=table(
@@ -175,7 +174,13 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
             }
         ),
         steps=table({"time_s": plan.contact_s}),
-        strides=_strides(plan),
+        strides=table(  # every two steps in a row of one leg: contact of a foot to the next contact of the same foot
+            {
+                "start_s": plan.start_s[:-1][pair],
+                "end_s": plan.contact_s[1:][pair],
+                "length_m": (plan.length_m[:-1] + plan.length_m[1:])[pair],
+            }
+        ),
         segments=table(
             {
                 "start_s": plan.leg_start_s,
@@ -192,18 +197,6 @@ def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:
                 "carrying_mode": np.array(modes),
             }
         ),
-    )
-
-
-def _strides(plan: StepPlan) -> Table:
-    """Every two steps in a row of one leg: contact of a foot to the next contact of the same foot."""
-    pair = plan.leg[1:] == plan.leg[:-1]
-    return table(
-        {
-            "start_s": plan.start_s[:-1][pair],
-            "end_s": plan.contact_s[1:][pair],
-            "length_m": (plan.length_m[:-1] + plan.length_m[1:])[pair],
-        }
     )
 
 

@@ -47,7 +47,7 @@ class Increments:
     """What each of K steps adds, before the person's scale and heading offset.
 
     A step comes about in this order: the gap and the change of the heading offset before it, the displacement, the
-    drifts of heading offset and scale after it (`pdr_filter.filter.motion.linearise` has the same order).
+    drifts of heading offset and scale after it (`pdr_filter.filter.motion.advance` has the same order).
     """
 
     time_s: FloatArray  # (K,) contacts

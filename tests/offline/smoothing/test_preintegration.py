@@ -7,7 +7,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
-from pdr_filter.filter.motion import Directions, Mode, MotionNoise, grow_over_gap, linearise
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, grow_over_gap
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
 from pdr_filter.values import Step, step_table
@@ -76,9 +76,9 @@ def test_an_increment_is_the_step_of_the_filter() -> None:
     )
     noise = MotionNoise()
     found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
-    mean, _, added_cov = linearise(
-        np.zeros((1, 4)), step, np.array([0.7]), np.array([0.06**2]), Directions.of([mode]), noise
-    )
+    length_m, length_var_m2 = np.array([0.7]), np.array([0.06**2])
+    ahead = advance(np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, length_var_m2, Directions.of([mode]), noise)
+    mean, added_cov = ahead.mean, ahead.Q
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
     np.testing.assert_allclose(found.cov_m2[0], added_cov[0, :2, :2])
     np.testing.assert_allclose(found.drift_var_rad2[0] + found.unknown_var_rad2[0], added_cov[0, 2, 2])
