@@ -24,18 +24,8 @@ def checked_streams(
 ) -> dict[str, Samples]:
     """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
 
-    Parameters
-    ----------
-    found : mapping
-        Times (N,) and values (N, d) by the name of the stream, as parsed.
-    zero_s : float
-        Time that becomes zero.
-    suffix : str
-        Put behind the name of a stream in notes and messages: ".csv" where each has a file of that name.
-    where : str
-        File name for messages.
-    notes : list of str
-        What was left out or found odd is appended here.
+    `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
+    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):

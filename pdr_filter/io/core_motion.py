@@ -26,12 +26,9 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 RATE_HZ = 50.0
 GROUPS = {
-    "gravity": ("gravity.x", "gravity.y", "gravity.z"),
-    "userAcceleration": ("userAcceleration.x", "userAcceleration.y", "userAcceleration.z"),
-    "rotationRate": ("rotationRate.x", "rotationRate.y", "rotationRate.z"),
+    **{name: (f"{name}.x", f"{name}.y", f"{name}.z") for name in ("gravity", "userAcceleration", "rotationRate")},
     "attitude": ("attitude.roll", "attitude.pitch", "attitude.yaw"),
 }
-NEEDED = ("gravity", "userAcceleration")
 TIME_NAMES = ("time", "time_s", "timestamp")
 
 
@@ -43,10 +40,7 @@ def looks_like(header: str) -> bool:
 def read_core_motion(path: str | Path) -> Recording:
     """Return the recording in a CSV file of CoreMotion values.
 
-    Raises
-    ------
-    RecordingError
-        If gravity or user acceleration is missing, or gravity is not in g.
+    RecordingError if gravity or user acceleration is missing, or gravity is not in g.
     """
     path = Path(path)
     parsed = Parsed(path, "CoreMotion table")
@@ -54,7 +48,7 @@ def read_core_motion(path: str | Path) -> Recording:
         name = members.only_text()
         table = TextTable(members.blocks(name), members.where(name))
         groups = [group for group, names in GROUPS.items() if all(table.fields.count(name) == 1 for name in names)]
-        for group in NEEDED:
+        for group in ("gravity", "userAcceleration"):  # needed
             table.places(GROUPS[group])
         time_name = next((name for name in TIME_NAMES if table.fields.count(name) == 1), None)
         names = [name for group in groups for name in GROUPS[group]]
@@ -73,8 +67,8 @@ def read_core_motion(path: str | Path) -> Recording:
             f"{table.where}: median |gravity| is {gravity_g:.4g}, but CoreMotion counts in g, so it must be 1; "
             "read it with format='generic_csv' and say the unit"
         )
-    force = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])
-    parsed.streams["accelerometer"] = (time_s, force)
+    force_mps2 = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])
+    parsed.streams["accelerometer"] = (time_s, force_mps2)
     parsed.found.append("accelerometer: -9.80665 (gravity + userAcceleration), from g with iOS's sign")
     if "rotationRate" in values:
         parsed.streams["gyroscope"] = (time_s, values["rotationRate"])

@@ -126,7 +126,6 @@ class ReadingReport:
 
 def describe(recording: Recording) -> Description:
     """Return rates, gaps, unit checks and truth of a recording, and how it was read if it is another app's."""
-    truth = recording.truth
     report = reading_report(recording)
     return Description(
         name=recording.name,
@@ -136,7 +135,7 @@ def describe(recording: Recording) -> Description:
         height_m=recording.subject.height_m,
         placement=recording.placement or None,
         units=_unit_sentences(recording),
-        truth_rows={name: len(getattr(truth, name)) for name in truth.present()},
+        truth_rows={name: len(getattr(recording.truth, name)) for name in recording.truth.present()},
         notes=(*(report.about() if READING_KEY in recording.meta else ()), *recording.notes),
     )
 
@@ -160,10 +159,7 @@ def reading_report(recording: Recording) -> ReadingReport:
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream; times may repeat and go back, but not be NaN.
-
-    The rate that was asked for may come from a file; what is no rate counts as not known.
-    """
+    """Return rates, gaps and oddities of one stream, whose times are not NaN; what is no rate counts as not known."""
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]

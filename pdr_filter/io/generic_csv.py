@@ -67,10 +67,7 @@ def mapping_beside(path: Path) -> Path:
 def read_generic_csv(path: str | Path) -> Recording:
     """Return the recording in a CSV file, as the TOML file beside it says.
 
-    Raises
-    ------
-    RecordingError
-        Without the TOML file, with the columns seen and the mapping to write; or if the mapping does not fit.
+    RecordingError without that file, with the columns seen and the mapping to write; or if the mapping does not fit.
     """
     path = Path(path)
     beside = mapping_beside(path)
@@ -133,19 +130,15 @@ class _Mapping:
     def __init__(self, path: Path, header: str) -> None:
         self._path = path
         content = read_toml(path)
-        unknown = content.keys() - {"file", "time", *STREAMS}
-        if unknown:
+        if unknown := content.keys() - {"file", "time", *STREAMS}:
             raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; known are {', '.join(STREAMS)}")
         if "accelerometer" not in content:
             raise RecordingError(f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"]')
         file = self._table(content, "file", {"separator", "decimal"})
         self.separator = str(file.get("separator", find_separator(header)))
         self.decimal = str(file.get("decimal", "."))
-        if (
-            len(self.separator) != 1
-            or self.separator in (self.decimal, '"', "\n", "\r")
-            or self.decimal not in (".", ",")
-        ):
+        unusable = (self.decimal, '"', "\n", "\r")
+        if len(self.separator) != 1 or self.separator in unusable or self.decimal not in (".", ","):
             raise RecordingError(
                 f"{path}: separator {self.separator!r} and decimal {self.decimal!r} cannot be used together"
             )

@@ -32,12 +32,8 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # First the time of the app and of the sensor, then the values.
 LAYOUTS = {
-    "ACCE": Layout((1, 2, 3, 4, 5), separator=";"),
-    "GYRO": Layout((1, 2, 3, 4, 5), separator=";"),
-    "MAGN": Layout((1, 2, 3, 4, 5), separator=";"),
-    "PRES": Layout((1, 2, 3), separator=";"),
-    "LIGH": Layout((1, 2, 3), separator=";"),
-    "PROX": Layout((1, 2, 3), separator=";"),
+    **dict.fromkeys(("ACCE", "GYRO", "MAGN"), Layout((1, 2, 3, 4, 5), separator=";")),
+    **dict.fromkeys(("PRES", "LIGH", "PROX"), Layout((1, 2, 3), separator=";")),
     "AHRS": Layout((1, 2, 6, 7, 8), separator=";"),
     "GNSS": Layout((1, 2, 3, 4, 5, 7), separator=";"),
     "POSI": Layout((1, 3, 4, 5, 6), separator=";"),
@@ -66,10 +62,7 @@ def looks_like(head: bytes) -> bool:
 def read_get_sensor_data(path: str | Path) -> Recording:
     """Return the recording in a log of GetSensorData; reference positions become `truth.waypoints`.
 
-    Raises
-    ------
-    RecordingError
-        If the values contradict the declared unit, or the clocks of app and sensor each other.
+    RecordingError if the values contradict the declared unit, or the clocks of app and sensor each other.
     """
     path = Path(path)
     parsed = Parsed(path, "GetSensorData")

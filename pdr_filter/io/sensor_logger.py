@@ -28,19 +28,13 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sensor_logger_json import objects_by_sensor
-from pdr_filter.io.table import NumberTable, TextTable, comma, concatenated, header_fields, text_rows, whole_number
+from pdr_filter.io.table import NumberTable, TextTable, concatenated, header_fields, text_rows, whole_number
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
-VECTOR = ("x", "y", "z")
 COLUMNS: dict[str, tuple[str, ...]] = {
-    "TotalAcceleration": VECTOR,
-    "Accelerometer": VECTOR,
-    "Gravity": VECTOR,
-    "AccelerometerUncalibrated": VECTOR,
-    "Gyroscope": VECTOR,
-    "GyroscopeUncalibrated": VECTOR,
-    "Magnetometer": VECTOR,
-    "MagnetometerUncalibrated": VECTOR,
+    **dict.fromkeys(("TotalAcceleration", "Accelerometer", "Gravity", "AccelerometerUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Gyroscope", "GyroscopeUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Magnetometer", "MagnetometerUncalibrated"), ("x", "y", "z")),
     "Barometer": ("pressure",),
     "Light": ("lux",),
     "Orientation": ("qw", "qx", "qy", "qz"),
@@ -83,11 +77,8 @@ def looks_like(header: str) -> bool:
 def read_sensor_logger(path: str | Path) -> Recording:
     """Return the recording in a zip file, folder or JSON file of Sensor Logger.
 
-    Raises
-    ------
-    RecordingError
-        If the sign of the specific force is not known: no Metadata to name the platform, gravity missing, or an
-        attitude that contradicts the sign.
+    RecordingError if the sign of the specific force is not known: no Metadata to name the platform, gravity missing,
+    or an attitude that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -229,7 +220,7 @@ def _read_tables(members: Members) -> _Export:
     export.annotations = _annotations(annotations)
     for sensor, columns in COLUMNS.items():
         if sensor in by_stem:
-            table = TextTable(members.blocks(by_stem[sensor]), members.where(by_stem[sensor]), comma)
+            table = TextTable(members.blocks(by_stem[sensor]), members.where(by_stem[sensor]), lambda _: ",")
             if table.is_empty:
                 export.notes.append(f"{sensor}.csv: empty, left out")
                 continue
@@ -308,7 +299,6 @@ def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
     for row in rows[1 : limits.MAX_ANNOTATIONS + 1]:
         if len(row) > max(at, text):
             with contextlib.suppress(ValueError):
-                time_ns = whole_number(row[at])
-                if time_ns is not None:
+                if (time_ns := whole_number(row[at])) is not None:
                     found.append((time_ns, row[text]))
     return found

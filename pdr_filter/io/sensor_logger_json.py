@@ -127,12 +127,8 @@ def _float(value: Any) -> float:
 
 
 def _objects(content: bytes) -> dict[str, Objects] | None:
-    """Objects by sensor of the inside of an array; None if it is no JSON.
-
-    Parsing every object takes twice as long as finding that all of a sensor have the same keys around numbers, and
-    reading these as a table.
-    """
-    groups = _alike(content)
+    """Objects by sensor of the inside of an array; None if it is no JSON."""
+    groups = _alike(content)  # takes half as long as parsing every object
     if groups is not None:
         return groups
     objects = _loads(content)
