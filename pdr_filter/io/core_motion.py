@@ -1,12 +1,8 @@
 """CoreMotion tables such as those of MotionSense: CSV with attitude, gravity, rotation rate and user acceleration.
 
-Layout after the data set's own description (github.com/mmalekzadeh/motion-sense) and Apple's CMDeviceMotion:
-
-- Columns `attitude.roll, attitude.pitch, attitude.yaw, gravity.x ..., rotationRate.x ..., userAcceleration.x ...`, in
-  any order, often after a row number without a name.
-- Gravity and user acceleration are in g and point down at rest: specific force = -9.80665 (gravity + userAcceleration).
-- There is no time column: rows are 50 Hz apart. A column called time or timestamp, in seconds, is used if there is one.
-- The attitude turns the sensor frame into a world with z up: R = Rz(yaw) Rx(pitch) Ry(roll).
+Layout after the data set's own description (github.com/mmalekzadeh/motion-sense) and Apple's CMDeviceMotion: columns in
+any order, gravity and user acceleration in g with Apple's sign, 50 Hz without a time column (docs/formats.md). The
+attitude turns the sensor frame into a world with z up: R = Rz(yaw) Rx(pitch) Ry(roll).
 """
 
 from __future__ import annotations

@@ -62,9 +62,8 @@ class StreamDescription:
     @property
     def is_slow(self) -> bool:
         """Whether clearly less was delivered than requested."""
-        if self.requested_hz is None or self.mean_rate_hz is None:
-            return False
-        return self.mean_rate_hz < DELIVERED_ENOUGH * self.requested_hz
+        delivered_hz, asked_hz = self.mean_rate_hz, self.requested_hz
+        return delivered_hz is not None and asked_hz is not None and delivered_hz < DELIVERED_ENOUGH * asked_hz
 
     def sentence(self) -> str:
         """One line for people."""
@@ -151,9 +150,7 @@ def reading_report(recording: Recording) -> ReadingReport:
         source=str(reading.get("source") or "own format")[:most],
         found=tuple(str(sentence)[:most] for sentence in sentences[: limits.MAX_SENTENCES]),
         clock=str(reading.get("clock") or "seconds from the first accelerometer sample")[:most],
-        streams=tuple(
-            describe_stream(name, samples, requested.get(name)) for name, samples in recording.streams.items()
-        ),
+        streams=tuple(describe_stream(key, samples, requested.get(key)) for key, samples in recording.streams.items()),
         notes=recording.notes,
     )
 
@@ -187,10 +184,8 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
 def median_norm(values: FloatArray) -> float:
     """Median Euclidean norm of the complete rows of values (N, d), in their unit; NaN if no row is complete."""
     complete = values[~np.isnan(values).any(axis=1)]
-    if len(complete) == 0:
-        return float("nan")
     with np.errstate(over="ignore"):  # the square of an absurd value may be infinite; the median does not mind
-        return float(np.median(np.sqrt(np.square(complete).sum(axis=1))))
+        return float(np.median(np.sqrt(np.square(complete).sum(axis=1)))) if len(complete) else float("nan")
 
 
 def _unit_sentences(recording: Recording) -> tuple[str, ...]:

@@ -1,22 +1,4 @@
-"""Any CSV file, with a small TOML file beside it that says which column is what.
-
-`walk.csv` is read with `walk.toml`:
-
-    [time]
-    column = "t"                    # or rate_hz = 100 if there is no time column
-    unit = "ms"                     # s, ms, us or ns
-    [accelerometer]
-    columns = ["ax", "ay", "az"]    # x right, y up along the screen, z out of it
-    unit = "g"                      # m/s2 or g
-    sign = -1                       # -1 if a phone lying face up reads -1 g on z (iOS), else 1
-    [gyroscope]
-    columns = ["gx", "gy", "gz"]
-    unit = "deg/s"                  # rad/s or deg/s
-
-Further tables are magnetometer (uT, mT, G), barometer (hPa, Pa, kPa; `columns = ["p"]`), light, proximity, attitude
-(columns of qw, qx, qy, qz) and location (latitude, longitude, altitude, accuracy). A table may name its own
-`time = "column"`. Without the TOML file the refusal lists the columns and the mapping to write.
-"""
+"""Any CSV file, with a small TOML file beside it that says which column is what: docs/formats.md, "Any CSV"."""
 
 from __future__ import annotations
 

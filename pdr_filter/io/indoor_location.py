@@ -1,9 +1,8 @@
 """indoor-location-competition 2.0: one text file for each walk, tab-separated, a type in every line.
 
-Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values.
-Comment lines begin with `#` and name site, floor and phone. Sensor types are Android's (m/s2, rad/s, uT, Android's
-sign); `TYPE_WAYPOINT` is a point of the floor map in metres, marked by the surveyor. Types that are not known here
-(Wi-Fi, beacons, uncalibrated values) are ignored; `TYPE_ACCELEROMETER_UNCALIBRATED` is not `TYPE_ACCELEROMETER`.
+Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values in
+Android's units and sign; comment lines (`#`) name site, floor and phone. `TYPE_WAYPOINT` is a point of the floor map in
+metres, marked by the surveyor. Other types (Wi-Fi, beacons, uncalibrated values) are ignored.
 """
 
 from __future__ import annotations

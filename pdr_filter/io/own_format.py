@@ -1,8 +1,4 @@
-"""The project's own format: a zip file or a folder with meta.json and one CSV file for each sensor and truth table.
-
-Required are accelerometer.csv and, unless its absence is to be noted, meta.json. All times are seconds from the first
-accelerometer sample; an empty field is unknown.
-"""
+"""The project's own format: a zip file or a folder with meta.json and CSV files, as docs/formats.md says."""
 
 from __future__ import annotations
 

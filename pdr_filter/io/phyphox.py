@@ -1,13 +1,9 @@
 """phyphox (iOS, Android): a zip or folder of CSV files, or one CSV file.
 
-Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java) and its experiments:
-
-- Headers are quoted and carry the unit, `"Time (s)","Acceleration x (m/s^2)",...`; numbers look like 9.810000000E0.
-- The user chooses one of five pairs of separator and decimal sign: comma and point; tabulator or semicolon with point
-  or comma. The header shows the separator, the first row of numbers the decimal sign.
-- The sign is Android's on both systems: phyphox turns it on iOS. `Linear Acceleration` has gravity removed.
-- Time is in seconds of the experiment, which stands still while it is paused; `meta/time.csv` has the wall clock.
-- One CSV file alone holds all tables of the experiment one below the other, each with its own header.
+Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java) and its experiments: quoted
+headers with the unit, `"Time (s)","Acceleration x (m/s^2)",...`, five pairs of separator and decimal sign, Android's
+sign on both systems (docs/formats.md, "Known traps"). Time is in seconds of the experiment, which stands still while it
+is paused. One CSV file alone holds all tables of the experiment one below the other, each with its own header.
 """
 
 from __future__ import annotations

@@ -1,15 +1,9 @@
 """Sensor Logger (iOS, Android): a zip or folder with one CSV file for each sensor, or one JSON file.
 
 Layout, units and signs after the app's own documents (github.com/tszheichoi/awesome-sensor-logger: UNITS.md,
-COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64):
-
-- The order of the columns differs between versions and sensors, so they are found by name.
-- `time` is a whole number of nanoseconds since 1970 and is parsed as such: a float holds it to 256 ns only.
-- `Accelerometer` has gravity removed. Specific force is `TotalAcceleration` (Android only) or the sum of
-  `Accelerometer` and `Gravity`; on iOS both have the opposite sign, unless `standardisation` is true in Metadata.
-- `AccelerometerUncalibrated` on iOS is in g with iOS's sign, unless standardised.
-- The gyroscope has the same sign on both. The quaternion turns the sensor frame into the world, z up.
-- The first row of a sensor may be a value that the phone remembered from days before; `seconds_elapsed` shows it.
+COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64); what differs between them is in docs/formats.md, "Known
+traps". `time` is parsed as whole nanoseconds since 1970, which a float holds to 256 ns only. `Accelerometer` has
+gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `standardisation` is true in Metadata.
 """
 
 from __future__ import annotations

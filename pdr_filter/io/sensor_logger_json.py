@@ -1,7 +1,6 @@
 """Sensor Logger's JSON: one array of flat objects, each with the name of its sensor; numbers are texts in it.
 
-It is read in pieces, and where all objects of a sensor have the same keys around numbers, which is most of any file,
-they are read as a table.
+Read in pieces; objects of a sensor that all have the same keys around numbers, as most do, are read as a table.
 """
 
 from __future__ import annotations

@@ -1,7 +1,4 @@
-"""Tables as text: parsed block by block into columns of numbers, whole numbers of nanoseconds without loss.
-
-Every refusal names the file, the line, the column and the value, and says what to change.
-"""
+"""Tables as text: parsed block by block into columns of numbers, whole numbers of nanoseconds without loss."""
 
 from __future__ import annotations
 

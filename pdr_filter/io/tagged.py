@@ -1,7 +1,4 @@
-"""Logs in which every line names its type: the lines of each type are gathered and parsed as one table.
-
-The lines are found with array operations on the bytes, so that ten million of them take seconds.
-"""
+"""Logs in which every line names its type: the lines of each type are found as arrays and parsed as one table."""
 
 from __future__ import annotations
 
