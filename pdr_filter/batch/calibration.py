@@ -34,23 +34,9 @@ def calibrate(
 
     Only the steps between known places travel, no samples; then all segments are solved for at once. They are taken in
     the order of the paths, so the result has the same bits wherever the work was done. Recordings that cannot be used
-    are left out, with their reason in the notes.
-
-    Parameters
-    ----------
-    paths : path or iterable of paths
-        Recordings; a folder that is not a recording stands for all recordings in it.
-    priors, anchor_std_m, measure, loss
-        As in `pdr_filter.calibrate`.
-    jobs, scheduler, file_format
-        As in `track`.
-    progress : callable, optional
-        Called with the fraction of recordings done.
-
-    Raises
-    ------
-    ValueError
-        An option cannot be used, or nothing determines the parameters.
+    are left out, with their reason in the notes. `priors`, `anchor_std_m`, `measure` and `loss` are as in
+    `pdr_filter.calibrate`, `paths`, `jobs`, `scheduler` and `file_format` as in `track`; `progress` is called with the
+    fraction of recordings done. ValueError if an option cannot be used, or nothing determines the parameters.
     """
     from pdr_filter.offline.calibration.fit import calibrate_segments
 

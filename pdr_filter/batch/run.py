@@ -42,9 +42,9 @@ def track(
 
     Parameters
     ----------
-    paths : path or iterable of paths
+    paths
         Recordings; a folder that is not a recording stands for all recordings in it.
-    recipe, weighting : str
+    recipe, weighting, file_format, height_m, calibration
         As in `pdr_filter.track`; a recipe is made for each recording's person and placement.
     out : path
         CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
@@ -57,8 +57,6 @@ def track(
         under the same paths and have the same version of this package.
     progress : callable, optional
         Called with a `Progress` at the start and after every recording.
-    file_format, height_m, calibration
-        As in `pdr_filter.track`, for all recordings.
     retry_failed : bool
         Track those again that failed in an earlier run; their lines are taken out first.
 

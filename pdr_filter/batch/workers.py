@@ -26,15 +26,8 @@ def each(
     """Number and result of every item exactly once, as they finish; a `Failure` where it raised or its process died.
 
     This is what `track` runs on; reducing recordings to anything else, such as sums for a calibration, takes the same.
-
-    Parameters
-    ----------
-    work : callable
-        Importable by name: it runs in other processes.
-    items : sequence
-        What it is called with, one at a time.
-    jobs, scheduler
-        As in `track`.
+    `work` is called with one item at a time and must be importable by name, as it runs in other processes; `jobs` and
+    `scheduler` are as in `track`.
     """
     if jobs == 0 or jobs < -1:
         raise ValueError(f"jobs must be a number of processes, or -1 for all cores, got {jobs}")

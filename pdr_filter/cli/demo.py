@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 from rich.console import Console
 from rich.markup import escape
-from rich.table import Table
+from rich.table import Column, Table
 
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
@@ -68,31 +68,19 @@ class Demo:
 
 
 def run_demo(file: Path | None, out_dir: Path, progress: Callable[[float], None] | None = None) -> Demo:
-    """Track a file, or the simulated walk, and write NAME.png, NAME.geojson and NAME.csv to a folder.
-
-    Parameters
-    ----------
-    file : Path or None
-        A recording; None for the simulated walk.
-    out_dir : Path
-        Created if needed.
-    progress : callable, optional
-        Called with the fraction done, 0 to 1.
-    """
+    """Track a file, or the simulated walk, and write NAME.png, NAME.geojson and NAME.csv to a folder."""
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     result = track(recording, progress=progress)
-    stem = out_dir / result.name
-    reference_m = _true_way(recording) if is_simulated else None
-    picture = stem.with_name(f"{result.name}.png")
-    plot_track(result, picture, reference_m)
+    picture = out_dir / f"{result.name}.png"
+    plot_track(result, picture, _true_way(recording) if is_simulated else None)
     return Demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
         picture=picture,
-        geojson=result.to_geojson(stem.with_name(f"{result.name}.geojson"), PLACEHOLDER_ORIGIN_DEG),
-        csv=result.to_csv(stem.with_name(f"{result.name}.csv")),
+        geojson=result.to_geojson(out_dir / f"{result.name}.geojson", PLACEHOLDER_ORIGIN_DEG),
+        csv=result.to_csv(out_dir / f"{result.name}.csv"),
     )
 
 
@@ -106,9 +94,7 @@ def _facts(demo: Demo) -> Table:
     """Steps, distance and end point; against the truth where the walk is simulated."""
     result = demo.track
     end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
-    table = Table.grid(padding=(0, 3))
-    for _ in range(3):
-        table.add_column()
+    table = Table.grid("", "", "", padding=(0, 3))
     truth = _true_facts(demo.recording, end_m) if demo.is_simulated else ("", "", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
@@ -138,10 +124,7 @@ def _end_std(result: Track) -> str:
 
 def _context_bars(result: Track) -> Table:
     """Seconds in each context, with a bar."""
-    table = Table.grid(padding=(0, 2))
-    table.add_column()
-    table.add_column(justify="right")
-    table.add_column()
+    table = Table.grid("", Column(justify="right"), "", padding=(0, 2))
     seconds = result.context_seconds()
     longest_s = max(seconds.values(), default=0.0)
     for name, colour in context_colours(result.contexts).items():

@@ -23,25 +23,15 @@ _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 
 
 class Members:
-    """The files of a recording: those of a zip or a folder, or one file alone. Nothing is unpacked to disk.
-
-    Attributes
-    ----------
-    path : Path
-        What was opened.
-    names : tuple of str
-        Paths inside it, with forward slashes, sorted.
-    is_container : bool
-        Whether it is a zip or a folder, not one file.
-    """
+    """The files of a recording: those of a zip or a folder, or one file alone. Nothing is unpacked to disk."""
 
     def __init__(self, path: Path, archive: zipfile.ZipFile | None = None) -> None:
         self.path = path
-        self.is_container = archive is not None or path.is_dir()
+        self.is_container = archive is not None or path.is_dir()  # not one file
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
         self._files = _files_below(path) if path.is_dir() else {path.name: path}
-        self.names = tuple(sorted(self._files if archive is None else self._infos))
+        self.names = tuple(sorted(self._files if archive is None else self._infos))  # with forward slashes
 
     def where(self, name: str) -> str:
         """How messages call a member."""
@@ -74,11 +64,7 @@ class Members:
             yield part.removeprefix(b"\xef\xbb\xbf") if i == 0 else part
 
     def blocks(self, name: str) -> Iterator[bytes]:
-        """The text of a member in blocks that end with a line feed.
-
-        A last line without one is a block of its own. Line ends become a line feed and a byte order mark is dropped.
-        UTF-16 and other texts with zero bytes are refused, and so are lines without end.
-        """
+        """Its `pieces` cut into blocks that end with a line feed, as all line ends; an unended last line is a block."""
         rest = b""
         for part in self.pieces(name):
             block = rest + part

@@ -13,6 +13,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.checks import checked_streams, up_cosine
 from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.own_writer import TIME_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.values import FloatArray, Samples, table
 
@@ -33,8 +34,7 @@ class Parsed:
 
     def set_device(self, *words: str | None) -> None:
         """Name the phone, as far as the file does."""
-        device = " ".join(word for word in words if word).strip()
-        if device:
+        if device := " ".join(word for word in words if word).strip():
             self.meta["device"] = device[: limits.MAX_NAME_CHARS]
 
     def recording(self) -> Recording:
@@ -47,12 +47,7 @@ class Parsed:
         streams = checked_streams(self.streams, zero_s, "", where, self.notes)
         self._check_up(streams, where)
         truth = {
-            name: table(
-                {
-                    key: column - zero_s if key in ("time_s", "start_s", "end_s") else column
-                    for key, column in columns.items()
-                }
-            )
+            name: table({key: column - zero_s if key in TIME_COLUMNS else column for key, column in columns.items()})
             for name, columns in self.truth.items()
         }
         reading = {"source": self.source, "found": self.found, "clock": self.clock, "requested_hz": self.requested_hz}
@@ -68,9 +63,7 @@ class Parsed:
 
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
         """The phone's own attitude says which way is up: the only witness of the sign of the accelerometer."""
-        if "attitude" not in streams:
-            return
-        cosine = up_cosine(streams["accelerometer"], streams["attitude"])
+        cosine = up_cosine(streams["accelerometer"], streams["attitude"]) if "attitude" in streams else np.nan
         if np.isnan(cosine):
             return
         if cosine < limits.UP_COSINE_WRONG_SIGN:

@@ -1,7 +1,4 @@
-"""Checks that every reader makes before it hands a recording over: what cannot be right is refused, never mended.
-
-Real files with the wrong unit, sign or clock look healthy; these tests distinguish them from right ones.
-"""
+"""Checks that every reader makes: what cannot be right, as of the wrong unit, is refused, never mended."""
 
 from __future__ import annotations
 
@@ -24,18 +21,8 @@ def checked_streams(
 ) -> dict[str, Samples]:
     """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
 
-    Parameters
-    ----------
-    found : mapping
-        Times (N,) and values (N, d) by the name of the stream, as parsed.
-    zero_s : float
-        Time that becomes zero.
-    suffix : str
-        Put behind the name of a stream in notes and messages: ".csv" where each has a file of that name.
-    where : str
-        File name for messages.
-    notes : list of str
-        What was left out or found odd is appended here.
+    `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
+    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):
@@ -68,8 +55,7 @@ def with_time(time_s: FloatArray, where: str, notes: list[str]) -> BoolArray:
 def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
     """Mean cosine between up and the specific force in the world of the phone's own attitude; NaN if not known.
 
-    Specific force at rest points up, so this is near 1 if the sign of the accelerometer and the sense of the quaternion
-    (sensor to world) are right. The mean over a walk hardly feels the steps.
+    It is near 1 if the sign of the accelerometer and the sense of the quaternion (sensor to world) are right.
     """
     known = ~np.isnan(attitude.values).any(axis=1)
     if known.sum() < 2:
@@ -109,8 +95,7 @@ def _check_rows(samples: Samples, where: str) -> None:
             f"{where}: only {len(samples)} samples with a time; at least {limits.MIN_SAMPLES} are needed"
         )
     known = ~np.isnan(samples.values)
-    if not known.any(axis=0).all():
-        columns = ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)])
+    if columns := ", ".join(np.array(["x", "y", "z"])[~known.any(axis=0)]):
         raise RecordingError(f"{where}: no values in column {columns}; record the accelerometer on all three axes")
     if not known.all(axis=1).any():
         raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")

@@ -1,12 +1,8 @@
 """CoreMotion tables such as those of MotionSense: CSV with attitude, gravity, rotation rate and user acceleration.
 
-Layout after the data set's own description (github.com/mmalekzadeh/motion-sense) and Apple's CMDeviceMotion:
-
-- Columns `attitude.roll, attitude.pitch, attitude.yaw, gravity.x ..., rotationRate.x ..., userAcceleration.x ...`, in
-  any order, often after a row number without a name.
-- Gravity and user acceleration are in g and point down at rest: specific force = -9.80665 (gravity + userAcceleration).
-- There is no time column: rows are 50 Hz apart. A column called time or timestamp, in seconds, is used if there is one.
-- The attitude turns the sensor frame into a world with z up: R = Rz(yaw) Rx(pitch) Ry(roll).
+Layout after the data set's own description (github.com/mmalekzadeh/motion-sense) and Apple's CMDeviceMotion: columns in
+any order, gravity and user acceleration in g with Apple's sign, 50 Hz without a time column (docs/formats.md). The
+attitude turns the sensor frame into a world with z up: R = Rz(yaw) Rx(pitch) Ry(roll).
 """
 
 from __future__ import annotations
@@ -26,12 +22,9 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 RATE_HZ = 50.0
 GROUPS = {
-    "gravity": ("gravity.x", "gravity.y", "gravity.z"),
-    "userAcceleration": ("userAcceleration.x", "userAcceleration.y", "userAcceleration.z"),
-    "rotationRate": ("rotationRate.x", "rotationRate.y", "rotationRate.z"),
+    **{name: (f"{name}.x", f"{name}.y", f"{name}.z") for name in ("gravity", "userAcceleration", "rotationRate")},
     "attitude": ("attitude.roll", "attitude.pitch", "attitude.yaw"),
 }
-NEEDED = ("gravity", "userAcceleration")
 TIME_NAMES = ("time", "time_s", "timestamp")
 
 
@@ -43,10 +36,7 @@ def looks_like(header: str) -> bool:
 def read_core_motion(path: str | Path) -> Recording:
     """Return the recording in a CSV file of CoreMotion values.
 
-    Raises
-    ------
-    RecordingError
-        If gravity or user acceleration is missing, or gravity is not in g.
+    RecordingError if gravity or user acceleration is missing, or gravity is not in g.
     """
     path = Path(path)
     parsed = Parsed(path, "CoreMotion table")
@@ -54,7 +44,7 @@ def read_core_motion(path: str | Path) -> Recording:
         name = members.only_text()
         table = TextTable(members.blocks(name), members.where(name))
         groups = [group for group, names in GROUPS.items() if all(table.fields.count(name) == 1 for name in names)]
-        for group in NEEDED:
+        for group in ("gravity", "userAcceleration"):  # needed
             table.places(GROUPS[group])
         time_name = next((name for name in TIME_NAMES if table.fields.count(name) == 1), None)
         names = [name for group in groups for name in GROUPS[group]]
@@ -73,8 +63,8 @@ def read_core_motion(path: str | Path) -> Recording:
             f"{table.where}: median |gravity| is {gravity_g:.4g}, but CoreMotion counts in g, so it must be 1; "
             "read it with format='generic_csv' and say the unit"
         )
-    force = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])
-    parsed.streams["accelerometer"] = (time_s, force)
+    force_mps2 = -STANDARD_GRAVITY_MPS2 * (values["gravity"] + values["userAcceleration"])
+    parsed.streams["accelerometer"] = (time_s, force_mps2)
     parsed.found.append("accelerometer: -9.80665 (gravity + userAcceleration), from g with iOS's sign")
     if "rotationRate" in values:
         parsed.streams["gyroscope"] = (time_s, values["rotationRate"])

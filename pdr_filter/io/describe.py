@@ -62,9 +62,8 @@ class StreamDescription:
     @property
     def is_slow(self) -> bool:
         """Whether clearly less was delivered than requested."""
-        if self.requested_hz is None or self.mean_rate_hz is None:
-            return False
-        return self.mean_rate_hz < DELIVERED_ENOUGH * self.requested_hz
+        delivered_hz, asked_hz = self.mean_rate_hz, self.requested_hz
+        return delivered_hz is not None and asked_hz is not None and delivered_hz < DELIVERED_ENOUGH * asked_hz
 
     def sentence(self) -> str:
         """One line for people."""
@@ -126,7 +125,6 @@ class ReadingReport:
 
 def describe(recording: Recording) -> Description:
     """Return rates, gaps, unit checks and truth of a recording, and how it was read if it is another app's."""
-    truth = recording.truth
     report = reading_report(recording)
     return Description(
         name=recording.name,
@@ -136,7 +134,7 @@ def describe(recording: Recording) -> Description:
         height_m=recording.subject.height_m,
         placement=recording.placement or None,
         units=_unit_sentences(recording),
-        truth_rows={name: len(getattr(truth, name)) for name in truth.present()},
+        truth_rows={name: len(getattr(recording.truth, name)) for name in recording.truth.present()},
         notes=(*(report.about() if READING_KEY in recording.meta else ()), *recording.notes),
     )
 
@@ -152,18 +150,13 @@ def reading_report(recording: Recording) -> ReadingReport:
         source=str(reading.get("source") or "own format")[:most],
         found=tuple(str(sentence)[:most] for sentence in sentences[: limits.MAX_SENTENCES]),
         clock=str(reading.get("clock") or "seconds from the first accelerometer sample")[:most],
-        streams=tuple(
-            describe_stream(name, samples, requested.get(name)) for name, samples in recording.streams.items()
-        ),
+        streams=tuple(describe_stream(key, samples, requested.get(key)) for key, samples in recording.streams.items()),
         notes=recording.notes,
     )
 
 
 def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> StreamDescription:
-    """Return rates, gaps and oddities of one stream; times may repeat and go back, but not be NaN.
-
-    The rate that was asked for may come from a file; what is no rate counts as not known.
-    """
+    """Return rates, gaps and oddities of one stream, whose times are not NaN; what is no rate counts as not known."""
     time_s = samples.time_s
     interval_s = np.diff(time_s)
     forward_s = interval_s[interval_s > 0]
@@ -191,10 +184,8 @@ def describe_stream(name: str, samples: Samples, requested_hz: Any = None) -> St
 def median_norm(values: FloatArray) -> float:
     """Median Euclidean norm of the complete rows of values (N, d), in their unit; NaN if no row is complete."""
     complete = values[~np.isnan(values).any(axis=1)]
-    if len(complete) == 0:
-        return float("nan")
     with np.errstate(over="ignore"):  # the square of an absurd value may be infinite; the median does not mind
-        return float(np.median(np.sqrt(np.square(complete).sum(axis=1))))
+        return float(np.median(np.sqrt(np.square(complete).sum(axis=1)))) if len(complete) else float("nan")
 
 
 def _unit_sentences(recording: Recording) -> tuple[str, ...]:

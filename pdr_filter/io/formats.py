@@ -97,23 +97,12 @@ def _is_table(head: bytes) -> bool:
 
 
 def read(path: str | Path, format: str | None = None) -> Recording:
-    """Return the recording at a path, whatever its format.
+    """Return the recording at a path, a file or folder, whatever its format, or of the format of `FORMATS` given.
 
     The format is found by content, not by file name: the project's own, Sensor Logger, phyphox, GetSensorData (IPIN),
     indoor-location-competition 2.0, CoreMotion tables (MotionSense), RoNIN, or any CSV file with a TOML file beside it.
     `pdr_filter.io.describe.reading_report` of the result says what was found: source, signs, units, rates, clock.
-
-    Parameters
-    ----------
-    path : str or Path
-        File or folder.
-    format : str, optional
-        Name of a format to force, one of `FORMATS`.
-
-    Raises
-    ------
-    RecordingError
-        A ValueError whose message names the file, the column, the value and the remedy.
+    A RecordingError (a ValueError) names the file, the column, the value and the remedy.
     """
     path = Path(path)
     format = format.lower().replace("-", "_") if format else detect(path)

@@ -1,22 +1,4 @@
-"""Any CSV file, with a small TOML file beside it that says which column is what.
-
-`walk.csv` is read with `walk.toml`:
-
-    [time]
-    column = "t"                    # or rate_hz = 100 if there is no time column
-    unit = "ms"                     # s, ms, us or ns
-    [accelerometer]
-    columns = ["ax", "ay", "az"]    # x right, y up along the screen, z out of it
-    unit = "g"                      # m/s2 or g
-    sign = -1                       # -1 if a phone lying face up reads -1 g on z (iOS), else 1
-    [gyroscope]
-    columns = ["gx", "gy", "gz"]
-    unit = "deg/s"                  # rad/s or deg/s
-
-Further tables are magnetometer (uT, mT, G), barometer (hPa, Pa, kPa; `columns = ["p"]`), light, proximity, attitude
-(columns of qw, qx, qy, qz) and location (latitude, longitude, altitude, accuracy). A table may name its own
-`time = "column"`. Without the TOML file the refusal lists the columns and the mapping to write.
-"""
+"""Any CSV file, with a small TOML file beside it that says which column is what: docs/formats.md, "Any CSV"."""
 
 from __future__ import annotations
 
@@ -67,10 +49,7 @@ def mapping_beside(path: Path) -> Path:
 def read_generic_csv(path: str | Path) -> Recording:
     """Return the recording in a CSV file, as the TOML file beside it says.
 
-    Raises
-    ------
-    RecordingError
-        Without the TOML file, with the columns seen and the mapping to write; or if the mapping does not fit.
+    RecordingError without that file, with the columns seen and the mapping to write; or if the mapping does not fit.
     """
     path = Path(path)
     beside = mapping_beside(path)
@@ -133,19 +112,15 @@ class _Mapping:
     def __init__(self, path: Path, header: str) -> None:
         self._path = path
         content = read_toml(path)
-        unknown = content.keys() - {"file", "time", *STREAMS}
-        if unknown:
+        if unknown := content.keys() - {"file", "time", *STREAMS}:
             raise RecordingError(f"{path}: unknown table {sorted(unknown)[0]!r}; known are {', '.join(STREAMS)}")
         if "accelerometer" not in content:
             raise RecordingError(f'{path}: no [accelerometer]; write it with columns = ["x", "y", "z"]')
         file = self._table(content, "file", {"separator", "decimal"})
         self.separator = str(file.get("separator", find_separator(header)))
         self.decimal = str(file.get("decimal", "."))
-        if (
-            len(self.separator) != 1
-            or self.separator in (self.decimal, '"', "\n", "\r")
-            or self.decimal not in (".", ",")
-        ):
+        unusable = (self.decimal, '"', "\n", "\r")
+        if len(self.separator) != 1 or self.separator in unusable or self.decimal not in (".", ","):
             raise RecordingError(
                 f"{path}: separator {self.separator!r} and decimal {self.decimal!r} cannot be used together"
             )

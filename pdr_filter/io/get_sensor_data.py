@@ -1,15 +1,12 @@
 """GetSensorData (LOPSI, CAR-CSIC) and the logs of the IPIN competitions: one text file, a type in every line.
 
-Layout after the header that the app writes into each log:
+Layout after the header that the app writes into each log (traps in docs/formats.md):
 
-- `ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy(integer)`, and GYRO, MAGN,
-  PRES, LIGH, PROX, AHRS, GNSS likewise; lines that begin with `%` are comments. Other types are ignored.
+- `ACCE;AppTimestamp(s);SensorTimestamp(s);Acc_X(m/s^2);Acc_Y(m/s^2);Acc_Z(m/s^2);Accuracy(integer)`, others likewise;
+  AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.
+- `POSI;Timestamp(s);Counter;Latitude(degrees);Longitude(degrees);floor ID;Building ID` is on the app's clock.
 - The sensor's time is right for integration; the app's jitters, but is common to all types. So a stream keeps its
   sensor's intervals and is moved as a whole to the app's clock.
-- `POSI;Timestamp(s);Counter;Latitude(degrees);Longitude(degrees);floor ID;Building ID` is on the app's clock.
-- Some logs declare m/s^2 and hold g. The median shows it; such a log is refused unless a TOML file beside it says
-  `accelerometer_unit = "g"`.
-- AHRS holds pitch, roll, yaw in degrees and the vector part of the rotation vector.
 """
 
 from __future__ import annotations
@@ -32,12 +29,8 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # First the time of the app and of the sensor, then the values.
 LAYOUTS = {
-    "ACCE": Layout((1, 2, 3, 4, 5), separator=";"),
-    "GYRO": Layout((1, 2, 3, 4, 5), separator=";"),
-    "MAGN": Layout((1, 2, 3, 4, 5), separator=";"),
-    "PRES": Layout((1, 2, 3), separator=";"),
-    "LIGH": Layout((1, 2, 3), separator=";"),
-    "PROX": Layout((1, 2, 3), separator=";"),
+    **dict.fromkeys(("ACCE", "GYRO", "MAGN"), Layout((1, 2, 3, 4, 5), separator=";")),
+    **dict.fromkeys(("PRES", "LIGH", "PROX"), Layout((1, 2, 3), separator=";")),
     "AHRS": Layout((1, 2, 6, 7, 8), separator=";"),
     "GNSS": Layout((1, 2, 3, 4, 5, 7), separator=";"),
     "POSI": Layout((1, 3, 4, 5, 6), separator=";"),
@@ -66,10 +59,7 @@ def looks_like(head: bytes) -> bool:
 def read_get_sensor_data(path: str | Path) -> Recording:
     """Return the recording in a log of GetSensorData; reference positions become `truth.waypoints`.
 
-    Raises
-    ------
-    RecordingError
-        If the values contradict the declared unit, or the clocks of app and sensor each other.
+    RecordingError if the values contradict the declared unit, or the clocks of app and sensor each other.
     """
     path = Path(path)
     parsed = Parsed(path, "GetSensorData")

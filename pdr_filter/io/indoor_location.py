@@ -1,9 +1,8 @@
 """indoor-location-competition 2.0: one text file for each walk, tab-separated, a type in every line.
 
-Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values.
-Comment lines begin with `#` and name site, floor and phone. Sensor types are Android's (m/s2, rad/s, uT, Android's
-sign); `TYPE_WAYPOINT` is a point of the floor map in metres, marked by the surveyor. Types that are not known here
-(Wi-Fi, beacons, uncalibrated values) are ignored; `TYPE_ACCELEROMETER_UNCALIBRATED` is not `TYPE_ACCELEROMETER`.
+Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values in
+Android's units and sign; comment lines (`#`) name site, floor and phone. `TYPE_WAYPOINT` is a point of the floor map in
+metres, marked by the surveyor. Other types (Wi-Fi, beacons, uncalibrated values) are ignored.
 """
 
 from __future__ import annotations
@@ -20,19 +19,13 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout
 from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
 
-LAYOUTS = {
-    "TYPE_ACCELEROMETER": Layout((2, 3, 4), 0, "\t"),
-    "TYPE_GYROSCOPE": Layout((2, 3, 4), 0, "\t"),
-    "TYPE_MAGNETIC_FIELD": Layout((2, 3, 4), 0, "\t"),
-    "TYPE_ROTATION_VECTOR": Layout((2, 3, 4), 0, "\t"),
-    "TYPE_WAYPOINT": Layout((2, 3), 0, "\t"),
-}
 STREAM = {
     "TYPE_ACCELEROMETER": "accelerometer",
     "TYPE_GYROSCOPE": "gyroscope",
     "TYPE_MAGNETIC_FIELD": "magnetometer",
     "TYPE_ROTATION_VECTOR": "attitude",
 }
+LAYOUTS = {**dict.fromkeys(STREAM, Layout((2, 3, 4), 0, "\t")), "TYPE_WAYPOINT": Layout((2, 3), 0, "\t")}
 
 
 def looks_like(head: bytes) -> bool:
@@ -56,10 +49,8 @@ def read_indoor_location(path: str | Path) -> Recording:
     for tag, stream in STREAM.items():
         if tag in tables:
             values = tables[tag].values
-            parsed.streams[stream] = (
-                time_s[tag],
-                rotation_vector_quaternion(values) if stream == "attitude" else values,
-            )
+            values = rotation_vector_quaternion(values) if stream == "attitude" else values
+            parsed.streams[stream] = (time_s[tag], values)
     header = log.header_values("\t")
     if "TYPE_WAYPOINT" in tables:
         points_m = tables["TYPE_WAYPOINT"].values

@@ -5,8 +5,6 @@ Used as `limits.NAME`, so that a test can lower one of them.
 
 from __future__ import annotations
 
-# ---------------------------------------------------------------- sizes and counts of files
-
 # A day of 400 Hz samples in three sensors is 1.3 GB of text each. More than this is a mistake or an attack.
 MAX_MEMBER_BYTES = 2 * 1024**3
 # Sensor text compresses 2 to 5 times, and constant columns at most 100 times; deflate can reach 1000 with zeros.
@@ -20,32 +18,24 @@ MAX_FILES_LOOKED_AT = 100
 BLOCK_BYTES = 4 * 1024**2
 # Rows of sensor data have some hundred bytes, and one line of a header some thousand.
 MAX_LINE_BYTES = 1024**2
-# The first lines of a file, which show its format.
-HEAD_BYTES = 65_536
-# Comment lines before the samples of a log.
-MAX_HEADER_BYTES = 100_000
+HEAD_BYTES = 65_536  # the first lines of a file, which show its format
+MAX_HEADER_BYTES = 100_000  # comment lines before the samples of a log
 MAX_HEADER_LINES = 1000
 # JSON and other small files that come with samples have some kilobytes.
 MAX_SETTINGS_BYTES = 10_000_000
 # A TOML file that describes the columns of a table; its parser takes a second for some megabytes.
 MAX_TOML_BYTES = 100_000
-# Experiments of phyphox have some ten tables.
-MAX_TABLES = 100
-# A day at 200 Hz: hdf5 is read into memory at once.
-MAX_ARRAY_ROWS = 24 * 3600 * 200
-# The first rows of a sensor show when the recording began.
-HEAD_ROWS = 200
+MAX_TABLES = 100  # experiments of phyphox have some ten
+MAX_ARRAY_ROWS = 24 * 3600 * 200  # a day at 200 Hz: hdf5 is read into memory at once
+HEAD_ROWS = 200  # the first rows of a sensor show when the recording began
 # A JSON object of a sensor has some hundred bytes: one ends within the last bytes of any piece of an array.
 TAIL_BYTES = 65_536
-# Places tried to cut a piece of JSON; more would let a damaged file take long.
-CUTS_TRIED = 4
+CUTS_TRIED = 4  # places to cut a piece of JSON; more would let a damaged file take long
 # Texts of a file that are kept in the meta data of a recording: how many, and characters of each.
 MAX_ANNOTATIONS = 1000
 MAX_SENTENCES = 50
 MAX_NAME_CHARS = 200
 MAX_TEXT_CHARS = 500
-
-# ---------------------------------------------------------------- numbers
 
 # Nothing measured is larger; up to here squares and sums of squares stay finite.
 LARGEST_VALUE = 1e30
@@ -53,11 +43,8 @@ MAX_INT64 = 2**63 - 1
 # Differences of whole times up to here fit into an int64; in nanoseconds it is the years 1824 to 2116.
 MAX_WHOLE_TIME = 2**62
 MAX_ELAPSED_S = 1e9
-# The last second of the year 9999, where calendars of computers end.
-MAX_EPOCH_S = 253_402_300_799.0
+MAX_EPOCH_S = 253_402_300_799.0  # the last second of the year 9999, where calendars of computers end
 HEIGHT_RANGE_M = (0.4, 2.8)
-
-# ---------------------------------------------------------------- what a recording may plausibly hold
 
 # A window of 0.2 s at the lowest rate below; fewer samples cannot hold a step.
 MIN_SAMPLES = 10
@@ -68,15 +55,11 @@ RATE_RANGE_HZ = (5.0, 2000.0)
 # 1.6. Walking with gravity removed gives about 1 to 4, so the message for small values names both.
 SPECIFIC_FORCE_RANGE_MPS2 = (5.0, 25.0)
 G_RANGE = (0.8, 1.7)
-# |gravity| of CoreMotion is 1 g by construction, to rounding.
-GRAVITY_RANGE_G = (0.9, 1.1)
+GRAVITY_RANGE_G = (0.9, 1.1)  # of CoreMotion, 1 by construction, to rounding
 # Two turns a second as the median; jogging reaches 4.3. The same walk in deg/s gives 20 and more.
 MAX_MEDIAN_ANGULAR_RATE_RADPS = 12.0
-# The Earth's field is 22 to 67 uT, steel indoors bends it a little further.
-MAGNETIC_FIELD_RANGE_UT = (20.0, 80.0)
-# 5000 m up to a deep valley.
-PRESSURE_RANGE_HPA = (500.0, 1100.0)
-# The norm of a quaternion is one.
+MAGNETIC_FIELD_RANGE_UT = (20.0, 80.0)  # the Earth's is 22 to 67 uT, steel indoors bends it a little further
+PRESSURE_RANGE_HPA = (500.0, 1100.0)  # 5000 m up to a deep valley
 QUATERNION_NORM_RANGE = (0.98, 1.02)
 # Mean cosine between the specific force, turned into the world by the phone's own attitude, and up. It is 0.9 and more
 # in a walk with the right sign, -0.9 with the wrong one; attitudes that were never aligned with gravity lie between.

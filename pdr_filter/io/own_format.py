@@ -1,8 +1,4 @@
-"""The project's own format: a zip file or a folder with meta.json and one CSV file for each sensor and truth table.
-
-Required are accelerometer.csv and, unless its absence is to be noted, meta.json. All times are seconds from the first
-accelerometer sample; an empty field is unknown.
-"""
+"""The project's own format: a zip file or a folder with meta.json and CSV files, as docs/formats.md says."""
 
 from __future__ import annotations
 
@@ -18,7 +14,7 @@ from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.io.table import TextTable, comma
+from pdr_filter.io.table import TextTable
 from pdr_filter.values import CONTEXTS, FloatArray, Table, table
 
 REQUIRED = "accelerometer.csv"
@@ -29,12 +25,8 @@ def read_recording(path: str | Path) -> Recording:
 
     Columns are found by name, in any order; other columns and files are ignored. Values stay as recorded, except that
     infinite ones become NaN and rows without a time are left out. `Recording.notes` says so, and counts repeated and
-    backward times. A sensor without any value is left out with a note.
-
-    Raises
-    ------
-    RecordingError
-        A ValueError whose message names the file, the column, the value and the remedy.
+    backward times. A sensor without any value is left out with a note. A RecordingError (a ValueError) names the file,
+    the column, the value and the remedy.
     """
     path = Path(path)
     notes: list[str] = []
@@ -123,7 +115,7 @@ def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     """Times and values of one sensor; none of an empty file."""
-    rows = TextTable(members.blocks(name), members.where(name), comma)
+    rows = TextTable(members.blocks(name), members.where(name), lambda _: ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))
     numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
@@ -132,7 +124,7 @@ def _read_stream(
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
     """The rows of a truth table that have a time; None of an empty file."""
-    rows = TextTable(members.blocks(name), members.where(name), comma)
+    rows = TextTable(members.blocks(name), members.where(name), lambda _: ",")
     if rows.is_empty:
         return None
     numeric = [column for column in columns if column not in TEXT_COLUMNS]

@@ -16,9 +16,7 @@ import numpy as np
 from pdr_filter.values import FloatArray, Samples, Table
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
-    "accelerometer": ("x", "y", "z"),
-    "gyroscope": ("x", "y", "z"),
-    "magnetometer": ("x", "y", "z"),
+    **dict.fromkeys(("accelerometer", "gyroscope", "magnetometer"), ("x", "y", "z")),
     "barometer": ("pressure_hpa",),
     "light": ("illuminance_lux",),
     "proximity": ("distance_cm",),
@@ -41,11 +39,7 @@ TEXT_COLUMNS = ("context", "carrying_mode")
 def write_own_format(
     path: str | Path, streams: Mapping[str, Samples], truth: Mapping[str, Table], meta: Mapping[str, Any]
 ) -> Path:
-    """Write streams and truth tables by name, and the meta data: a folder if the path has no suffix, else a zip file.
-
-    Times get 6 decimals and values 7 significant digits (latitude and longitude 9), so reading it back gives the same
-    to that precision. The same content always gives the same bytes. What is already there is replaced.
-    """
+    """Write streams and truth tables by name, and the meta data, as `Recording.save` describes."""
     path = Path(path)
     files = {
         f"{name}.csv": _numbers_csv(("time_s", *STREAM_COLUMNS[name]), [samples.time_s, *samples.values.T])
@@ -77,8 +71,7 @@ def _numbers_csv(columns: Sequence[str], arrays: Sequence[FloatArray]) -> str:
 
 
 def _table_csv(rows: Table, columns: Sequence[str], name: str) -> str:
-    missing = [column for column in columns if column not in (rows.dtype.names or ())]
-    if missing:
+    if missing := [column for column in columns if column not in (rows.dtype.names or ())]:
         raise ValueError(f"truth table {name} has no column {', '.join(missing)}; give all of {', '.join(columns)}")
     if not set(columns) & set(TEXT_COLUMNS):
         return _numbers_csv(columns, [np.asarray(rows[column], dtype=float) for column in columns])

@@ -1,13 +1,9 @@
 """phyphox (iOS, Android): a zip or folder of CSV files, or one CSV file.
 
-Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java) and its experiments:
-
-- Headers are quoted and carry the unit, `"Time (s)","Acceleration x (m/s^2)",...`; numbers look like 9.810000000E0.
-- The user chooses one of five pairs of separator and decimal sign: comma and point; tabulator or semicolon with point
-  or comma. The header shows the separator, the first row of numbers the decimal sign.
-- The sign is Android's on both systems: phyphox turns it on iOS. `Linear Acceleration` has gravity removed.
-- Time is in seconds of the experiment, which stands still while it is paused; `meta/time.csv` has the wall clock.
-- One CSV file alone holds all tables of the experiment one below the other, each with its own header.
+Layout after the app's export code (github.com/phyphox/phyphox-android, DataExport.java) and its experiments: quoted
+headers with the unit, `"Time (s)","Acceleration x (m/s^2)",...`, five pairs of separator and decimal sign, Android's
+sign on both systems (docs/formats.md, "Known traps"). Time is in seconds of the experiment, which stands still while it
+is paused. One CSV file alone holds all tables of the experiment one below the other, each with its own header.
 """
 
 from __future__ import annotations
@@ -69,10 +65,7 @@ def looks_like(header: str) -> bool:
 def read_phyphox(path: str | Path) -> Recording:
     """Return the recording in a zip file, folder or CSV file of phyphox.
 
-    Raises
-    ------
-    RecordingError
-        If there is no acceleration with gravity, or a column has a unit that is not known.
+    RecordingError if there is no acceleration with gravity, or a column has a unit that is not known.
     """
     path = Path(path)
     parsed = Parsed(path, "phyphox")
@@ -103,8 +96,7 @@ def _tables(blocks: Iterable[bytes], where: str) -> Iterator[TextTable]:
             for begin, end in zip(begins, [*begins[1:], len(block)], strict=True):
                 piece = block[begin:end]
                 if piece.startswith(b'"'):
-                    first_line = line
-                    n_tables += 1
+                    first_line, n_tables = line, n_tables + 1
                     if n_tables > limits.MAX_TABLES:
                         raise RecordingError(
                             f"{where}: more than {limits.MAX_TABLES} lines that begin like a header; export it again"
@@ -167,8 +159,7 @@ def _columns(fields: list[str], stem: str, where: str) -> tuple[dict[str, list[t
         for j, names in enumerate(LOCATION):
             if name in names and not axis:
                 location.setdefault(j, (i, 1.0))
-        stream = STREAM_OF.get(name)
-        if stream is None or (stream in VECTORS) != bool(axis):
+        if (stream := STREAM_OF.get(name)) is None or (stream in VECTORS) != bool(axis):
             continue
         if unit not in FACTOR[stream]:
             raise RecordingError(
@@ -181,8 +172,7 @@ def _columns(fields: list[str], stem: str, where: str) -> tuple[dict[str, list[t
     streams: dict[str, list[tuple[int, float]]] = {}
     for stream, axes in found.items():
         wanted = ("x", "y", "z") if stream in VECTORS else ("",)
-        missing = [axis for axis in wanted if axis not in axes]
-        if missing:
+        if missing := [axis for axis in wanted if axis not in axes]:
             raise RecordingError(f"{where}: {stream} has no column for {', '.join(missing)}; export all three axes")
         streams[stream] = [axes[axis] for axis in wanted]
     if {0, 1, 2, 3} <= location.keys():

@@ -42,10 +42,7 @@ ARRAYS = {
 def read_ronin(path: str | Path) -> Recording:
     """Return the recording in an hdf5 file of RoNIN or in its folder; the visual position is `truth.position`.
 
-    Raises
-    ------
-    RecordingError
-        If a data set is missing or has another shape, or h5py is not installed.
+    RecordingError if a data set is missing or has another shape, or h5py is not installed.
     """
     path = Path(path)
     file = path / "data.hdf5" if path.is_dir() else path

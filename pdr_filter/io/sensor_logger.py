@@ -1,15 +1,9 @@
 """Sensor Logger (iOS, Android): a zip or folder with one CSV file for each sensor, or one JSON file.
 
 Layout, units and signs after the app's own documents (github.com/tszheichoi/awesome-sensor-logger: UNITS.md,
-COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64):
-
-- The order of the columns differs between versions and sensors, so they are found by name.
-- `time` is a whole number of nanoseconds since 1970 and is parsed as such: a float holds it to 256 ns only.
-- `Accelerometer` has gravity removed. Specific force is `TotalAcceleration` (Android only) or the sum of
-  `Accelerometer` and `Gravity`; on iOS both have the opposite sign, unless `standardisation` is true in Metadata.
-- `AccelerometerUncalibrated` on iOS is in g with iOS's sign, unless standardised.
-- The gyroscope has the same sign on both. The quaternion turns the sensor frame into the world, z up.
-- The first row of a sensor may be a value that the phone remembered from days before; `seconds_elapsed` shows it.
+COORDINATES.md, CROSSPLATFORM.md; app versions 1.6 to 1.64); what differs between them is in docs/formats.md, "Known
+traps". `time` is parsed as whole nanoseconds since 1970, which a float holds to 256 ns only. `Accelerometer` has
+gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `standardisation` is true in Metadata.
 """
 
 from __future__ import annotations
@@ -28,19 +22,13 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sensor_logger_json import objects_by_sensor
-from pdr_filter.io.table import NumberTable, TextTable, comma, concatenated, header_fields, text_rows, whole_number
+from pdr_filter.io.table import NumberTable, TextTable, concatenated, header_fields, text_rows, whole_number
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
-VECTOR = ("x", "y", "z")
 COLUMNS: dict[str, tuple[str, ...]] = {
-    "TotalAcceleration": VECTOR,
-    "Accelerometer": VECTOR,
-    "Gravity": VECTOR,
-    "AccelerometerUncalibrated": VECTOR,
-    "Gyroscope": VECTOR,
-    "GyroscopeUncalibrated": VECTOR,
-    "Magnetometer": VECTOR,
-    "MagnetometerUncalibrated": VECTOR,
+    **dict.fromkeys(("TotalAcceleration", "Accelerometer", "Gravity", "AccelerometerUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Gyroscope", "GyroscopeUncalibrated"), ("x", "y", "z")),
+    **dict.fromkeys(("Magnetometer", "MagnetometerUncalibrated"), ("x", "y", "z")),
     "Barometer": ("pressure",),
     "Light": ("lux",),
     "Orientation": ("qw", "qx", "qy", "qz"),
@@ -83,11 +71,8 @@ def looks_like(header: str) -> bool:
 def read_sensor_logger(path: str | Path) -> Recording:
     """Return the recording in a zip file, folder or JSON file of Sensor Logger.
 
-    Raises
-    ------
-    RecordingError
-        If the sign of the specific force is not known: no Metadata to name the platform, gravity missing, or an
-        attitude that contradicts the sign.
+    RecordingError if the sign of the specific force is not known: no Metadata to name the platform, gravity missing,
+    or an attitude that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -229,7 +214,7 @@ def _read_tables(members: Members) -> _Export:
     export.annotations = _annotations(annotations)
     for sensor, columns in COLUMNS.items():
         if sensor in by_stem:
-            table = TextTable(members.blocks(by_stem[sensor]), members.where(by_stem[sensor]), comma)
+            table = TextTable(members.blocks(by_stem[sensor]), members.where(by_stem[sensor]), lambda _: ",")
             if table.is_empty:
                 export.notes.append(f"{sensor}.csv: empty, left out")
                 continue
@@ -308,7 +293,6 @@ def _annotations(rows: list[list[str]]) -> list[tuple[int, str]]:
     for row in rows[1 : limits.MAX_ANNOTATIONS + 1]:
         if len(row) > max(at, text):
             with contextlib.suppress(ValueError):
-                time_ns = whole_number(row[at])
-                if time_ns is not None:
+                if (time_ns := whole_number(row[at])) is not None:
                     found.append((time_ns, row[text]))
     return found

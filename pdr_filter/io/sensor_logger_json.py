@@ -1,7 +1,6 @@
 """Sensor Logger's JSON: one array of flat objects, each with the name of its sensor; numbers are texts in it.
 
-It is read in pieces, and where all objects of a sensor have the same keys around numbers, which is most of any file,
-they are read as a table.
+Read in pieces; objects of a sensor that all have the same keys around numbers, as most do, are read as a table.
 """
 
 from __future__ import annotations
@@ -127,12 +126,8 @@ def _float(value: Any) -> float:
 
 
 def _objects(content: bytes) -> dict[str, Objects] | None:
-    """Objects by sensor of the inside of an array; None if it is no JSON.
-
-    Parsing every object takes twice as long as finding that all of a sensor have the same keys around numbers, and
-    reading these as a table.
-    """
-    groups = _alike(content)
+    """Objects by sensor of the inside of an array; None if it is no JSON."""
+    groups = _alike(content)  # takes half as long as parsing every object
     if groups is not None:
         return groups
     objects = _loads(content)

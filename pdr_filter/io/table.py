@@ -1,7 +1,4 @@
-"""Tables as text: parsed block by block into columns of numbers, whole numbers of nanoseconds without loss.
-
-Every refusal names the file, the line, the column and the value, and says what to change.
-"""
+"""Tables as text: parsed block by block into columns of numbers, whole numbers of nanoseconds without loss."""
 
 from __future__ import annotations
 
@@ -38,28 +35,14 @@ class NumberTable:
 
 @dataclass(frozen=True, slots=True)
 class Layout:
-    """Where the fields of a table are in its lines.
+    """Where the fields of a table are in its lines."""
 
-    Parameters
-    ----------
-    picked : tuple of int
-        Columns to take as floats.
-    whole : int, optional
-        Column to take as int64; rows in which it is empty are left out.
-    separator, decimal : str
-        As in the file.
-    names : tuple of str
-        Of the picked columns, for messages.
-    texts : tuple of int
-        Columns to take as text, without surrounding space.
-    """
-
-    picked: tuple[int, ...]
-    whole: int | None = None
+    picked: tuple[int, ...]  # columns to take as floats
+    whole: int | None = None  # column to take as int64; rows in which it is empty are left out
     separator: str = ","
     decimal: str = "."
-    names: tuple[str, ...] = ()
-    texts: tuple[int, ...] = ()
+    names: tuple[str, ...] = ()  # of the picked columns, for messages
+    texts: tuple[int, ...] = ()  # columns to take as text, without surrounding space
 
     @property
     def needed(self) -> int:
@@ -80,24 +63,11 @@ def find_separator(header: str) -> str:
     return max(SEPARATORS, key=lambda separator: len(header_fields(header, separator)))
 
 
-def comma(header: str) -> str:
-    """The separator of a format that always has a comma."""
-    return ","
-
-
 class TextTable:
     """A table whose first line names its columns; the rows are parsed when they are asked for.
 
-    Parameters
-    ----------
-    blocks : iterable of bytes
-        Text in blocks that end with a line feed, except perhaps the last.
-    where : str
-        File name for messages.
-    separator_of : callable
-        Finds the separator in the first line.
-    first_line : int
-        Number of the line with the names, for messages.
+    Its text comes in blocks that end with a line feed, except perhaps the last; `separator_of` finds the separator in
+    the first line. `where` and the number of the first line are for messages.
     """
 
     def __init__(
@@ -109,22 +79,17 @@ class TextTable:
     ) -> None:
         self.where = where
         self._rest = iter(blocks)
-        head, _, self._first = next(self._rest, b"").partition(b"\n")
-        self._first = self._first or next(self._rest, b"")
+        head, _, first_rows = next(self._rest, b"").partition(b"\n")
+        self.first_rows = first_rows or next(self._rest, b"")  # the first block of them
         self._first_line = first_line
         self.header = decode(head, where, first_line)
         self.separator = separator_of(self.header)
         self.fields = header_fields(self.header, self.separator)
 
     @property
-    def first_rows(self) -> bytes:
-        """The first block of the rows."""
-        return self._first
-
-    @property
     def is_empty(self) -> bool:
         """Whether there is neither a header nor a row."""
-        return not self.header.strip() and not self._first.strip()
+        return not self.header.strip() and not self.first_rows.strip()
 
     def places(self, names: Sequence[str]) -> tuple[int, ...]:
         """Where the columns of these names are; RecordingError unless each is there once."""
@@ -148,7 +113,7 @@ class TextTable:
         """The columns at these places; see `Layout` and `parse_blocks`."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
-        return parse_blocks(chain([self._first], self._rest), layout, self.where, notes, self._first_line + 1)
+        return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes, self._first_line + 1)
 
 
 def decode(content: bytes, where: str, first_line: int = 1) -> str:
@@ -175,16 +140,14 @@ def parse_blocks(
 ) -> NumberTable:
     """Parse the lines of all blocks, of which only the last may lack its final line feed.
 
-    An empty field is NaN, and so are values that are infinite or absurd. A last line that is cut off is left out with
-    a note; any other line with too few fields or with text in a number column is refused with its number, counted from
-    `first_line`.
+    Empty, infinite and absurd values become NaN. A last line that is cut off is left out with a note; any other with
+    too few fields or with text in a number column is refused with its number, counted from `first_line`.
     """
     parts: list[NumberTable] = []
-    line = first_line
     for block in blocks:
         if block.strip():
-            parts.append(_parse_block(block, layout, where, notes, line))
-        line += block.count(b"\n")
+            parts.append(_parse_block(block, layout, where, notes, first_line))
+        first_line += block.count(b"\n")
     if not parts:
         return NumberTable(np.empty(0, dtype=np.int64), np.empty((0, len(layout.picked))), ((),) * len(layout.texts))
     joined = concatenated(parts)
@@ -221,15 +184,8 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
     """Parse lines that have a number in every picked field; ValueError if one has not."""
     columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
-    rows = np.loadtxt(
-        lines,
-        delimiter=layout.separator,
-        comments=None,
-        usecols=columns,
-        dtype=np.dtype(kinds),
-        ndmin=1,
-        quotechar='"' if layout.separator != '"' else None,
-    )
+    quote, kind = '"' if layout.separator != '"' else None, np.dtype(kinds)
+    rows = np.loadtxt(lines, kind, None, layout.separator, usecols=columns, ndmin=1, quotechar=quote)
     values = np.empty((len(rows), len(layout.picked)))
     for i in range(len(layout.picked)):
         values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
@@ -348,9 +304,8 @@ def whole_number(field: str) -> int | None:
         raise ValueError(field[:40])
     try:
         number = Decimal(field)
-        fits = number.is_finite() and abs(number) <= limits.MAX_INT64
+        if number.is_finite() and abs(number) <= limits.MAX_INT64:
+            return int(number)
     except ArithmeticError as error:  # no number, or one with an exponent beyond all bounds
         raise ValueError(field) from error
-    if not fits:
-        raise ValueError(field)
-    return int(number)
+    raise ValueError(field)

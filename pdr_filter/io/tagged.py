@@ -1,7 +1,4 @@
-"""Logs in which every line names its type: the lines of each type are gathered and parsed as one table.
-
-The lines are found with array operations on the bytes, so that ten million of them take seconds.
-"""
+"""Logs in which every line names its type: the lines of each type are found as arrays and parsed as one table."""
 
 from __future__ import annotations
 
@@ -17,15 +14,7 @@ from pdr_filter.values import FloatArray
 
 
 class TaggedLog:
-    """The one log among the files of a recording, with the comment lines at its begin.
-
-    Parameters
-    ----------
-    members : Members
-        Files with one text among them.
-    comment : str
-        What comment lines begin with.
-    """
+    """The one text among the files of a recording, with the lines at its begin that begin with `comment`."""
 
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
@@ -48,16 +37,10 @@ class TaggedLog:
     def tables(
         self, layouts: Mapping[str, Layout], tag_field: int, notes: list[str]
     ) -> tuple[dict[str, NumberTable], int]:
-        """Tables by type of line, and how many lines have another type.
+        """Tables by type of line, and how many lines have another type; what was repaired is added to the notes.
 
-        Parameters
-        ----------
-        layouts : mapping
-            By type: columns are counted from the begin of the line. All have the same separator.
-        tag_field : {0, 1}
-            Which field of a line holds its type.
-        notes : list of str
-            What was repaired is appended here.
+        Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
+        is the field of a line that holds its type.
         """
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
@@ -105,10 +88,7 @@ def rotation_vector_quaternion(vector: FloatArray) -> FloatArray:
 
 
 def _ended(line: bytes, separator: bytes, tag_field: int, n_fields: Mapping[str, int]) -> bytes | None:
-    """A last line with the line feed that it lacks; empty if its type is not read, None if it is cut off.
-
-    It is whole if it has as many fields as the line of its type before it.
-    """
+    """A last line with its line feed; empty if its type is not read, None if the one before it has more fields."""
     fields = line.split(separator)
     tag = fields[tag_field].decode("latin-1") if len(fields) > tag_field else ""
     if tag not in n_fields:

@@ -24,15 +24,10 @@ _NORTH = (
 )
 _FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
 FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
-GPX_NAMESPACE = "http://www.topografix.com/GPX/1/1"
 
 
 def write_csv(track: TrackRows, path: str | Path) -> Path:
-    """Write one line for each step under a header with units, and return the path; only the header if no step.
-
-    Columns: time_s, east_m, north_m, cov_ee_m2, cov_en_m2, cov_nn_m2, step_length_m, walking_heading_rad,
-    smoothed_speed_mps, smoothed_speed_std_mps, context_prob_<context> for each context, mode_prob_<mode> for each mode.
-    """
+    """Write one line for each step under a header with units, and return the path; only the header if no step."""
     columns = _columns(track)
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
@@ -45,8 +40,7 @@ def write_csv(track: TrackRows, path: str | Path) -> Path:
 def write_parquet(track: TrackRows, path: str | Path) -> Path:
     """Write the columns of `write_csv` with all their digits, and return the path.
 
-    What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame: name, weighting,
-    start_time_s, duration_s, notes, frame, and the version of this package. Needs pandas and pyarrow (extra `parquet`).
+    What is not in the columns is in the metadata, which pandas gives as `attrs` of the frame. Needs pandas and pyarrow.
     """
     pandas = pandas_for_parquet(path)
     frame: Any = pandas.DataFrame(_columns(track))
@@ -119,8 +113,7 @@ def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float
             "notes": list(track.notes),
         },
     }
-    collection = {"type": "FeatureCollection", "features": [feature]}
-    return _write(path, json.dumps(collection, allow_nan=False) + "\n")
+    return _write(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
 
 
 def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
@@ -132,7 +125,9 @@ def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], e
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
         raise ValueError(f"epoch_s must be the unix time of time zero in seconds, 1970 to 9999, got {epoch_s}")
-    root = ElementTree.Element("gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns=GPX_NAMESPACE)
+    root = ElementTree.Element(
+        "gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns="http://www.topografix.com/GPX/1/1"
+    )
     line = ElementTree.SubElement(root, "trk")
     # XML cannot hold control characters, not even escaped
     ElementTree.SubElement(line, "name").text = "".join(c for c in track.name if c.isprintable())

@@ -3,35 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 import numpy as np
 
-if TYPE_CHECKING:
-    pass
 from pdr_filter.values.arrays import FloatArray, read_only
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
-    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance.
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance."""
 
-    Parameters
-    ----------
-    time_s : float
-        When the position was true, on the time base of the samples.
-    position_m : (2,)
-        East, north.
-    cov_m2 : (2, 2)
-        Covariance, positive definite.
-    received_time_s : float, optional
-        When it arrived, not before `time_s`; `time_s` if not given.
-    """
-
-    time_s: float
-    position_m: FloatArray
-    cov_m2: FloatArray
-    received_time_s: float | None = None
+    time_s: float  # when the position was true, on the time base of the samples
+    position_m: FloatArray  # (2,) east, north
+    cov_m2: FloatArray  # (2, 2) positive definite
+    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -50,24 +36,12 @@ _MAX_STD = 1e100
 
 @dataclass(frozen=True, slots=True)
 class HeadingFix:
-    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver.
+    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver."""
 
-    Parameters
-    ----------
-    time_s : float
-        When it was true, on the time base of the samples.
-    walking_heading_rad : float
-        Clockwise from the track's north, any number of turns.
-    std_rad : float
-        Standard deviation.
-    received_time_s : float, optional
-        When it arrived, not before `time_s`; `time_s` if not given.
-    """
-
-    time_s: float
-    walking_heading_rad: float
-    std_rad: float
-    received_time_s: float | None = None
+    time_s: float  # when it was true, on the time base of the samples
+    walking_heading_rad: float  # clockwise from the track's north, any number of turns
+    std_rad: float  # standard deviation
+    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
 
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
@@ -80,22 +54,12 @@ class HeadingFix:
 
 @dataclass(frozen=True, slots=True)
 class SpeedFix:
-    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale.
+    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale."""
 
-    Parameters
-    ----------
-    time_s : float
-        When it was true, on the time base of the samples.
-    speed_mps, std_mps : float
-        Speed over ground, positive, and its standard deviation.
-    received_time_s : float, optional
-        When it arrived, not before `time_s`; `time_s` if not given.
-    """
-
-    time_s: float
-    speed_mps: float
-    std_mps: float
-    received_time_s: float | None = None
+    time_s: float  # when it was true, on the time base of the samples
+    speed_mps: float  # over ground, positive
+    std_mps: float  # standard deviation
+    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
 
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)
@@ -108,19 +72,11 @@ class SpeedFix:
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """The person is known to stand: steps in this time were not walked.
+    """The person is known to stand: steps in this time were not walked."""
 
-    Parameters
-    ----------
-    time_s, end_s : float
-        Begin and end, on the time base of the samples.
-    received_time_s : float, optional
-        When it became known, not before `time_s`; steps that were reported before are not taken back.
-    """
-
-    time_s: float
+    time_s: float  # begin and end, on the time base of the samples
     end_s: float
-    received_time_s: float | None = None
+    received_time_s: float | None = None  # not before `time_s`; steps that were reported before are not taken back
 
     def __post_init__(self) -> None:
         _check_times(self.time_s, self.received_time_s)

@@ -14,24 +14,14 @@ _Number = TypeVar("_Number", float, FloatArray)
 
 @dataclass(frozen=True)
 class HeadingDrift:
-    """Growth of the variance of the heading offset (walking less device heading) with time.
+    """Growth of the variance of the heading offset (walking less device heading) with time."""
 
-    Parameters
-    ----------
-    random_walk_rad_per_sqrt_s : float
-        Random walk while the angular rate is measured: what the bias does not explain, and the body's turning against
-        the phone.
-    unknown_rad_per_sqrt_s : float
-        Random walk while no angular rate is measured: after a few seconds nothing is known.
-    bias_correlation_s : float
-        How long an error of the gyroscope's bias lasts; its variance enters the heading as a random walk with this
-        memory. It is short, because the standard deviation of the bias at the start is that of a mixture: few phones
-        are off by 0.05 rad/s, most by less than 0.002. With these values the errors of real hand-held walks are about
-        as large as predicted (docs/benchmarks.md).
-    """
-
+    # While the angular rate is measured: what the bias does not explain, and the body's turning against the phone.
     random_walk_rad_per_sqrt_s: float = 0.008
-    unknown_rad_per_sqrt_s: float = 1.0
+    unknown_rad_per_sqrt_s: float = 1.0  # while no angular rate is measured: after a few seconds nothing is known
+    # How long an error of the gyroscope's bias lasts, which enters the heading as a random walk with this memory. Short
+    # because the bias at the start is a mixture: few phones are off by 0.05 rad/s, most by less than 0.002. With these
+    # values the errors of real hand-held walks are about as large as predicted (docs/benchmarks.md).
     bias_correlation_s: float = 3.0
 
     def __post_init__(self) -> None:

@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
-if TYPE_CHECKING:
-    pass
 from pdr_filter.values.arrays import FloatArray, read_only
 
 STANDARD_GRAVITY_MPS2 = 9.80665
@@ -14,18 +11,10 @@ STANDARD_GRAVITY_MPS2 = 9.80665
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Samples:
-    """One sensor stream at its own timestamps.
+    """One sensor stream at its own timestamps."""
 
-    Parameters
-    ----------
-    time_s : (N,)
-        Seconds from the first accelerometer sample; as recorded, so not always increasing.
-    values : (N, d)
-        In the units of the stream (`Recording` names them); NaN where a field was empty.
-    """
-
-    time_s: FloatArray
-    values: FloatArray
+    time_s: FloatArray  # (N,) seconds from the first accelerometer sample; as recorded, so not always increasing
+    values: FloatArray  # (N, d) in the units of the stream (`Recording` names them); NaN where a field was empty
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "time_s", read_only(self.time_s))
