@@ -98,15 +98,8 @@ class Calibration:
         for name in _ARRAYS:
             object.__setattr__(self, name, read_only(getattr(self, name)))
         n, s = slices_of(self.models)[1], len(self.subject_ids)
-        shapes = {
-            "theta": (n,),
-            "theta_cov": (n, n),
-            "between_cov": (n, n),
-            "people": (s, n),
-            "people_cov": (s, n, n),
-            "heights_m": (s,),
-        }
-        for name, shape in shapes.items():
+        shapes = (n,), (n, n), (n, n), (s, n), (s, n, n), (s,)
+        for name, shape in zip(_ARRAYS, shapes, strict=True):
             if getattr(self, name).shape != shape:
                 raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
         if not set(self.models) <= set(CONTEXTS):
@@ -241,9 +234,8 @@ class Calibration:
     def save(self, path: str | Path) -> Path:
         """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""
         arrays = {name: np.asarray(getattr(self, name)) for name in _ARRAYS}
-        arrays |= prefixed(
-            _SEGMENT, {name: np.asarray(self.segments[name]) for name in self.segments.dtype.names or ()}
-        )
+        columns = self.segments.dtype.names or ()
+        arrays |= prefixed(_SEGMENT, {name: np.asarray(self.segments[name]) for name in columns})
         description = {
             "models": {name: _model_to_plain(model) for name, model in self.models.items()},
             "subject_ids": list(self.subject_ids),

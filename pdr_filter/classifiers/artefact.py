@@ -26,21 +26,11 @@ T = TypeVar("T")
 
 @dataclass(frozen=True, slots=True)
 class ArtefactFormat:
-    """One kind of artefact and the version of its format.
+    """One kind of artefact and the version of its format."""
 
-    Parameters
-    ----------
-    kind : str
-        In the .json, and in messages.
-    version : int
-        The version that is written, and the only one that is read.
-    remedy : str
-        What to do about files that cannot be used.
-    """
-
-    kind: str
-    version: int
-    remedy: str
+    kind: str  # in the .json, and in messages
+    version: int  # that is written, and the only one that is read
+    remedy: str  # what to do about files that cannot be used
 
     def write(self, path: str | Path, description: Mapping[str, Any], arrays: Arrays | None = None) -> None:
         """Write `<path>.json`, and `<path>.npz` if there are arrays.

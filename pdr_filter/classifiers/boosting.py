@@ -24,19 +24,11 @@ class BoostedTrees(TreeMachine):
     """p = softmax(baseline + sum over rounds of the leaves' values), one tree for each class and round.
 
     Friedman, "Greedy function approximation: a gradient boosting machine", Annals of Statistics 29, 2001, Algorithm 6.
-
-    Parameters
-    ----------
-    trees : Trees
-        Round after round, in each round the classes in order.
-    value : (n_nodes,)
-        Of a leaf; not used in other nodes.
-    baseline : (K,)
-        Logits before the first round.
+    The trees are round after round, in each round the classes in order.
     """
 
-    value: FloatArray
-    baseline: FloatArray
+    value: FloatArray  # (n_nodes,) of a leaf; not used in other nodes
+    baseline: FloatArray  # (K,) logits before the first round
 
     def __post_init__(self) -> None:
         self._make_read_only("value", "baseline")

@@ -22,20 +22,11 @@ class Familiarity(Stored):
 
     d^2 = 1/F sum_k y_k^2 / max(v_k, 0.05), y the features along the principal axes of the training windows, v their
     variances. The squared distances of what is like the training set are about one.
-
-    Parameters
-    ----------
-    axes : (K, F)
-        Principal axes of the standardised features with a variance above 0.05.
-    variance : (K,)
-        Along them.
-    limit : float
-        Distance that one in a hundred windows of people left out of training exceeds.
     """
 
-    axes: FloatArray
-    variance: FloatArray
-    limit: float
+    axes: FloatArray  # (K, F) principal axes of the standardised features with a variance above 0.05
+    variance: FloatArray  # (K,) along them
+    limit: float  # distance that one in a hundred windows of people left out of training exceeds
 
     def __post_init__(self) -> None:
         self._make_read_only("axes", "variance")

@@ -19,16 +19,9 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Forest(TreeMachine):
-    """The mean of the class probabilities of trees.
+    """The mean of the class probabilities of trees."""
 
-    Parameters
-    ----------
-    trees : Trees
-    probability : (n_nodes, C)
-        Class probabilities of a leaf, summing to one; not used in other nodes.
-    """
-
-    probability: FloatArray
+    probability: FloatArray  # (n_nodes, C) of a leaf, summing to one; not used in other nodes
 
     def __post_init__(self) -> None:
         self._make_read_only("probability")

@@ -24,33 +24,18 @@ class RelevanceVectors(Machine):
     Machine k has the logit t_k(x) = sum_m weights[k, m] phi[basis[k, m]](x) (eq. 4 of Martinelli et al. 2018), where
     phi_0(x) = 1 is the bias and phi_r(x) = K(x, vectors[r - 1]). Machines that use fewer than m vectors are filled up
     with weight zero.
-
-    Parameters
-    ----------
-    kernel : str
-        "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5), or "linear": K(x, v) = x . v.
-    width : float
-        sigma_G of eq. 5, in units of the features; not used by the linear kernel.
-    vectors : (R, F)
-        Relevance vectors of all machines; R may be zero.
-    basis : (K, m)
-        Basis functions of each machine: 0 the bias, r the vector r - 1.
-    weights : (K, m)
-        Posterior mean of the weights (eq. 10), K at least two.
-    cov_factor : (K, m, m)
-        Factor G of the weights' posterior covariance Delta = G^T G (eq. 10): the variance of the logit is
-        phi^T Delta phi = ||G phi||^2. All zeros: no moderation.
-    link : str
-        From logits to probabilities. "sigmoid": each machine knows its class from all others, `normalised_sigmoids`.
-        "softmax": the logits compete, `moderated_softmax`.
     """
 
-    kernel: str
-    width: float
-    vectors: FloatArray
-    basis: IntArray
-    weights: FloatArray
+    kernel: str  # "rbf": K(x, v) = exp(-||x - v||^2 / (2 width^2)) (eq. 5), or "linear": K(x, v) = x . v
+    width: float  # sigma_G of eq. 5, in units of the features; not used by the linear kernel
+    vectors: FloatArray  # (R, F) of all machines; R may be zero
+    basis: IntArray  # (K, m) basis functions of each machine: 0 the bias, r the vector r - 1
+    weights: FloatArray  # (K, m) posterior mean (eq. 10), K at least two
+    # (K, m, m) factor G of the weights' posterior covariance G^T G (eq. 10): the variance of the logit is ||G phi||^2.
+    # All zeros: no moderation.
     cov_factor: FloatArray
+    # From logits to probabilities: `normalised_sigmoids` (each machine knows its class from all others) or, where the
+    # logits compete, `moderated_softmax`.
     link: str = "sigmoid"  # files of version 0.1 have none
 
     def __post_init__(self) -> None:
@@ -72,10 +57,7 @@ class RelevanceVectors(Machine):
         return (normalised_sigmoids if self.link == "sigmoid" else moderated_softmax)(*self._logits(row))
 
     def _logits(self, features: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """Mean and variance of every machine's logit, (K,) each, for one row (F,).
-
-        Sums are NumPy's own over the last axis of whole arrays, never BLAS, whose order depends on the shapes.
-        """
+        """Mean and variance (K,) of the logits of a row (F,), without BLAS, whose order depends on the shapes."""
         phi = np.ones(len(self.vectors) + 1)
         if self.kernel == "rbf":
             difference = self.vectors - features

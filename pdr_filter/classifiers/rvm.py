@@ -37,13 +37,10 @@ WIDTH_GRID = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 # Candidates from which the kernel width is estimated: the median of half a million distances is as good as any.
 _MAX_WIDTH_ROWS = 1000
-
 # Candidates during the search for a width: it needs the order of the log losses only.
 _MAX_SEARCH_SAMPLES = 300
-
 # Entries of the matrix of basis functions, 0.4 GB: with more rows, fewer of them are candidates.
 _MAX_ENTRIES = 50_000_000
-
 # Passes of one class before it is the next one's turn (multinomial), and rounds in all.
 _PASSES_A_ROUND = 4
 _MAX_ROUNDS = 10
@@ -83,16 +80,18 @@ def train_one_against_all(
 ) -> list[Trained]:
     """K machines, each for its class against all others; with two classes the first mirrors the second.
 
-    A machine is a `Trained` on the bias and the candidates as basis functions.
-
-    functions (R, N), label (N,) 0 to K - 1, weight (N,) how often each row counts.
+    A machine is a `Trained` on the bias and the candidates as basis functions (R, N); label (N,) is 0 to K - 1, weight
+    (N,) how often each row counts.
     """
     no_offset = np.zeros(len(label))
     machines: list[Trained] = []
     for k in [1] if n_classes == 2 else range(n_classes):
         likelihood = Bernoulli((label == k).astype(np.float64), weight, no_offset)
         machines.append(_train(functions, likelihood, None, budget.max_iter, budget))
-    return [_mirrored(machines[0]), machines[0]] if n_classes == 2 else machines
+    if n_classes != 2:
+        return machines
+    p = machines[0].posterior  # the other class has the opposite logit with the same covariance
+    return [replace(machines[0], posterior=replace(p, mean=-p.mean, logit=-p.logit)), machines[0]]
 
 
 def train_multinomial(
@@ -148,19 +147,11 @@ def _train(
     return train(likelihood, functions, start, max_basis=budget.max_basis, max_passes=max_passes, tol=budget.tol)
 
 
-def _mirrored(machine: Trained) -> Trained:
-    """Return the machine for the other of two classes: the opposite logit with the same covariance."""
-    p = machine.posterior
-    return replace(machine, posterior=replace(p, mean=-p.mean, logit=-p.logit))
-
-
 def assemble(
     machines: Sequence[Trained], vectors: FloatArray, kernel: str, width: float, link: str, moderate: bool
 ) -> RelevanceVectors:
     """Machines (K), trained on the bias and `vectors` (R, F), as arrays; vectors that none uses are left out."""
-    used = np.unique(
-        np.concatenate([[0], *(machine.posterior.basis for machine in machines)])
-    )  # the bias is always there
+    used = np.unique(np.concatenate([[0], *(machine.posterior.basis for machine in machines)]))  # with the bias
     size = max(len(machine.posterior.basis) for machine in machines)
     basis = np.zeros((len(machines), size), dtype=np.int64)
     weights = np.zeros((len(machines), size))
@@ -448,9 +439,7 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         loss, total = 0.0, 0.0
         for fit, score in folds:
             seen, fit_label = np.unique(label[fit], return_inverse=True)
-            n_candidates = (
-                _MAX_SEARCH_SAMPLES if self.max_samples is None else min(_MAX_SEARCH_SAMPLES, self.max_samples)
-            )
+            n_candidates = min(_MAX_SEARCH_SAMPLES, self.max_samples or _MAX_SEARCH_SAMPLES)
             chosen = stratified_rows(fit_label, n_candidates, np.random.RandomState(0))
             candidates = np.unique(rows[fit][chosen], axis=0)
             machine = self._fitted(rows[fit], fit_label, weight[fit], candidates, width)[1]

@@ -18,18 +18,10 @@ def softmax(logit: FloatArray) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SoftmaxRegression(Machine):
-    """p_k = softmax_k(w_k . x + b_k).
+    """p_k = softmax_k(w_k . x + b_k) of standardised features x."""
 
-    Parameters
-    ----------
-    weights : (K, F)
-        w, for standardised features.
-    intercept : (K,)
-        b.
-    """
-
-    weights: FloatArray
-    intercept: FloatArray
+    weights: FloatArray  # (K, F) w
+    intercept: FloatArray  # (K,) b
 
     def __post_init__(self) -> None:
         self._make_read_only("weights", "intercept")

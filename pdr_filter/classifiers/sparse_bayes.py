@@ -31,32 +31,23 @@ from pdr_filter.values import BoolArray, FloatArray, IntArray
 # one of two similar functions is taken and not both; more than 20 at once are mostly deleted again.
 _MAX_ADDED = 20
 _SHORTLIST = 60
-
 # Share of the functions that one pass may delete: with wide kernels many look useless together but not one by one.
 _MAX_DELETED_SHARE = 0.2
-
 # Prior precision of the weights before the first pass: logits of ten are plausible.
 _START_ALPHA = 1e-2
-
 # Lower bound of an alpha: beyond it the prior is flat to double precision and the Hessian may lose its rank.
 _MIN_ALPHA = 1e-10
-
 # A function whose presence is worth less than this many nats is deleted: it costs time and moves nothing.
 _MIN_WORTH = 1e-3
-
 # Of two functions whose parts that the model does not explain correlate more than this, a pass adds one.
 _MAX_CORRELATION = 0.99
-
 # A candidate is a combination of the functions in the model, up to rounding, when this share of it is unexplained.
 _MIN_UNEXPLAINED = 1e-6
-
 # The mode is found when another Newton step would raise the log posterior by less than this many nats.
 _MODE_TOLERANCE = 1e-8
 _MAX_NEWTON_STEPS = 100
-
 # How bold a pass is: the step in ln alpha and the numbers added and deleted are multiplied by it.
 _MIN_BOLDNESS = 0.1
-
 # Basis functions whose s and q are computed together: a block and its square stay in the cache.
 _BLOCK = 64
 
@@ -145,14 +136,8 @@ def spread_start(likelihood: Likelihood, functions: FloatArray, n_functions: int
     """Posterior with the bias and up to `n_functions` - 1 others, at equal distances in the order of `functions`."""
     n = max(1, min(n_functions, len(functions)))
     basis = np.unique(np.linspace(0, len(functions) - 1, n).astype(np.int64))
-    return posterior(
-        likelihood,
-        functions,
-        basis,
-        np.full(len(basis), _START_ALPHA),
-        np.zeros(len(basis)),
-        np.zeros(functions.shape[1]),
-    )
+    alpha = np.full(len(basis), _START_ALPHA)
+    return posterior(likelihood, functions, basis, alpha, np.zeros(len(basis)), np.zeros(functions.shape[1]))
 
 
 def train(
@@ -166,19 +151,9 @@ def train(
 ) -> Trained:
     """Alphas of (locally) maximal evidence with the posterior that they imply.
 
-    Parameters
-    ----------
-    likelihood : Likelihood
-        Of N targets.
-    functions : (R, N)
-        Candidate basis functions at the N rows, the bias (ones) first. One function a row, so that both a function
-        and a block of functions are contiguous.
-    start : Posterior, optional
-        Where another training of the same functions ended, perhaps with another likelihood. None: `spread_start`.
-    max_basis, max_passes : int
-        Budgets: basis functions in the model, refreshed posteriors.
-    tol : float
-        Stop when two passes together raise the log evidence by less than this, in nats.
+    `functions` (R, N) are the candidates at the N rows, the bias (ones) first: one a row, so that a block of functions
+    is contiguous. `start` is where another training ended, perhaps with another likelihood (else `spread_start`).
+    Training stops when two passes together raise the log evidence by less than `tol` nats.
     """
     if start is None:
         now = spread_start(likelihood, functions, max_basis)
@@ -412,11 +387,7 @@ def _levenberg_step(precision: FloatArray, gradient: FloatArray, damping: float)
 
 
 def _scaled_cholesky(precision: FloatArray, damping: float = 0.0) -> tuple[FloatArray, FloatArray]:
-    """Lower triangle L and scale d with L L^T = d_i H_ij d_j + damping I, for a precision matrix H.
-
-    The scaling gives H a unit diagonal, for alphas differ by many orders. Nearly equal functions can still take its
-    rank to rounding; then the damping is raised until the matrix is positive definite.
-    """
+    """Lower L and scale d with L L^T = d_i H_ij d_j + damping I, unit diagonal; damping grows until it is definite."""
     scale = 1.0 / np.sqrt(np.diag(precision))
     scaled = precision * scale[:, None] * scale
     while True:

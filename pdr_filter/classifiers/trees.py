@@ -19,21 +19,14 @@ from pdr_filter.classifiers.machine import Machine, Stored
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 NO_CHILD = -1  # in `left` and `right` of a leaf, as scikit-learn has it
-
 # Rows times trees that go down together: what stays in the processor's cache. It changes no result.
 _WALKS_AT_ONCE = 16_384
-
 # In the lower half of the trees, levels between two looks at whether all have arrived; a look costs a third of a level.
 _LEVELS_BETWEEN_LOOKS = 3
-
 # All that a step down needs to know about a node, in 16 bytes, so that one look-up fetches it from one place in memory.
+_FORMATS = [np.intp, np.float32, np.int32]
 _NODE = np.dtype(
-    {
-        "names": ["left", "threshold", "feature"],
-        "formats": [np.intp, np.float32, np.int32],
-        "offsets": [0, 8, 12],
-        "itemsize": 16,
-    }
+    {"names": ["left", "threshold", "feature"], "formats": _FORMATS, "offsets": [0, 8, 12], "itemsize": 16}
 )
 # A plain type of the same size: `take` copies it twice as fast as a record.
 _NODE_AS_NUMBER = np.complex128
@@ -43,28 +36,14 @@ _LOWEST_BYTE = 0 if sys.byteorder == "little" else np.dtype(np.intp).itemsize - 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Trees(Stored):
-    """All trees, concatenated; children come after their parents.
+    """All trees, concatenated; children come after their parents."""
 
-    Parameters
-    ----------
-    n_features : int
-        Features of a row, F.
-    roots : (T,)
-        Node at which each tree starts.
-    feature : (n_nodes,)
-        Feature that a node looks at; -1 or anything else in a leaf, where it is not used.
-    threshold : (n_nodes,)
-        A row goes left where its feature, rounded to float32, is at most this.
-    left, right : (n_nodes,)
-        Children as node numbers, -1 in a leaf.
-    """
-
-    n_features: int
-    roots: IntArray
-    feature: IntArray
-    threshold: FloatArray
-    left: IntArray
-    right: IntArray
+    n_features: int  # of a row, F
+    roots: IntArray  # (T,) node at which each tree starts
+    feature: IntArray  # (n_nodes,) that a node looks at; -1 or anything else in a leaf, where it is not used
+    threshold: FloatArray  # (n_nodes,) a row goes left where its feature, rounded to float32, is at most this
+    left: IntArray  # (n_nodes,) children as node numbers, -1 in a leaf
+    right: IntArray  # (n_nodes,)
     # The form that a row walks over, made from the fields above: nodes level by level through all trees at once (first
     # the T roots), so that the right child always stands behind the left one. See `_walkable`.
     _nodes: NDArray[Any] = field(init=False, repr=False)  # (n_nodes,), `_NODE` seen as `_NODE_AS_NUMBER`
@@ -119,11 +98,7 @@ class Trees(Stored):
             yield self._leaves(values[i : i + at_once])
 
     def _leaves(self, values: NDArray[np.float32]) -> NDArray[np.intp]:
-        """Leaf at which a few rows (N, F) arrive in each tree, (T, N).
-
-        All arrays of the loop are made before it, and indices are right by construction: with `out` and unchecked
-        (mode "clip") a look-up costs half.
-        """
+        """Leaves (T, N) at which rows (N, F) arrive in each tree; with `out` and mode "clip" a look-up costs half."""
         n_rows, n_trees, depth = len(values), len(self.roots), len(self._first_of_level) - 1
         place = np.arange(n_trees).repeat(n_rows)
         first_value = np.tile(np.arange(n_rows) * self.n_features, n_trees) if n_rows > 1 else None
@@ -193,10 +168,7 @@ def _check_shapes(trees: Trees) -> None:
 
 
 def _check_links(trees: Trees) -> None:
-    """Raise ValueError unless the nodes are trees: no cycle, no node in two places.
-
-    Children after their parents rule out a cycle; exactly one way to each node rules out shared branches.
-    """
+    """Raise ValueError unless the nodes are trees: children after parents (no cycle), one way to each node."""
     left, right, n_nodes = trees.left, trees.right, len(trees.left)
     inner = np.flatnonzero(left != NO_CHILD)
     if not np.array_equal(inner, np.flatnonzero(right != NO_CHILD)):
@@ -222,10 +194,7 @@ def _levels(trees: Trees) -> list[NDArray[np.intp]]:
 
 
 def _walkable(trees: Trees, order: NDArray[np.intp]) -> NDArray[Any]:
-    """Nodes in this order as `_NODE`, with children as places in this order.
-
-    No value is above the threshold of a leaf and its left child is the leaf itself: who arrives early waits there.
-    """
+    """Nodes in this order as `_NODE`, children as places in it; a leaf is its own left child, so who is early waits."""
     place = np.empty(len(order), np.intp)
     place[order] = np.arange(len(order))
     leaf = trees.left[order] == NO_CHILD

@@ -24,9 +24,6 @@ GNC_FACTOR = 1.4
 _HUBER_ITERATIONS = 5  # a redescending loss needs a start that outliers did not choose
 
 
-# --- weights that never vanish ----------------------------------------------------------------------------------------
-
-
 def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
     """Weights w(u) of residuals u in standard deviations; `mu` is the control parameter of the graduated non-convexity.
 
@@ -73,9 +70,6 @@ def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[st
         mu = start if iteration == 1 else max(1.0, round(mu / GNC_FACTOR, 3))
         return loss, mu, mu == 1.0
     return loss, 1.0, True
-
-
-# --- used or not ------------------------------------------------------------------------------------------------------
 
 
 def truncated_start(excess: float) -> float:

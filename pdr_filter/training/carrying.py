@@ -154,9 +154,6 @@ def train_carrying(
     return cards
 
 
-# --- windows --------------------------------------------------------------------------------------------------------
-
-
 def carrying_windows(
     plan: CarryingPlan, paths: Sequence[Path], n_simulated: int, progress: Progress = silent
 ) -> LabelledWindows:
@@ -261,10 +258,7 @@ def _turned(signals: _Signals, name: str) -> _Signals:
 
 
 def _weak(signals: _Signals, name: str) -> _Signals:
-    """Every second window, its angles and rates scaled by 0.25 to 0.85, its accelerations by that to the power of 1.5.
-
-    A slower pace scales accelerations more than angles: with the square of the frequency as well as with the angle.
-    """
+    """Every second window slowed down: angles and rates times f = 0.25 to 0.85, accelerations (frequency too) f^1.5."""
     signals = signals.part(slice(None, None, 2))
     samples = signals.samples.copy()
     factor = np.random.default_rng(crc32(name.encode())).uniform(0.25, 0.85, len(samples))[:, None, None]
@@ -275,9 +269,6 @@ def _weak(signals: _Signals, name: str) -> _Signals:
     samples[:, _UP] = up / np.sqrt((up * up).sum(axis=1, keepdims=True))
     samples[:, _FORCE] = mean_force + (samples[:, _FORCE] - mean_force) * factor**1.5
     return replace(signals, samples=samples)
-
-
-# --- figures --------------------------------------------------------------------------------------------------------
 
 
 def _even_rows(windows: LabelledWindows, at_most: int = 300) -> BoolArray:

@@ -214,7 +214,6 @@ def model_without(
     rest = ~np.isin(windows.person, people)
     if rest.all():
         return model
-    without = replace(plan.fit(windows.part(rest)), card=model.card)
-    return (
-        without if model.familiarity is None else with_familiarity(without, windows.part(rest), model.familiarity.limit)
-    )
+    others = windows.part(rest)
+    without = replace(plan.fit(others), card=model.card)
+    return without if model.familiarity is None else with_familiarity(without, others, model.familiarity.limit)

@@ -49,7 +49,6 @@ N_FOLDS = 3
 HALF_WINDOW_S = 1.0
 # A window a second, and 1.6 to 2 steps a second.
 STEPS_PER_WINDOW = 2
-
 # The context model of people who must not have been in its training.
 ModelWithout = Callable[[Sequence[str]], ContextModel]
 
@@ -167,9 +166,6 @@ def contexts_at(recording: Recording, time_s: FloatArray) -> IntArray:
         if label["context"] in CONTEXTS:
             result[(time_s >= label["start_s"]) & (time_s < label["end_s"])] = CONTEXTS.index(str(label["context"]))
     return result
-
-
-# --- The estimate ----------------------------------------------------------------------------------------------------
 
 
 def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:

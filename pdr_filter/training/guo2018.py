@@ -149,9 +149,6 @@ def train_guo(
     return model.card
 
 
-# --- windows --------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class WalkWindows(Columns):
     """Levels of motion (eq. 1) of labelled windows."""
@@ -245,9 +242,6 @@ def _made_of(ups: _Ups, name: str) -> list[tuple[str, _Ups]]:
 def _labelled(ups: _Ups, source: str, person: str, name: str) -> LabelledWindows:
     features = np.array([pose_features(np.stack(pitch_and_roll(up))) for up in ups.up_sensor])
     return LabelledWindows.of_one(features, ups.context, ups.mode, person, source, name, ups.has_rate)
-
-
-# --- figures --------------------------------------------------------------------------------------------------------
 
 
 def pose_scores(truth: TextArray, prob: FloatArray) -> dict[str, Any]:

@@ -47,9 +47,6 @@ FEATURE_LIMIT = 4.0
 _LEAST_STD = 1e-6
 
 
-# --- data -----------------------------------------------------------------------------------------------------------
-
-
 def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
     """Recordings of data sets, one folder each, without those that are published twice."""
     found = [path for dataset in datasets for path in sorted((data_dir / dataset).glob("*.zip"))]
@@ -120,9 +117,6 @@ class LabelledWindows(Columns):
         return self.context if head == "context" else self.carrying_mode
 
 
-# --- plans ----------------------------------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True, eq=False)
 class LeftOut:
     """What a model said of windows that it had not seen."""
@@ -134,38 +128,21 @@ class LeftOut:
 
 @dataclass(frozen=True, kw_only=True)
 class Plan(ABC):
-    """How one model is made.
-
-    Parameters
-    ----------
-    name, head : str
-        Of the model.
-    feature_set, feature_names
-        Its features, and the set that they are of.
-    datasets : tuple of str
-        Data sets that it learns from. Windows of any other source were made, and are never scored.
-    machine_fit : callable
-        Fits its machine.
-    description, use, limits : str
-        For people, on its card.
-    has_gyroscope : bool
-        Without, the angular rate is taken away before anything else: the attitude, and with it what is vertical, is
-        another when it comes from the accelerometer alone.
-    feature_limit : float
-        Standard deviations at which its features are cut.
-    """
+    """How one model is made."""
 
     name: str
     head: str
-    feature_set: str
+    feature_set: str  # the set that its features are of
     feature_names: tuple[str, ...]
-    datasets: tuple[str, ...]
+    datasets: tuple[str, ...]  # that it learns from; windows of any other source were made, and are never scored
     machine_fit: MachineFit
-    description: str
+    description: str  # on its card for people, as are the next two
     use: str
     limits: str
+    # Without, the angular rate is taken away before anything else: the attitude, and with it what is vertical, is
+    # another when it comes from the accelerometer alone.
     has_gyroscope: bool = True
-    feature_limit: float = FEATURE_LIMIT
+    feature_limit: float = FEATURE_LIMIT  # standard deviations at which its features are cut
 
     @property
     def labels(self) -> tuple[str, ...]:
@@ -242,9 +219,6 @@ class Plan(ABC):
         """The model of all windows with its card, and what else only windows left out can show."""
 
 
-# --- the protocol ---------------------------------------------------------------------------------------------------
-
-
 def train_one(plan: Plan, windows: LabelledWindows, progress: Progress) -> ContextModel:
     """The model of one plan, fitted on all its windows, its card scored on groups left out."""
     groups = plan.held_out(windows)
@@ -306,9 +280,6 @@ def part_progress(progress: Progress, start: float, span: float) -> Progress:
 
 def silent(what: str, fraction: float) -> None:
     """Progress that nobody watches."""
-
-
-# --- figures --------------------------------------------------------------------------------------------------------
 
 
 def predicted(prob: FloatArray, labels: tuple[str, ...]) -> TextArray:

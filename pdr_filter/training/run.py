@@ -20,18 +20,9 @@ def train(
 ) -> list[dict[str, Any]]:
     """Cards of the models that were trained and written to `out_dir`, and of the transitions and exponents.
 
-    Parameters
-    ----------
-    data_dir : Path, optional
-        Folder with one folder for each data set of the models. Without it no model is trained, and transitions and
-        exponents are those of the shipped models.
-    out_dir : Path
-        Where `<name>.npz`, `<name>.json` and `transitions.json` go.
-    progress : callable
-        Called with what is done and the fraction of the whole, 0 to 1.
-    sequences : sequence of Path, optional
-        Further labelled recordings in which people change their context: for transitions and exponents only, no model
-        is trained on them.
+    `data_dir` has one folder for each data set of the models; without it no model is trained, and transitions and
+    exponents are those of the shipped models. `sequences` are further labelled recordings in which people change their
+    context, for transitions and exponents only. `out_dir` gets `<name>.npz`, `<name>.json` and `transitions.json`.
     """
     if sequences is not None and not sequences:
         raise ValueError("no recordings in the folder of sequences; give one of recordings with truth_labels.csv")

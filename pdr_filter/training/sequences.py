@@ -25,25 +25,13 @@ PRIOR_STEPS = 100.0
 
 @dataclass(frozen=True, eq=False)
 class LabelledProbabilities:
-    """What a classifier said of windows in a row, of people whom it had not seen, and what was true.
+    """What a classifier said of windows in a row, of people whom it had not seen, and what was true."""
 
-    Parameters
-    ----------
-    prob : (W, C)
-        Probabilities of each window.
-    training_prior : (W, C)
-        Of the classifier that gave them; one for each fold.
-    label : (W,)
-        True context, `UNKNOWN` where there is none.
-    person, sequence : (W,)
-        Whose window it is, and of which sequence; the windows of a sequence follow each other in time.
-    """
-
-    prob: FloatArray
-    training_prior: FloatArray
-    label: IntArray
-    person: TextArray
-    sequence: TextArray
+    prob: FloatArray  # (W, C)
+    training_prior: FloatArray  # (W, C) of the classifier that gave them; one for each fold
+    label: IntArray  # (W,) true context, `UNKNOWN` where there is none
+    person: TextArray  # (W,)
+    sequence: TextArray  # (W,) whose windows follow each other in time
 
     def __post_init__(self) -> None:
         if self.prob.ndim != 2 or self.prob.shape != self.training_prior.shape or not len(self.prob):
@@ -73,9 +61,6 @@ def sequence_starts(sequence: TextArray) -> BoolArray:
     return starts
 
 
-# --- Transitions -----------------------------------------------------------------------------------------------------
-
-
 def count_transitions(
     label: IntArray, sequence: TextArray, n_contexts: int, steps: FloatArray | None = None
 ) -> FloatArray:
@@ -84,17 +69,9 @@ def count_transitions(
     n_ij is the number of changes from i to j; n_ii the steps made in i less the changes out of it, so that
     n_ij / sum_j n_ij is the probability of a change at a step. The last row of a sequence is followed by nothing.
 
-    Parameters
-    ----------
-    label : (W,)
-        Contexts of rows in a row, steps or windows; `UNKNOWN` breaks a sequence.
-    sequence : (W,)
-        Rows of different sequences do not follow each other.
-    n_contexts : int
-        C.
-    steps : (W,), optional
-        Steps in each row, for windows; one each if not given. A window has one change at most, so a chain of windows
-        with 2 steps each is that of steps to first order in the probability of a change.
+    `label` (W,) are contexts of rows in a row, steps or windows; `UNKNOWN` breaks a sequence, and rows of different
+    `sequence` (W,) do not follow each other. `steps` (W,) are those in each row, for windows; one each if not given. A
+    window has one change at most: windows of 2 steps are as steps to first order in the probability of a change.
     """
     _check_labels(label, n_contexts)
     steps = np.ones(len(label)) if steps is None else steps
@@ -120,14 +97,8 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
     data keeps its row of the prior q; a transition that q says is impossible is possible if it was seen. The counts
     must be of recordings in which people could change: those cut into one context each say that nobody ever does.
 
-    Parameters
-    ----------
-    counts : (C, C)
-        Of `count_transitions`.
-    prior : (C, C)
-        q, a transition matrix: `recipes.context_transitions()`.
-    prior_steps : float
-        s, how many steps it counts as, above zero.
+    `counts` (C, C) are those of `count_transitions`, `prior` (C, C) is q, a transition matrix
+    (`recipes.context_transitions()`), and `prior_steps` s, above zero, how many steps it counts as.
     """
     if counts.shape != prior.shape or counts.ndim != 2 or counts.shape[0] != counts.shape[1]:
         raise ValueError(f"counts and prior must both be (C, C), got {counts.shape} and {prior.shape}")
@@ -138,9 +109,6 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
         raise ValueError(f"prior_steps must be above zero, got {prior_steps}")
     posterior = counts + prior_steps * prior
     return posterior / posterior.sum(axis=1, keepdims=True)
-
-
-# --- Tempering -------------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)
@@ -212,14 +180,8 @@ def fit_tempering(windows: LabelledProbabilities, transition_prob: FloatArray, f
     The probabilities must be of people whom the classifier has not seen. What two exponents chosen so are worth to the
     next person is `held_out_log_loss`: chosen on all others, scored on each.
 
-    Parameters
-    ----------
-    windows : LabelledProbabilities
-        Sequences with changes of context: those of one context each do not show how fast a filter follows a change.
-    transition_prob : (C, C)
-        Between windows.
-    floor : float
-        Of the probabilities, as in `PedestrianModel`.
+    Sequences need changes of context: those of one each do not show how fast a filter follows a change.
+    `transition_prob` (C, C) is that between windows, `floor` that of the probabilities as in `PedestrianModel`.
     """
     if not (windows.label != UNKNOWN).any():
         raise ValueError("no window has a known context")

@@ -69,18 +69,8 @@ def estimate_parameters(
     component along it), integrates rho_w out exactly, solves for all theta (`hierarchy.solve_people`), and takes phi,
     tau, B and the robust weights from the posterior of e, rho and theta_s - population.
 
-    Parameters
-    ----------
-    sums : SegmentSums
-    prior : Hierarchy
-    loss : {"gnc", "cauchy", "huber", "none"}
-    relinearise : callable, optional
-        Sums about the parameters of each person (S, P), for models that are not linear.
-
-    Raises
-    ------
-    hierarchy.SingularError
-        Parameters that neither data nor priors determine.
+    `relinearise` gives sums about the parameters of each person (S, P), for models that are not linear. `SingularError`
+    if neither data nor priors determine a parameter.
     """
     weights(np.zeros(1), loss)
     task = _Task(sums, prior)

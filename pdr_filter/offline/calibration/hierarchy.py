@@ -53,24 +53,11 @@ def solve_people(
 
         sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
 
-    as a `gtsam.GaussianFactorGraph` eliminated person by person.
-
-    Parameters
-    ----------
-    information, vector : (S, P, P), (S, P)
-        G_s and g_s: sums of row' row / variance and of row' distance / variance.
-    prior_mean, prior_precision : (P,)
-        Of the population; precision 0 is no prior.
-    personal : (Q,)
-        Which parameters are each person's own.
-    between_precision : (Q, Q)
-        W, inverse of the covariance between people; zero rows for parameters in which people are independent of
-        each other. The population's value of such a parameter is the mean of the people's.
-
-    Raises
-    ------
-    SingularError
-        Parameters that neither data nor priors determine.
+    as a `gtsam.GaussianFactorGraph` eliminated person by person. `information` (S, P, P), `vector` (S, P) are G_s, g_s:
+    sums of row' row / variance and of row' distance / variance. `prior_precision` (P,) 0 is no prior. `personal`
+    (Q,) are each person's own parameters. `between_precision` (Q, Q) is W, inverse of the covariance between people,
+    with zero rows where people are independent of each other: the population's value there is the mean of theirs.
+    SingularError if neither data nor priors determine a parameter.
     """
     free = np.diagonal(between_precision) == 0  # nothing ties these to the population
     weight = np.einsum("sii->i", information) + prior_precision
@@ -98,10 +85,7 @@ def solve_people(
 def _eliminated(
     G: FloatArray, g: FloatArray, mean: FloatArray, precision: FloatArray, personal: IntArray, W: FloatArray
 ) -> PeoplePosterior:
-    """Posterior from the eliminated graph, for parameters of unit size.
-
-    Each conditional is R t_s + S y = d, so that t_s has a covariance (R'R)^-1 of its own and -R^-1 S of y's.
-    """
+    """Posterior for parameters of unit size; each conditional of the eliminated graph is R t_s + S y = d."""
     n_people, n_params = g.shape
     ordering = gtsam.Ordering()
     for key in (*range(1, n_people + 1), _POPULATION):
@@ -157,10 +141,7 @@ def _graph(
 def _blocks(
     G: FloatArray, g: FloatArray, personal: IntArray, W: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Quadratic forms of people in (t_s, y): of t_s, mixed, the vector of t_s, of y, and the vector of y.
-
-    t_s - y[personal] has precision W: the tie of a person to the population is with the person's data.
-    """
+    """Quadratic forms of people in (t_s, y), the tie with them: of t_s, mixed, vector of t_s, of y, vector of y."""
     n_people, n_params = g.shape
     shared = np.delete(np.arange(n_params), personal)
     cross = np.zeros((n_people, len(personal), n_params))

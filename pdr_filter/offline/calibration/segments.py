@@ -138,15 +138,10 @@ def integrate(
     models: Mapping[str, StepLengthModel],
     theta: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
 ) -> SegmentSums:
-    """Sums of segments for a model of each context.
+    """Sums of segments for a model of each context, in the order of the parameters.
 
-    Parameters
-    ----------
-    segments : (N,) of Segment
-    models : mapping
-        Model of each context, in the order of the parameters; one with a `height_m` takes that of the person.
-    theta : mapping, or one for each segment
-        Parameters about which models that are not linear in theta are linearised.
+    A model with a `height_m` takes that of the person; one that is not linear in theta is linearised about `theta`, one
+    mapping or one for each segment.
     """
     slices, n_params = slices_of(models)
     regressors, offset = np.zeros((len(segments), 2, n_params)), np.zeros((len(segments), 2))
@@ -171,7 +166,8 @@ def integrate(
             vectors = along[used] * w[used, None]  # (n, 2)
             regressors[i, :, slices[name]] += vectors.T @ jacobian
             offset[i] += vectors.T @ (length - jacobian @ about[name])
-    subjects, recordings = _names(s.subject for s in segments), _names(s.recording for s in segments)
+    subjects = tuple(dict.fromkeys(s.subject for s in segments))
+    recordings = tuple(dict.fromkeys(s.recording for s in segments))
     return SegmentSums(
         regressors=regressors,
         offset_m=offset,
@@ -184,13 +180,6 @@ def integrate(
         subjects=subjects,
         recordings=recordings,
     )
-
-
-def _names(found: Any) -> tuple[str, ...]:
-    return tuple(dict.fromkeys(found))
-
-
-# --- from recordings ------------------------------------------------------------------------------------------------
 
 
 @dataclass(frozen=True, slots=True)

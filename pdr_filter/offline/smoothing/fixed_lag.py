@@ -103,16 +103,8 @@ class FixedLagSmoother:
     ) -> tuple[FixedLagState, LateSteps]:
         """New state and the steps that became `lag_s` old.
 
-        Parameters
-        ----------
-        state : FixedLagState
-            From `init` or the step before.
-        updates : sequence of StepUpdate
-            As the filter gives them; provisional ones are passed over.
-        fixes : sequence of PositionFix
-            As they arrive; one that is older than the window is rejected.
-        gap_before_s : float
-            Time without samples before the first of these steps.
+        `updates` are as the filter gives them; provisional ones are passed over. `fixes` are as they arrive; one older
+        than the window is rejected. `gap_before_s` is the time without samples before the first of these steps.
         """
         final = [u for u in updates if u.is_final]
         if not final:
@@ -179,11 +171,7 @@ class FixedLagSmoother:
     def _forget(
         self, state: FixedLagState, problem: Problem, found: Solution, leaving: int
     ) -> tuple[FixedLagState, tuple[PositionFix, ...]]:
-        """The state without its first steps, and the fixes rejected among theirs.
-
-        What the steps and their fixes say of where the next one begins stays; nothing leaves while the rotation is not
-        known, because a Gaussian of an angle that could be anything is none.
-        """
+        """The state without its first steps once the rotation is known, and the fixes rejected among theirs."""
         node = int(np.searchsorted(problem.intervals.nodes, leaving))
         mean, cov = filtered_at(problem, found, node)
         waited_s = float(state.steps.time_s[-1] - state.steps.time_s[0])

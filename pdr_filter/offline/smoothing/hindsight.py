@@ -35,15 +35,9 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
     positions. To the smoothed covariance comes what all steps since the last fix share (`PedestrianState.shared_m`), as
     the filter knew it: a fix that comes later would make that smaller, so that before a fix it is on the safe side.
 
-    Parameters
-    ----------
-    recording : Recording
-        From `read`.
-    config : Config, optional
-        A recipe; the default recipe if not given. With the weightings "hc" and "wc", one filter, this is the
-        Rauch-Tung-Striebel smoother, and mode probabilities stay as they are.
-    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
-        In the frame of the track. A late one is used when it came, as by the filter.
+    With the weightings "hc" and "wc", one filter, this is the Rauch-Tung-Striebel smoother, and mode probabilities stay
+    as they are. `fixes` are in the frame of the track; a late one is used when it came, as by the filter. The default
+    recipe is used if no `config` is given.
     """
     config = config or default_config(recording)
     if not config.model.frame.is_joined:

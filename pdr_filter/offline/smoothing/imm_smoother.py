@@ -23,12 +23,7 @@ def smooth_imm(filtered: Sequence[ModeEstimates], transitions: Sequence[Transiti
     G_ji = P_j F_i' (F_i P_j F_i' + Q_i)^-1;  x_ji = x_j + G_ji (x_s,i - a_i - F_i (x_j - b_i));
     P_ji = P_j + G_ji (P_s,i - F_i P_j F_i' - Q_i) G_ji'; then p_s(j) = sum_i w_ji and moments merged over i.
 
-    Parameters
-    ----------
-    filtered : K estimates
-        With all evidence up to their time.
-    transitions : K - 1 transitions
-        From each to the next.
+    `filtered` are K estimates with all evidence up to their time, `transitions` those from each to the next.
     """
     if len(transitions) != len(filtered) - 1:
         raise ValueError(f"{len(filtered)} estimates need {len(filtered) - 1} transitions, got {len(transitions)}")

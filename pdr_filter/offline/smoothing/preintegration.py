@@ -83,18 +83,8 @@ def increments(
     fit's parameters is an error that all steps share, not one of each step: it is returned as the mean of
     J cov J' / L^2, to be added to the variance of the log scale. With several parameters that is an approximation.
 
-    Parameters
-    ----------
-    steps : Table
-        K rows of `Step`.
-    mode_prob : (K, M)
-        Probability of each mode at each step.
-    modes, noise
-        Those of the tracker.
-    gap_before_s : (K,)
-        Time without samples before each step, 0 for none.
-    previous_s : float, optional
-        Contact of the step before the first one, if there was one.
+    `mode_prob` is (K, M), `modes` and `noise` are those of the tracker, `gap_before_s` (K,) is the time without samples
+    before each step, and `previous_s` the contact of the step before the first one, if there was one.
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
@@ -281,16 +271,8 @@ def bridge(intervals: Intervals, node_mean: FloatArray, joint_cov: FloatArray) -
         G = Q_ak Phi' Q_ab^-1,  x_k = f_k(x_a) + G (x_b - f(x_a)),
         P_k = [F_ak - G F_ab, G] P_(a,b) [F_ak - G F_ab, G]' + Q_ak - G Phi Q_ak,
 
-    exact for the linearised steps: the same numbers as a smoother with every step as a state.
-
-    Parameters
-    ----------
-    intervals : Intervals
-        n of them.
-    node_mean : (n + 1, 4)
-        Smoothed states at the anchors.
-    joint_cov : (n, 8, 8)
-        Smoothed covariance of both ends of each interval.
+    exact for the linearised steps: the same numbers as a smoother with every step as a state. `node_mean` (n + 1, 4)
+    are the smoothed states at the anchors, `joint_cov` (n, 8, 8) the covariance of both ends of each interval.
     """
     i = intervals.index
     start = node_mean[:-1]

@@ -167,10 +167,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
 
 
 def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
-    """Steps before the contact nearest to a time, the part of a step from there to that time, and a variance in m2.
-
-    The variance is of what lies between: part of a step, or of a gap.
-    """
+    """Steps before the nearest contact, part of a step from it to the time, variance (m2) of what lies between."""
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):
         return k, np.zeros(2), 0.0
@@ -226,10 +223,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode], 
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
-    """Measured offsets moved to the anchor before them, those of one anchor joined.
-
-    What the heading offset may have drifted since the anchor is added to the variance of each.
-    """
+    """Measured offsets moved to the anchor before them, with drift in their variance; those of one joined."""
     if len(offsets) == 0:
         return NO_OFFSETS
     index = np.searchsorted(nodes, offsets.node, side="right") - 1

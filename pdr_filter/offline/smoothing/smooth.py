@@ -25,7 +25,6 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     second_order_errors,
 )
-from pdr_filter.filter.step_length import StepLengthFit
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight
 from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
@@ -134,19 +133,9 @@ def smooth(
         track = replace(track, mode_prob=read_only(prob))
     if calibration is not None:
         # how sure the parameters are is in the calibrated spread of the scale already
-        modes = tuple(replace(m, step_length=_without_spread(m.step_length)) for m in modes)
-    return smooth_track(
-        track,
-        modes,
-        config.model.noise,
-        observed,
-        start_heading_std_rad=start_heading_std_rad,
-        anchor_interval_s=anchor_interval_s,
-    )
-
-
-def _without_spread(fit: StepLengthFit) -> StepLengthFit:
-    return replace(fit, theta_cov=np.zeros_like(fit.theta_cov))
+        fits = [replace(m.step_length, theta_cov=np.zeros_like(m.step_length.theta_cov)) for m in modes]
+        modes = tuple(replace(m, step_length=fit) for m, fit in zip(modes, fits, strict=True))
+    return smooth_track(track, modes, config.model.noise, observed, start_heading_std_rad, anchor_interval_s)
 
 
 def _from_hindsight(found: Hindsight, observed: Observations) -> Smoothed:
@@ -171,9 +160,8 @@ def smooth_track(
     modes: Sequence[Mode],
     noise: MotionNoise,
     observed: Observations,
-    *,
-    start_heading_std_rad: float | None = None,
-    anchor_interval_s: float = 10.0,
+    start_heading_std_rad: float | None,
+    anchor_interval_s: float,
 ) -> Smoothed:
     """`smooth` of a track that the filter made without fixes; `modes` and `noise` are those of its tracker."""
     if anchor_interval_s <= 0:
@@ -191,15 +179,8 @@ def smooth_track(
     centre = np.mean([f.position_m for f in used.fixes], axis=0) if used.fixes else np.zeros(2)
     start_std_m = _ANYWHERE_STD_M if used.fixes else _HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
-    problem = pose_problem(
-        steps,
-        np.array([*centre, 0.0, 0.0]),
-        start_cov,
-        used,
-        offsets,
-        frame_std_rad,
-        anchor_interval_s=anchor_interval_s,
-    )
+    start = np.array([*centre, 0.0, 0.0])
+    problem = pose_problem(steps, start, start_cov, used, offsets, frame_std_rad, anchor_interval_s=anchor_interval_s)
     return _smoothed(track, steps, problem, solve(problem), observed, inside)
 
 
@@ -215,9 +196,6 @@ def _start_directions(
     if start_heading_std_rad is not None:
         return start_heading_std_rad, start_heading_std_rad
     return (wide, wide) if is_oriented else (noise.initial_heading_offset_std_rad, _HERE_STD_RAD)
-
-
-# --- the result -----------------------------------------------------------------------------------------------------
 
 
 def _smoothed(
@@ -263,10 +241,7 @@ def _smoothed(
 
 
 def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
-    """Error along the way that uncertain headings make (K, 2), from the anchor with a fix that is nearer by it.
-
-    The linear covariance has only the error across (`motion.second_order_errors`).
-    """
+    """Error along the way (K, 2) by uncertain headings, from the nearer anchor with a fix (`second_order_errors`)."""
     share = np.array([second_order_errors(min(v, MAX_HEADING_VARIANCE), 0.0)[0] for v in heading_var_rad2.tolist()])
     total = np.concatenate([np.zeros((1, 2)), np.cumsum(share[:, None] * moved, axis=0)])
     fixed = anchored if len(anchored) else np.zeros(1, dtype=np.int64)

@@ -117,11 +117,7 @@ def _gauss_newton(
 
 
 def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> list[FloatArray]:
-    """Weights to try next, the best first: without the worst observations, else with all that fit again, or one.
-
-    A wrong observation makes its neighbours look wrong, and of two that contradict each other both look wrong: only
-    the worst are left out at a time. `excess` is the distance of each over its limit.
-    """
+    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits."""
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
         worst = np.arange(len(weight)) == used.argmax()
@@ -172,16 +168,10 @@ def _eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
 
 
 def _cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance of some states: (R' R)^-1 of their square-root information R.
-
-    GTSAM's own covariances are by Cholesky, which takes what is known within a kilometre for unknown.
-    """
+    """Joint covariance by QR: GTSAM's own, by Cholesky, takes what is known within a kilometre for unknown."""
     R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
     inverse = np.linalg.inv(R)
     return inverse @ inverse.T
-
-
-# --- linear equations -------------------------------------------------------------------------------------------------
 
 
 @dataclass(slots=True)
@@ -283,10 +273,7 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
 
 
 def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Equations in (p, z), z = e^s (cos theta, sin theta): a displacement is M(D) z and thus linear.
-
-    Covariances are isotropic, because directions are not known yet. Their solution needs no start.
-    """
+    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed."""
     intervals, n = problem.intervals, len(problem.intervals)
     _, _, theta, s = problem.start_mean
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
