@@ -218,8 +218,7 @@ class Calibration:
     def plot(self, path: str | Path | None = None) -> Figure:
         """Known against predicted lengths of the segments and people with 95 % intervals, saved if a path is given.
 
-        People are compared by the length in m of one and the same step, at one height, so that every model has the same
-        unit and people differ by their parameters alone: J cov J' is its variance, J = dL / dtheta.
+        People are compared by the length in m of one and the same step, at one height.
         """
         from pdr_filter.report.calibration import plot_calibration
 

@@ -114,11 +114,7 @@ class ContextModel:
         return self.assess(features)[0]
 
     def assess(self, features: FloatArray) -> tuple[FloatArray, float]:
-        """Probabilities as `predict` gives them, and the share of them that is unknown, 0 to 1.
-
-        The share says how far outside of what the model was trained on the window is (`Familiarity`); the
-        probabilities do not yet take it into account.
-        """
+        """Probabilities as `predict` gives them, and the share of them that is unknown, 0 to 1 (`Familiarity`)."""
         values = np.asarray(features, dtype=np.float64)
         if values.shape != (len(self.feature_names),):
             raise ValueError(
@@ -220,9 +216,8 @@ def _check(model: ContextModel) -> None:
     if model.head not in HEADS:
         raise ValueError(f"head must be one of {tuple(HEADS)}, got {model.head!r}")
     n_features, n_classes = len(model.feature_names), len(model.classes)
-    if len(set(model.feature_names)) != n_features or not all(
-        isinstance(f, str) for f in cast(Any, model.feature_names)
-    ):
+    are_text = all(isinstance(f, str) for f in cast(Any, model.feature_names))
+    if len(set(model.feature_names)) != n_features or not are_text:
         raise ValueError("feature_names must be different strings")
     if len(set(model.classes)) != n_classes or not set(model.classes) <= set(model.labels):
         raise ValueError(f"classes must be different labels out of {model.labels}, got {model.classes}")

@@ -1,9 +1,7 @@
 """Relevance vector machine of many classes: sparse Bayesian classification with probabilities (Tipping 2001).
 
-The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9): kernels at training rows as basis functions, and
-a Gaussian prior with its own precision alpha_i on every weight. The alphas maximise the evidence
-(`pdr_filter.classifiers.sparse_bayes`); most become infinite, and what stays are the relevance vectors. The iteration
-that the paper prints (eq. 10, 11) is `tests.oracles.rvm_reference`.
+The model is that of section V-C of Martinelli et al. 2018 (eq. 4-9), trained by `pdr_filter.classifiers.sparse_bayes`.
+The iteration that the paper prints (eq. 10, 11) is `tests.oracles.rvm_reference`.
 """
 
 from __future__ import annotations
@@ -37,8 +35,7 @@ WIDTH_GRID = (0.5, 0.7, 1.0, 1.4, 2.0, 2.8, 4.0)
 
 # Candidates from which the kernel width is estimated: the median of half a million distances is as good as any.
 _MAX_WIDTH_ROWS = 1000
-# Candidates during the search for a width: it needs the order of the log losses only.
-_MAX_SEARCH_SAMPLES = 300
+_MAX_SEARCH_SAMPLES = 300  # candidates during the search for a width: it needs the order of the log losses only
 # Entries of the matrix of basis functions, 0.4 GB: with more rows, fewer of them are candidates.
 _MAX_ENTRIES = 50_000_000
 # Passes of one class before it is the next one's turn (multinomial), and rounds in all.
@@ -99,10 +96,9 @@ def train_multinomial(
 ) -> list[Trained]:
     """K machines with competing logits, p_k = exp(t_k) / sum_j exp(t_j), for three classes or more.
 
-    While the others stand still, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j), and the
-    shares of the other classes among themselves do not change: the softmax is a binary machine with an offset. All
-    classes begin where one-against-all ends, so that their order matters less, and take turns until a round raises
-    the joint log posterior and evidence by less than `tol` a class.
+    While the others stand still, ln p_k = ln sigma(t_k + o_k) with the offset o_k = -ln sum_{j != k} exp(t_j). All
+    classes begin where one-against-all ends, and take turns until a round raises the joint value by less than `tol` a
+    class.
     """
     targets = [(label == k).astype(np.float64) for k in range(n_classes)]
     trained = train_one_against_all(functions, label, weight, n_classes, budget)

@@ -1,19 +1,11 @@
 """Fast sparse Bayesian learning: marginal-likelihood maximisation, many basis functions at a time.
 
-Every weight w_m has a Gaussian prior of its own precision alpha_m. With all others fixed, the log evidence depends on
-alpha_m through two numbers of its basis function (Faul and Tipping 2002; Tipping and Faul 2003, "Fast Marginal
-Likelihood Maximisation for Sparse Bayesian Models", AISTATS): the sparsity factor s_m, how much of the function the
-others already explain, and the quality factor q_m, how well it fits what they leave unexplained. The evidence has one
-maximum: alpha_m = s_m^2 / (q_m^2 - s_m) if q_m^2 > s_m, and infinity (delete the function) otherwise.
-
-Tipping and Faul take one such action, then refresh the posterior, which takes hundreds of rounds. Here one pass
-re-estimates all alphas, adds up to `_MAX_ADDED` functions, deletes at most a fifth, and refreshes the posterior once.
-Simultaneous actions can overshoot, so a pass that lowers the evidence is undone and tried again with less.
-They begin with one function; here training begins with as many as the budget allows, spread over the candidates:
-additions one by one get stuck where only several functions together explain anything, as wide kernels do.
-
-The letters are those of Tipping and Faul. The posterior is exact for a Gaussian likelihood and Laplace's approximation
-for any other log-concave one. docs/methods/rvm.md has the equations.
+With all other weights fixed, the log evidence depends on the precision alpha_m of a weight's prior through the sparsity
+s_m and quality q_m of its basis function (Faul and Tipping 2002; Tipping and Faul 2003, "Fast Marginal Likelihood
+Maximisation for Sparse Bayesian Models", AISTATS), and is highest at alpha_m = s_m^2 / (q_m^2 - s_m) if q_m^2 > s_m,
+else at infinity (delete the function). Where Tipping and Faul take one such action and refresh the posterior, here one
+pass takes many, and is tried again with less if it lowers the evidence. docs/methods/rvm.md has the equations and says
+what else differs. The posterior is Laplace's approximation for any log-concave likelihood.
 """
 
 from __future__ import annotations
@@ -33,8 +25,7 @@ _MAX_ADDED = 20
 _SHORTLIST = 60
 # Share of the functions that one pass may delete: with wide kernels many look useless together but not one by one.
 _MAX_DELETED_SHARE = 0.2
-# Prior precision of the weights before the first pass: logits of ten are plausible.
-_START_ALPHA = 1e-2
+_START_ALPHA = 1e-2  # prior precision of the weights before the first pass: logits of ten are plausible
 # Lower bound of an alpha: beyond it the prior is flat to double precision and the Hessian may lose its rank.
 _MIN_ALPHA = 1e-10
 # A function whose presence is worth less than this many nats is deleted: it costs time and moves nothing.
@@ -46,10 +37,8 @@ _MIN_UNEXPLAINED = 1e-6
 # The mode is found when another Newton step would raise the log posterior by less than this many nats.
 _MODE_TOLERANCE = 1e-8
 _MAX_NEWTON_STEPS = 100
-# How bold a pass is: the step in ln alpha and the numbers added and deleted are multiplied by it.
-_MIN_BOLDNESS = 0.1
-# Basis functions whose s and q are computed together: a block and its square stay in the cache.
-_BLOCK = 64
+_MIN_BOLDNESS = 0.1  # how bold a pass is: the step in ln alpha and the numbers added and deleted are multiplied by it
+_BLOCK = 64  # basis functions whose s and q are computed together: a block and its square stay in the cache
 
 
 class Likelihood(Protocol):
@@ -235,21 +224,14 @@ def act(
 
 
 def inside_factors(now: Posterior) -> tuple[FloatArray, FloatArray]:
-    """Sparsity s and quality q of the functions in the model, (M,) each.
-
-    These are S and Q in the model without the function. Under a flat prior the weight's posterior would have precision
-    s and mean q / s, so that 1 / Delta_mm = alpha_m + s_m and w_m = q_m Delta_mm.
-    """
+    """Sparsity s and quality q (M,) of the functions in the model: 1 / Delta_mm = alpha_m + s_m, w_m = q_m Delta_mm."""
     variance = now.variance
     s = np.maximum(1.0 / variance - now.alpha, np.finfo(float).eps / variance)
     return s, now.mean / variance
 
 
 def worth(s: FloatArray, q: FloatArray) -> FloatArray:
-    """Nats of log evidence that a function adds at its best alpha, zero where that is infinite.
-
-    ((q^2 - s) / s + ln(s / q^2)) / 2 where q^2 > s.
-    """
+    """Nats that a function adds at its best alpha: ((q^2 - s) / s + ln(s / q^2)) / 2 where q^2 > s, else zero."""
     ratio = np.maximum(q**2 / s, 1.0)
     return 0.5 * (ratio - 1.0 - np.log(ratio))
 
@@ -257,9 +239,8 @@ def worth(s: FloatArray, q: FloatArray) -> FloatArray:
 def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[FloatArray, FloatArray]:
     """S and Q of the functions outside the model, there equal to s and q, (R,) each; S is infinite inside.
 
-    With B = diag(beta) and the slope g of the log likelihood at the mode, Q = phi^T g and
-    S = phi^T B phi - ||G Phi^T B phi||^2. The matrix product, most of the training time, is in single precision: S
-    decides here only which functions are looked at closely.
+    Q = phi^T g and S = phi^T B phi - ||G Phi^T B phi||^2, its matrix product, most of the training time, in single
+    precision: S decides here only which functions are looked at closely.
     """
     beta, slope = likelihood.curvature(now.logit), likelihood.slope(now.logit)
     projection = ((functions[now.basis] * beta).T @ now.cov_factor.T).astype(np.float32)  # (N, M)
@@ -277,8 +258,7 @@ def outside_factors(likelihood: Likelihood, functions: FloatArray, now: Posterio
 def additions(likelihood: Likelihood, functions: FloatArray, now: Posterior) -> tuple[IntArray, FloatArray, float]:
     """Functions to add (P,), best first, their alphas (P,) and the nats that they promise.
 
-    Of the `_SHORTLIST` most worthy ones alone, the best is added, S and Q of the others are updated for its presence
-    (a rank-one change of their mutual covariance), and so on: a second function much like it is then worth little.
+    The best of the `_SHORTLIST` is added, S and Q of the others are updated for its presence, and so on.
     """
     sparsity, quality = outside_factors(likelihood, functions, now)
     value = worth(sparsity, quality)
@@ -321,9 +301,8 @@ def posterior(
 ) -> Posterior:
     """Laplace posterior for given alphas, by Newton's method with Levenberg's damping.
 
-    The search begins at the best of three: the weights that fit best where the likelihood around `start_logit` (N,),
-    the logits before a change of the basis, is quadratic; the weights `start` (M,); and the bias alone, for after a
-    large change saturated sigmoids make the other two crawl. The log posterior is concave: all lead to the same mode.
+    The search begins at the best of three: one step of reweighted least squares from `start_logit` (N,), the weights
+    `start` (M,), and the bias alone (saturated sigmoids make the others crawl). All lead to the same mode.
     """
     phi = functions[basis]
     if not len(basis):

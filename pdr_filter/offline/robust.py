@@ -1,9 +1,8 @@
 """Wrong observations: robust losses, and graduated non-convexity, which finds them without a good start.
 
 H. Yang et al., "Graduated non-convexity for robust spatial perception", IEEE RA-L 5, 2020. A control parameter mu turns
-the loss from a convex one into the wanted one while the problem is solved again and again. Two of their losses are used
-here: Geman-McClure's by the calibration, which keeps a little of every segment, and truncated least squares by the
-smoother, which needs a decision.
+the loss from a convex one into the wanted one: Geman-McClure's for the calibration, which keeps a little of every
+segment, and truncated least squares for the smoother, which needs a decision.
 """
 
 from __future__ import annotations
@@ -45,10 +44,8 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
 def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
     """E w u^2 and the information factor of a loss on standard normal residuals.
 
-    The first makes the scale consistent: sum w u^2 / n tends to it. The second makes covariances right: with
-    psi = w u the variance of an M-estimate is E psi^2 / (E psi')^2 times that of least squares, E psi' = E w u^2
-    (Stein), while the weighted normal equations say 1 / E w. Their ratio (E w u^2)^2 / (E psi^2 E w) multiplies the
-    weights.
+    The first makes the scale consistent: sum w u^2 / n tends to it. The second, (E w u^2)^2 / (E psi^2 E w) with
+    psi = w u, multiplies the weights and makes covariances those of an M-estimate, E psi^2 / (E psi')^2.
     """
     u = np.linspace(-9, 9, 20001)
     density = np.exp(-0.5 * u**2) / np.sqrt(2 * np.pi) * (u[1] - u[0])
@@ -58,11 +55,7 @@ def moments(loss: str, mu: float = 1.0) -> tuple[float, float]:
 
 
 def next_stage(loss: str, iteration: int, largest: float, mu: float) -> tuple[str, float, bool]:
-    """Loss and control parameter of the next iteration, and whether they are the final ones.
-
-    `largest` is the largest residual of the first iteration in standard deviations: mu begins as large as it needs for
-    a convex loss.
-    """
+    """Loss and control parameter of the next iteration, and whether they are final; `largest` is the largest misfit."""
     if loss == "cauchy" and iteration < _HUBER_ITERATIONS:
         return "huber", 1.0, False
     if loss == "gnc":

@@ -52,8 +52,7 @@ from pdr_filter.training.protocol import (
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray
 
 WEAK = "weak"
-# Simulated people in each mode: as many as two cores make in a minute.
-N_SIMULATED = 120
+N_SIMULATED = 120  # simulated people in each mode: as many as two cores make in a minute
 
 FEATURE_NAMES: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES)
 # Of the force, without the timing of the vertical within a step, which is there to recognise stairs: with it half of
@@ -159,8 +158,7 @@ def carrying_windows(
 ) -> LabelledWindows:
     """Windows of moving people with the features of the plan: real ones, those made of them, and simulated ones.
 
-    `dataset` is the source: a data set, `simulated`, or `turned_` or `weak_` and the data set. `person` is whose motion
-    it is.
+    `dataset` is the source: a data set, `simulated`, or `turned_` or `weak_` and the data set.
     """
     found = from_sources(partial(_windows_of, plan), paths, n_simulated, f"{plan.name}: features", progress)
     parts = [part for of_source in found for part in of_source]

@@ -1,8 +1,4 @@
-"""Train the context models: what a person does, from windows of features.
-
-Every figure on a model card is of people (or sites) that the scored model has not seen; the shipped model is then
-fitted on all of them.
-"""
+"""Train the context models: what a person does, from windows of features."""
 
 from __future__ import annotations
 
@@ -43,10 +39,8 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray
 
 FEATURE_SETS: dict[str, FeatureSet] = {s.name: s for s in (martinelli.TABLE_II, ATTITUDE_FREE)}
 
-# The model of the default recipe: transitions and tempering are estimated for it.
-DEFAULT_MODEL = "context"
-# A site of fewer people is not used for calibration.
-_LARGE_SITE = 4
+DEFAULT_MODEL = "context"  # the model of the default recipe: transitions and tempering are estimated for it
+_LARGE_SITE = 4  # a site of fewer people is not used for calibration
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,9 +65,8 @@ class ContextPlan(Plan):
     def fit(self, windows: LabelledWindows) -> ContextModel:
         """A model, its calibration fitted on people left out one fold of four at a time.
 
-        Only people whose site has at least four of them are left out; the others stay in training. The calibration is
-        then that of new people. Were a site's only person left out, it would be that of new sites as well, and make the
-        model unsure about everybody; `Familiarity` is the guard there.
+        Only people whose site has at least four of them are left out: were a site's only person, the calibration would
+        be that of new sites as well, and make the model unsure about everybody; `Familiarity` is the guard there.
         """
         once = self.fit_machine(windows)
         leave = np.flatnonzero(_of_large_sites(windows.person))

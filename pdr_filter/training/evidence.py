@@ -1,9 +1,8 @@
 """Estimate transitions and tempering from labelled recordings in which people change their context.
 
-`pdr-filter train` runs it after the models. Each recording goes through the front end of the default recipe with a
-context model that has not seen the person: its steps are counted for the transitions, and its windows, with what the
-model said of them, choose the exponents. Recordings in one context each are left out: they would say that nobody ever
-changes. What the data do not show stays the default, and the file says so and why.
+Each recording goes through the front end of the default recipe with a context model that has not seen the person: its
+steps are counted for the transitions, and its windows choose the exponents. What the data do not show stays the
+default, and the file says so and why.
 """
 
 from __future__ import annotations
@@ -38,17 +37,14 @@ from pdr_filter.training.sequences import (
 )
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 
-# With n changes a rate is known to 1 / sqrt(n) of itself: with ten to a third.
-MIN_CHANGES = 10
+MIN_CHANGES = 10  # with n changes a rate is known to 1 / sqrt(n) of itself: with ten to a third
 # A choice for other people must have been good for some of them: so many also for the calibration of the models.
 MIN_PEOPLE = 4
-# Held-out figures are of at most so many parts of the people: the time grows with them.
-MAX_PARTS = 10
+MAX_PARTS = 10  # held-out figures are of at most so many parts of the people: the time grows with them
 # Models are trained again without a third of the people each.
 N_FOLDS = 3
 HALF_WINDOW_S = 1.0
-# A window a second, and 1.6 to 2 steps a second.
-STEPS_PER_WINDOW = 2
+STEPS_PER_WINDOW = 2  # a window a second, and 1.6 to 2 steps a second
 # The context model of people who must not have been in its training.
 ModelWithout = Callable[[Sequence[str]], ContextModel]
 
@@ -171,9 +167,8 @@ def contexts_at(recording: Recording, time_s: FloatArray) -> IntArray:
 def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> Transitions:
     """Transitions and exponents that the sequences show; those of the default where they show too little.
 
-    The matrix is estimated from `MIN_CHANGES` changes of context on: one person's sequences give that person's. The
-    exponents are chosen if there are also `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who
-    had no part in it. The card says what is estimated and why the rest is not.
+    The matrix is estimated from `MIN_CHANGES` changes of context on; the exponents are chosen if there are also
+    `MIN_PEOPLE` people, and if such a choice lowers the log loss of people who had no part in it.
     """
     counts = np.zeros_like(default.transition_prob) if sequences is None else sequences.counts()
     n_changes = int(counts.sum() - np.trace(counts))
@@ -217,11 +212,10 @@ def estimate(sequences: LabelledSequences | None, default: PedestrianModel) -> T
 
 
 def held_out_log_loss(sequences: LabelledSequences, default: PedestrianModel) -> dict[str, float]:
-    """Log loss of filtered windows, mean over people: minus the log probability of the true context.
+    """Log loss of filtered windows, mean over people, by whose matrix and exponents are used.
 
-    `default`: the default matrix and exponents. `held_out_default_exponents`: the matrix from all other people's
-    sequences. `held_out`: matrix and exponents from all other people's. "Other" are those of the other `MAX_PARTS`
-    parts where there are more people.
+    `default`: both the default's. `held_out`: both from all other people (or the other `MAX_PARTS` parts of many).
+    `held_out_default_exponents`: the matrix alone from them.
     """
     windows, floor = sequences.windows, default.evidence_floor
     by_evidence, by_prior = exponent_pairs()

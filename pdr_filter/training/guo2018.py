@@ -1,15 +1,9 @@
 """Train the pose forest of Guo et al. 2018 and the thresholds of its walk detection, on recordings with a licence.
 
-`python -m pdr_filter.training.guo2018 DATA_DIR OUT_DIR` runs it: two minutes.
-
-Their 101 people are not public. Here calling is known from one person, swinging from two, and pitch and roll are the
-habit of a person as much as the pose: trained on the recordings alone, the forest finds none of the calling and half of
-the swinging of a person left out, and takes texting for swinging. So windows stand for others (`made`):
-
-- **mirrored** windows: the other hand, the other side of the body;
-- windows turned **over**: the phone in the pocket upside down, screen in or out, in all combinations;
-- **turned** windows: a hand held in front of the body, the phone turned to the ear;
-- **simulated** people in all poses.
+`python -m pdr_filter.training.guo2018 DATA_DIR OUT_DIR` runs it: two minutes. Calling is known from one person,
+swinging from two, and trained on the recordings alone, the forest finds none of the calling and half of the swinging of
+a person left out. So windows stand for others (`made`): **mirrored** (the other side of the body), turned **over** (in
+the pocket, in all combinations), **turned** to the ear from in front of the body, and **simulated** people.
 """
 
 from __future__ import annotations

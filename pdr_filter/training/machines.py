@@ -57,13 +57,11 @@ def fit_relevance_vectors(
     max_rows: int = 20_000,
     max_samples: int = 1000,
 ) -> tuple[Machine, Classes]:
-    """Relevance vector machine, one-against-all.
+    """Relevance vector machine, one-against-all, of at most `max_rows` rows, drawn class by class.
 
-    Training time grows with rows, so at most `max_rows` are drawn, class by class. A window counts as `window_weight`
-    of an independent example: half of its samples are also in its neighbour's, and the steps of one person are alike;
-    counted in full, the evidence is sure of what is a habit of the people in training (macro recall 0.935 instead of
-    0.95 on people left out). `kernel_width` None is one and a half times the distance of two typical windows, which is
-    the square root of twice the number of features.
+    A window counts as `window_weight` of an independent example: windows overlap, and the steps of one person are alike
+    (counted in full, the macro recall is 0.935 instead of 0.95 on people left out). `kernel_width` None is one and a
+    half times the distance of two typical windows, the square root of twice the number of features.
     """
     rows = np.arange(len(y))
     if len(y) > max_rows:
@@ -93,10 +91,9 @@ def fit_forest(Z: FloatArray, y: TextArray, weight: FloatArray, n_trees: int = 5
 def fit_pose_forest(Z: FloatArray, y: TextArray, weight: FloatArray) -> tuple[Forest, Classes]:
     """A random forest of 30 trees for the poses of Guo et al. 2018.
 
-    Each split looks at one feature drawn at random, and leaves have at least 60 windows. With the usual three features
-    nearly all pockets of oxford, left out, were missed, with one a half; how many depends on the random numbers, as the
-    four recordings are of one person. The paper's trees grow to their full depth; leaves of 20 windows make the file
-    twice as large and are no better on people left out.
+    One random feature a split: with the usual three nearly all pockets of oxford, left out, were missed, with one a
+    half. Leaves have at least 60 windows; those of 20 make the file twice as large and are no better on people left
+    out.
     """
     options: Any = {"max_features": 1, "min_samples_leaf": 60, "random_state": 0, "n_jobs": 1}
     fitted = RandomForestClassifier(30, **options).fit(_in_float32(Z), y, sample_weight=weight)

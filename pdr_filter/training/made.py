@@ -1,8 +1,7 @@
 """Windows that stand for people who were not recorded, and how much they count.
 
-Licensed recordings know calling, swinging and the back pocket of one person, so a classifier of them alone learns that
-person. Where nothing real exists, windows are simulated, or made of real ones: a hand held in front of the body turned
-to the ear, for instance, is calling with a real hand's motion. What was made of a recording is left out with it.
+Licensed recordings know calling, swinging and the back pocket of one person. Where nothing real exists, windows are
+simulated, or made of real ones. What was made of a recording is left out with it.
 """
 
 from __future__ import annotations
@@ -68,8 +67,7 @@ def grips(mean_up: Sequence[FloatArray], name: str) -> Iterator[FloatArray]:
 def balanced_weight(label: TextArray, source: TextArray, source_weight: Mapping[str, float]) -> FloatArray:
     """Weights (W,), mean one: every class the same sum, and inside a class every source its own, one if not given.
 
-    `source_weight` is by the source's name up to the first underscore, or by the whole name. So neither simulation nor
-    the largest data set decides.
+    `source_weight` is by the source's name up to the first underscore, or by the whole name.
     """
     weight = np.zeros(len(label))
     for name in np.unique(label):

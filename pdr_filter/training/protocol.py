@@ -1,8 +1,7 @@
 """How every shipped model is trained and scored: labelled windows, a plan, and people who are left out in turn.
 
-A `Plan` says which windows a model learns from, its features and its machine, and who is left out together. `train_one`
-is the protocol: each group is scored by a model of all others, then the model is fitted on everybody, and what was said
-of the groups left out gives its calibration, the limit of what it knows (`Familiarity`) and its card.
+`train_one` is the protocol: each group is scored by a model of all others, then the model is fitted on everybody, and
+what was said of the groups left out gives its calibration, its `Familiarity` and its card.
 """
 
 from __future__ import annotations
@@ -39,12 +38,9 @@ MachineFit = Callable[[FloatArray, TextArray, FloatArray], tuple[Machine, tuple[
 
 # Held-out people are those of MotionSense: the only set with stairs, and with more than a few people.
 SCORED_DATASET = "motionsense"
-# Published twice: the same samples are also in motionsense_s01_sit_5.
-DUPLICATES = ("motionsense_s01_sit_13",)
-# Standard deviations at which a feature is cut: beyond them there is nothing to learn from.
-FEATURE_LIMIT = 4.0
-# A standard deviation below this is rounding: the feature does not vary.
-_LEAST_STD = 1e-6
+DUPLICATES = ("motionsense_s01_sit_13",)  # published twice: the same samples are also in motionsense_s01_sit_5
+FEATURE_LIMIT = 4.0  # standard deviations at which a feature is cut: beyond them there is nothing to learn from
+_LEAST_STD = 1e-6  # a standard deviation below this is rounding: the feature does not vary
 
 
 def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
@@ -257,11 +253,8 @@ def in_order(left_out: Iterable[LeftOut]) -> tuple[BoolArray, FloatArray, FloatA
     groups = list(left_out)
     rows = np.any([group.rows for group in groups], axis=0)
     order = np.argsort(np.concatenate([np.flatnonzero(group.rows) for group in groups]))
-    return (
-        rows,
-        np.concatenate([group.prob for group in groups])[order],
-        np.concatenate([group.distance for group in groups])[order],
-    )
+    prob, distance = (np.concatenate([getattr(group, name) for group in groups]) for name in ("prob", "distance"))
+    return rows, prob[order], distance[order]
 
 
 def in_parallel(work: Callable[[J], R], jobs: Iterable[J]) -> Iterator[R]:

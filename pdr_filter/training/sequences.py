@@ -1,8 +1,7 @@
 """How contexts follow each other, and how much a window counts: estimated from labelled sequences of windows.
 
-Two things of the filter are not the classifier's: the probabilities of changing from one context to another between two
-steps, and the two exponents of the evidence (`weighting.context_log_evidence`). The first are counts with a prior, the
-second those with the lowest log loss on people left out. `train_evidence` estimates both from recordings.
+The probabilities of changing from one context to another between two steps are counts with a prior; the two exponents
+of the evidence (`weighting.context_log_evidence`) those with the lowest log loss on people left out.
 """
 
 from __future__ import annotations
@@ -15,12 +14,10 @@ from pdr_filter.classifiers.transitions import check_transition_prob
 from pdr_filter.training.protocol import TextArray
 from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only
 
-# A context that is not known: it is neither stayed in nor left.
-UNKNOWN = -1
+UNKNOWN = -1  # a context that is not known: it is neither stayed in nor left
 # A tenth is finer than the log loss is known: next to the optimum it changes in the third decimal.
 EXPONENTS = read_only(np.linspace(0.0, 1.5, 16))
-# Steps that the prior of a row of transitions counts as: as many as a minute of walking.
-PRIOR_STEPS = 100.0
+PRIOR_STEPS = 100.0  # steps that the prior of a row of transitions counts as: as many as a minute of walking
 
 
 @dataclass(frozen=True, eq=False)
@@ -177,10 +174,7 @@ def exponent_pairs() -> tuple[FloatArray, FloatArray]:
 def fit_tempering(windows: LabelledProbabilities, transition_prob: FloatArray, floor: float = 0.01) -> Tempering:
     """The exponents with the lowest log loss of filtered windows, every person counting alike.
 
-    The probabilities must be of people whom the classifier has not seen. What two exponents chosen so are worth to the
-    next person is `held_out_log_loss`: chosen on all others, scored on each.
-
-    Sequences need changes of context: those of one each do not show how fast a filter follows a change.
+    The probabilities must be of people whom the classifier has not seen, in sequences with changes of context.
     `transition_prob` (C, C) is that between windows, `floor` that of the probabilities as in `PedestrianModel`.
     """
     if not (windows.label != UNKNOWN).any():

@@ -61,14 +61,10 @@ def estimate_parameters(
     loss: str = "gnc",
     relinearise: Callable[[FloatArray], SegmentSums] | None = None,
 ) -> ParameterEstimate:
-    """Maximum a posteriori of all parameters and variances by expectation-maximisation.
+    """Maximum a posteriori of all parameters and variances by expectation-maximisation (docs/methods/calibration.md).
 
-    Segment i of person s in recording w: distance_i = |A_i theta_s| (1 + rho_w) + e_i, with theta_s about the
-    population (covariance B), rho_w ~ N(0, tau^2), e_i ~ N(0, phi_c (anchor_i^2 + n_i sigma_c^2)). Every iteration
-    takes the direction of A_i theta_s from the last one (Gauss-Newton: the length of a vector changes only with the
-    component along it), integrates rho_w out exactly, solves for all theta (`hierarchy.solve_people`), and takes phi,
-    tau, B and the robust weights from the posterior of e, rho and theta_s - population.
-
+    Every iteration takes the direction of A_i theta_s from the last one (Gauss-Newton), integrates rho_w out exactly,
+    solves for all theta (`hierarchy.solve_people`), and takes phi, tau, B and the robust weights from the posterior.
     `relinearise` gives sums about the parameters of each person (S, P), for models that are not linear. `SingularError`
     if neither data nor priors determine a parameter.
     """
@@ -154,9 +150,8 @@ class _Task:
     def posterior(self, about: FloatArray, variances: _Variances, information: float, first: bool) -> PeoplePosterior:
         """Of the population and all people, segments linearised about parameters (S, F)."""
         for chunk in self.chunks:
-            chunk.normal_equations(
-                about, variances.noise * (1 / information), variances.recording, first, self.G, self.g
-            )
+            phi = variances.noise * (1 / information)
+            chunk.normal_equations(about, phi, variances.recording, first, self.G, self.g)
         W = np.zeros_like(variances.between)
         tied = np.ix_(~self.alone, ~self.alone)
         W[tied] = np.linalg.inv(variances.between[tied])
@@ -168,9 +163,8 @@ class _Task:
         excess, found, n_recordings = np.zeros(len(CONTEXTS)), 0.0, 0
         for chunk in self.chunks:
             chunk.expect(about, posterior, old.noise)
-            excess += np.bincount(
-                chunk.context, chunk.w * (chunk.error**2 + chunk.spread) / chunk.base_var, minlength=len(CONTEXTS)
-            )
+            relative = chunk.w * (chunk.error**2 + chunk.spread) / chunk.base_var
+            excess += np.bincount(chunk.context, relative, minlength=len(CONTEXTS))
             found += chunk.rho_square
             n_recordings += len(chunk.kappa)
         noise, recording, between = old.noise, old.recording, old.between

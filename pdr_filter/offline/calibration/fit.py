@@ -135,8 +135,7 @@ def compare_models(
 ) -> dict[str, Calibration]:
     """A calibration for each candidate model, the one that predicts segments left out best first.
 
-    By the RMS of the relative error of segments that none of them distrusts. The best for people and phones that were
-    calibrated may be bad for others: `stranger_m` has that, for people.
+    By the RMS of the relative error of segments that none distrusts. For other people `stranger_m` may tell otherwise.
     """
     found = {
         name: calibrate_segments(segments, priors, loss=loss, recording_std=recording_std)

@@ -53,9 +53,8 @@ def solve_people(
 
         sum_s (theta_s' G_s theta_s - 2 g_s' theta_s) + (t_s - y[personal])' W (t_s - y[personal]) + |y - mean|^2_prior
 
-    as a `gtsam.GaussianFactorGraph` eliminated person by person. `information` (S, P, P), `vector` (S, P) are G_s, g_s:
-    sums of row' row / variance and of row' distance / variance. `prior_precision` (P,) 0 is no prior. `personal`
-    (Q,) are each person's own parameters. `between_precision` (Q, Q) is W, inverse of the covariance between people,
+    `information` (S, P, P), `vector` (S, P) are G_s, g_s: sums of row' row / variance and of row' distance / variance.
+    `prior_precision` (P,) 0 is no prior. `between_precision` (Q, Q) is W, inverse of the covariance between people,
     with zero rows where people are independent of each other: the population's value there is the mean of theirs.
     SingularError if neither data nor priors determine a parameter.
     """

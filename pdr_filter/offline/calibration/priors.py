@@ -22,8 +22,7 @@ from pdr_filter.filter.step_length import (
 )
 from pdr_filter.values import FloatArray, Step, read_only
 
-# How people of known height differ in their step lengths (docs/methods/step_length.md).
-PEOPLE_RELATIVE_STD = 0.065
+PEOPLE_RELATIVE_STD = 0.065  # how people of known height differ in their step lengths (docs/methods/step_length.md)
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,10 +52,8 @@ class StepLengthPrior:
         for name in ("mean", "std", "between_std"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
             if getattr(self, name).shape != (self.model.n_params,):
-                raise ValueError(
-                    f"{name} of {type(self.model).__name__} must be ({self.model.n_params},), "
-                    f"got {getattr(self, name).shape}"
-                )
+                kind, shape = type(self.model).__name__, getattr(self, name).shape
+                raise ValueError(f"{name} of {kind} must be ({self.model.n_params},), got {shape}")
         if not ((self.std >= 0).all() and (self.between_std >= 0).all() and np.isfinite(self.mean).all()):
             raise ValueError("mean must be finite, std and between_std not negative")
         if not self.step_std_m >= 0:

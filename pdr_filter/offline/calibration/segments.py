@@ -25,8 +25,7 @@ ANCHOR_STD_M = 0.35
 SINGLE_STEP_M = 1.5
 # Waypoints of a floor map are good to a metre or so; this is the residual of 165 legs between them.
 WAYPOINT_STD_M = 0.9
-# Strides of motion capture or of a walkway, and treads.
-STRIDE_STD_M = 0.02
+STRIDE_STD_M = 0.02  # strides of motion capture or of a walkway, and treads
 # Waypoints closer than this say little about the steps between them: the path may go round a corner.
 MIN_WAYPOINT_DISTANCE_M = 4.0
 # GNSS fixes are thinned until they are this far apart, and this many times their own standard deviation.
@@ -36,10 +35,8 @@ _RADIUS_68 = 1.515
 # Displacement over walked distance below which a stretch of known *walked* distance has a turn in it. A step or two
 # round the corner at the ends of a leg of ten steps leave 0.92; half of the leg at a right angle 0.71.
 STRAIGHT = 0.85
-# Less than half a step inside is none.
-MIN_STEPS = 0.5
-# A context with less than this probability adds less than a millimetre to a step.
-_MIN_PROB = 1e-3
+MIN_STEPS = 0.5  # less than half a step inside is none
+_MIN_PROB = 1e-3  # a context with less than this probability adds less than a millimetre to a step
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,10 +124,8 @@ class SegmentSums:
 
     def rows(self, chosen: Any) -> SegmentSums:
         """The segments of an index or mask, subjects and recordings numbered as before."""
-        arrays = {
-            f.name: getattr(self, f.name)[chosen] for f in fields(self) if f.name not in ("subjects", "recordings")
-        }
-        return replace(self, **arrays)
+        names = [f.name for f in fields(self) if f.name not in ("subjects", "recordings")]
+        return replace(self, **{name: getattr(self, name)[chosen] for name in names})
 
 
 def integrate(
@@ -232,10 +227,9 @@ def segments_of(
             empty.append(stretch.where)
             continue
         used = np.flatnonzero(inside > 0)
-        heading: FloatArray | None = track.walking_heading_rad[used]
-        if measure == "length":
-            heading = None
-        elif stretch.walked and _is_bent(heading, inside[used] * np.maximum(track.step_length_m[used], 1e-3)):
+        heading: FloatArray | None = track.walking_heading_rad[used] if measure == "displacement" else None
+        length_m = inside[used] * np.maximum(track.step_length_m[used], 1e-3)
+        if heading is not None and stretch.walked and _is_bent(heading, length_m):
             bent.append(stretch.where)
             heading = None
         segments.append(

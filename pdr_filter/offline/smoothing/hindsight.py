@@ -33,11 +33,8 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
 
     Positions, covariances and mode probabilities are smoothed; step lengths and headings are those between smoothed
     positions. To the smoothed covariance comes what all steps since the last fix share (`PedestrianState.shared_m`), as
-    the filter knew it: a fix that comes later would make that smaller, so that before a fix it is on the safe side.
-
-    With the weightings "hc" and "wc", one filter, this is the Rauch-Tung-Striebel smoother, and mode probabilities stay
-    as they are. `fixes` are in the frame of the track; a late one is used when it came, as by the filter. The default
-    recipe is used if no `config` is given.
+    the filter knew it. With the weightings "hc" and "wc" mode probabilities stay as they are. `fixes` are in the frame
+    of the track; a late one is used when it came, as by the filter.
     """
     config = config or default_config(recording)
     if not config.model.frame.is_joined:

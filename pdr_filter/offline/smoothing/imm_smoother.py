@@ -1,10 +1,8 @@
 """Fixed-interval smoother of the interacting multiple model: what the whole recording says of every step.
 
-C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometrics 60 (1994), section 3: the smoother
-that belongs to a filter with one Gaussian for each mode. Backwards from the last step, each pair of modes (j at k, i
-at k + 1) has its own Rauch-Tung-Striebel step, and the pairs are merged by their probabilities. With one mode it is the
-Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model; with
-both it is an approximation, because the filter is (tests/offline/smoothing/test_imm_smoother.py shows how good).
+C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometrics 60 (1994), section 3. With one mode it
+is the Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model;
+with both an approximation, because the filter is (tests/offline/smoothing/test_imm_smoother.py shows how good).
 """
 
 from __future__ import annotations

@@ -9,8 +9,7 @@ import numpy as np
 from pdr_filter.io.recording import Recording
 from pdr_filter.values import BoolArray, PositionFix
 
-# Fixes so far outside the samples still count as at their ends: clocks are not better than that.
-_OUTSIDE_S = 1.0
+_OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 
 
 @dataclass(frozen=True, slots=True)
@@ -73,10 +72,8 @@ class Observations:
                 f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
                 f"is within the recording, {start_s:.1f} to {end_s:.1f} s: are their times of the same clock?"
             )
-        pairs = [(c.first_s, c.second_s) for c in self.loop_closures] + [
-            (h.start_s, h.end_s) for h in self.known_headings
-        ]
-        for time_s in (t for pair in pairs for t in pair):
+        closed_s = [t for c in self.loop_closures for t in (c.first_s, c.second_s)]
+        for time_s in (*closed_s, *(t for h in self.known_headings for t in (h.start_s, h.end_s))):
             if not is_inside(time_s):
                 raise ValueError(
                     f"an observation at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; times are "

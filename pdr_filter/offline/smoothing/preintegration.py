@@ -1,15 +1,12 @@
 """Steps between two anchors, summed before a solver sees them: one relative factor instead of one for each step.
 
-The state is that of the filter (`pdr_filter.filter.motion`): east, north, heading offset, log step scale. In the frame
-of the heading offset and the scale at the start of an interval, its steps add up to one displacement D that does not
-depend on either; only the result is turned and scaled,
+In the frame of the heading offset and the scale at the start of an interval, its steps add up to one displacement D,
 
     p_b = p_a + e^s_a R(theta_a) D,  theta_b = theta_a,  s_b = s_a,  and noise of covariance T Q T',
     T = diag(e^s_a R(theta_a), 1, 1),
 
 so that D and Q are computed once however often the solver linearises (the idea of C. Forster et al., "On-manifold
-preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017, for steps in place of inertial samples).
-Between the ends, the steps are a Gaussian bridge: `bridge`.
+preintegration for real-time visual-inertial odometry", IEEE T-RO 33, 2017).
 """
 
 from __future__ import annotations
@@ -78,13 +75,10 @@ def increments(
 ) -> tuple[Increments, float]:
     """Increments of detected steps, and the variance of the log scale that the fits of the modes leave.
 
-    The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture:
-    residual of the length along the step, heading of the step across it, and how the modes differ. The covariance of a
-    fit's parameters is an error that all steps share, not one of each step: it is returned as the mean of
-    J cov J' / L^2, to be added to the variance of the log scale. With several parameters that is an approximation.
-
-    `mode_prob` is (K, M), `modes` and `noise` are those of the tracker, `gap_before_s` (K,) is the time without samples
-    before each step, and `previous_s` the contact of the step before the first one, if there was one.
+    The displacement is the mean over the modes, sum_m mu_m L_m u(psi + o_m), with the covariance of the mixture. The
+    covariance of a fit's parameters is an error that all steps share: it is returned as the mean of J cov J' / L^2,
+    with several parameters an approximation. `mode_prob` is (K, M), `gap_before_s` (K,) the time without samples before
+    each step, and `previous_s` the contact of the step before the first one, if there was one.
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
@@ -155,12 +149,8 @@ class Intervals:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """The steps between each anchor and the next, in time that grows with the number of steps.
 
-    With q_i the drift variance after step i, r_i that of the log scale and C_i the covariance of a step,
-
-        Q_pp = sum C_i + sum q_i J d_i (J d_i)' + sum r_i d_i d_i',  d_i = D - D_i,
-        Q_pt = sum q_i J d_i,  Q_tt = sum q_i,  Q_ps = sum r_i d_i,  Q_ss = sum r_i,
-
-    J = d R / d theta at 0. The sums over i are differences of cumulative ones, for all steps at once.
+    Q_pp = sum C_i + sum q_i J d_i (J d_i)' + sum r_i d_i d_i',  d_i = D - D_i, and so on (docs/methods/smoothing.md).
+    The sums over i are differences of cumulative ones, for all steps at once.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
         raise ValueError(f"anchors must increase from 0 to the number of steps, {len(steps)}, got {nodes}")

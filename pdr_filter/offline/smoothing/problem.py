@@ -16,10 +16,8 @@ from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_a
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
 _POSITION_NIS, _DIRECTION_NIS = 13.8, 10.8
-# No position on a walking body means more than this.
-_BEST_FIX_M = 0.01
-# A heading of a corridor says nothing about somebody who stands in it.
-MIN_HEADING_LENGTH_M = 1.0
+_BEST_FIX_M = 0.01  # no position on a walking body means more than this
+MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebody who stands in it
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -1,9 +1,7 @@
 """A whole recording in hindsight: steps, position fixes, loop closures and known headings in one least-squares problem.
 
-States are at anchors only, east, north, heading offset and log step scale each; what was walked between two anchors is
-one linear factor (`pdr_filter.offline.smoothing.preintegration`), so that the cost follows the anchors and not the
-steps. GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the marginals; no Python is called
-back from it. docs/methods/smoothing.md has the equations and the figures.
+States are at anchors only, and what was walked between two anchors is one linear factor (`preintegration`).
+GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the marginals (docs/methods/smoothing.md).
 """
 
 from __future__ import annotations

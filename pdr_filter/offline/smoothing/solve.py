@@ -36,13 +36,10 @@ class Solution:
 
 
 def solve(problem: Problem) -> Solution:
-    """Smoothed states at the anchors, wrong observations left out.
+    """Smoothed states at the anchors, wrong observations left out (docs/methods/smoothing.md).
 
-    1. A linear problem without angles gives the initial guess: heading offset and scale together are a vector
-       z = e^s (cos theta, sin theta), a displacement is M(D) z and thus linear in it. Graduated non-convexity with
-       truncated least squares leaves out wrong observations on the way.
-    2. Gauss-Newton with angles and scales. Observations that are further from what all others say than the 99.9 %
-       quantile are left out, those nearer come back, until nothing changes.
+    A linear problem without angles gives the initial guess, graduated non-convexity what seems right. After
+    Gauss-Newton observations beyond the 99.9 % quantile are left out and those nearer come back, until nothing changes.
     """
     mean, frame_rad, weight = _initial_guess(problem)
     limit, possible = problem.limit_nis, problem.possible
@@ -107,9 +104,8 @@ def _gauss_newton(
         largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
         largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
         # never further than the linearisation reaches; shorter steps where it does not converge
-        share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9)) * (
-            1.0 if iteration < 20 else 0.5
-        )
+        share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
+        share *= 1.0 if iteration < 20 else 0.5
         mean, frame_rad = mean + share * change, frame_rad + share * turn
         if share * float(np.abs(change).max()) < 1e-9 * (1 + float(np.abs(mean).max())):
             return mean, frame_rad, True
@@ -240,9 +236,8 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
         by_state = np.zeros((len(offsets), 1, N_STATES))
         by_state[:, 0, HEADING_OFFSET] = inverse
         key = problem.n_nodes
-        rows.append(
-            Rows(offsets.node, by_state, -residual[:, None], np.full(len(offsets), key), -inverse[:, None, None])
-        )
+        keys = np.full(len(offsets), key)
+        rows.append(Rows(offsets.node, by_state, -residual[:, None], keys, -inverse[:, None, None]))
         prior = np.array([[1 / problem.frame_std_rad]])
         rows.append(Rows.of_one(key, prior, -prior[0] * frame_rad))
     return rows
