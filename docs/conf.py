@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import ast
+import inspect
 import json
 import re
+from dataclasses import is_dataclass
 from pathlib import Path
 from typing import Any
 
@@ -95,7 +98,28 @@ def name_aliases(app: Any, what: str, name: str, obj: Any, options: Any, *texts:
     return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in texts)
 
 
+LITERALLY = set(re.findall(r":pyobject: (\w+)", (Path(__file__).parent / "api.md").read_text(encoding="utf-8")))
+
+
+def append_fields(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
+    """Below the docstring of a data class without a list of parameters: its fields as they stand, comments included."""
+    if what != "class" or not is_dataclass(obj) or obj.__name__ in LITERALLY or "Parameters" in (obj.__doc__ or ""):
+        return
+    source = inspect.getsource(obj)
+    statements = [n for n in ast.parse(source).body[0].body if not isinstance(n, ast.Expr)]  # type: ignore[attr-defined]
+    declared = [n for n in statements if isinstance(n, ast.AnnAssign)]
+    if not declared:
+        return
+    rows = source.splitlines()
+    first = declared[0].lineno - 1
+    while rows[first - 1].lstrip().startswith("#"):
+        first -= 1
+    body = [row for row in rows[first : declared[-1].end_lineno] if row.strip()]
+    lines += ["", ".. code-block:: python", "", *body, ""]
+
+
 def setup(app: Any) -> None:
     """Connect the hooks."""
     app.connect("autodoc-process-signature", name_aliases)
     app.connect("autodoc-process-docstring", escape_bars, priority=900)  # after numpydoc
+    app.connect("autodoc-process-docstring", append_fields, priority=950)  # after that

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter.alignment import Alignment, PairedPoint, align
-from pdr_filter.filter.imm import NumpyImm
+from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
 from pdr_filter.filter.pedestrian import (
@@ -37,7 +37,7 @@ _Result = tuple[PedestrianState, FixOutcome, float]
 
 
 def use_fix(
-    model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, offset_rad: FloatArray, fix: Fix
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, offset_rad: FloatArray, fix: Fix
 ) -> _Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
@@ -61,7 +61,7 @@ def use_fix(
 
 
 def _on_position(
-    model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> _Result:
     """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is."""
     since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
@@ -78,7 +78,7 @@ def _on_position(
 
 def _on_heading(
     model: PedestrianModel,
-    arithmetic: NumpyImm,
+    arithmetic: ImmArithmetic,
     state: PedestrianState,
     offset_rad: FloatArray,
     fix: HeadingFix,
@@ -97,7 +97,7 @@ def _on_heading(
     return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, fix.std_rad**2)
 
 
-def _on_speed(model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianState, fix: SpeedFix) -> _Result:
+def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
     """Log z - log v = error of the log scale, v the smoothed speed of the present bout, to first order."""
     if state.speed is None or state.speed.smoothed_mps <= 0:
         return state, "nothing to compare", np.nan
@@ -109,7 +109,7 @@ def _on_speed(model: PedestrianModel, arithmetic: NumpyImm, state: PedestrianSta
 
 def _on_state(
     model: PedestrianModel,
-    arithmetic: NumpyImm,
+    arithmetic: ImmArithmetic,
     state: PedestrianState,
     index: int,
     innovation: FloatArray,
@@ -124,7 +124,7 @@ def _on_state(
 
 
 def _gated(
-    arithmetic: NumpyImm,
+    arithmetic: ImmArithmetic,
     state: PedestrianState,
     updated: tuple[FloatArray, FloatArray, FloatArray, FloatArray],
     gate_nis: float,

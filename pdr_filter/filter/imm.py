@@ -9,6 +9,7 @@ interacting multiple model algorithm for systems with Markovian switching coeffi
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 
@@ -173,6 +174,30 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
     spread = mean - combined
     within = (weights @ cov.reshape(*batch, n_modes, n * n)).reshape(*batch, n, n)
     return combined[..., 0, :], within + (mode_prob[..., None] * spread).swapaxes(-1, -2) @ spread
+
+
+class ImmArithmetic(Protocol):
+    """Whose arithmetic a tracker uses; the results are those of the functions here."""
+
+    def mix(
+        self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray]:
+        """As `mix`."""
+        ...
+
+    def update(
+        self, mean: FloatArray, cov: FloatArray, z: FloatArray, H: FloatArray, R: FloatArray
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """As `update`."""
+        ...
+
+    def update_mode_prob(self, predicted_mode_prob: FloatArray, log_likelihood: FloatArray) -> FloatArray:
+        """As `update_mode_prob`."""
+        ...
+
+    def combine(self, mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `combine`."""
+        ...
 
 
 @dataclass(frozen=True)

@@ -22,7 +22,6 @@ from typing import Any
 import numpy as np
 from filterpy.kalman import IMMEstimator, KalmanFilter
 
-from pdr_filter.filter.imm import NumpyImm
 from pdr_filter.values import FloatArray
 
 
@@ -107,7 +106,7 @@ def combine(mean: FloatArray, cov: FloatArray, mode_prob: FloatArray) -> tuple[F
 
 
 @dataclass(frozen=True)
-class FilterpyImm(NumpyImm):
+class FilterpyImm:
     """The functions of this module, as a tracker takes them."""
 
     mix = staticmethod(mix)

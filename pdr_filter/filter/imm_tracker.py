@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
@@ -50,7 +50,7 @@ class ImmTracker:
     """
 
     model: PedestrianModel
-    arithmetic: NumpyImm = field(default_factory=NumpyImm)
+    arithmetic: ImmArithmetic = field(default_factory=NumpyImm)
 
     weighting = "imm"
     # A step is final when it is known: windows that come later are evidence for later steps.
