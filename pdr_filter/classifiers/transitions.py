@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair
-from pdr_filter.values import CONTEXTS, FloatArray, read_only
+from pdr_filter.values import CONTEXTS, FloatArray, check_transition_prob, read_only
 
 FORMAT = ArtefactFormat("transitions", 1, "write the file again with pdr-filter train")
 
@@ -44,7 +44,7 @@ class Transitions:
     def __post_init__(self) -> None:
         for name in ("transition_prob", "counts"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
-        check_transition_prob("transition_prob", self.transition_prob, len(CONTEXTS))
+        check_transition_prob(self.transition_prob, len(CONTEXTS))
         if self.counts.shape != self.transition_prob.shape or not _is_finite_not_negative(self.counts):
             raise ValueError(f"counts must be {self.transition_prob.shape}, finite and not negative, got {self.counts}")
         for name in ("evidence_exponent", "prior_exponent"):
@@ -86,17 +86,3 @@ def _assemble(content: Mapping[str, Any], _: Arrays) -> Transitions:
 
 def _is_finite_not_negative(value: FloatArray | float) -> bool:
     return bool(np.isfinite(value).all() and (np.asarray(value) >= 0).all())
-
-
-def check_transition_prob(name: str, value: FloatArray, n_contexts: int) -> None:
-    """Raise ValueError unless `value[i, j]`, from context i to context j, is (C, C) with rows that sum to one."""
-    if value.shape != (n_contexts, n_contexts):
-        raise ValueError(f"{name} must be ({n_contexts}, {n_contexts}), one row for each context, got {value.shape}")
-    of_row = value.sum(axis=1)
-    wrong = (value < 0).any(axis=1) | ~np.isclose(of_row, 1.0, atol=1e-9)  # NaN and infinity too
-    if wrong.any():
-        row = int(np.argmax(wrong))
-        raise ValueError(
-            f"rows of {name} must be probabilities that sum to 1, row {row} is {value[row]} with sum {of_row[row]}; "
-            "transpose it?"
-        )

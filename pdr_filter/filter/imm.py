@@ -13,7 +13,7 @@ from typing import Protocol
 
 import numpy as np
 
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_transition_prob
 
 _LOG_2_PI = float(np.log(2 * np.pi))
 
@@ -36,15 +36,6 @@ class Transition:
     predicted: FloatArray  # (M, n) a_i, where that leads
     F: FloatArray  # (M, n, n)
     Q: FloatArray  # (M, n, n)
-
-
-def check_transition_prob(transition_prob: FloatArray, n_modes: int) -> None:
-    """Raise ValueError unless `transition_prob[i, j]`, from mode i to mode j, is (M, M) with rows that sum to one."""
-    if transition_prob.shape != (n_modes, n_modes):
-        raise ValueError(f"transition_prob must be ({n_modes}, {n_modes}), got {transition_prob.shape}")
-    row_sums = transition_prob.sum(axis=1)
-    if (transition_prob < 0).any() or not np.allclose(row_sums, 1.0, atol=1e-9):
-        raise ValueError(f"transition_prob rows (from mode) must sum to 1, got {row_sums}; transpose it?")
 
 
 def mix(

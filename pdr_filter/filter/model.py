@@ -7,12 +7,11 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
-from pdr_filter.values import CONTEXTS, FloatArray, Step
+from pdr_filter.values import CONTEXTS, FloatArray, Step, check_transition_prob
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,7 +53,7 @@ class PedestrianModel:
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
-        imm.check_transition_prob(self.transition_prob, len(self.modes))
+        check_transition_prob(self.transition_prob, len(self.modes))
 
     def check_one_mode_for_each_context(self) -> None:
         """ValueError unless the modes are the contexts, each once."""

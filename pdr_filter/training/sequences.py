@@ -10,9 +10,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.transitions import check_transition_prob
 from pdr_filter.training.protocol import TextArray
-from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only
+from pdr_filter.values import BoolArray, FloatArray, IntArray, check_transition_prob, read_only
 
 UNKNOWN = -1  # a context that is not known: it is neither stayed in nor left
 # A tenth is finer than the log loss is known: next to the optimum it changes in the third decimal.
@@ -101,7 +100,7 @@ def estimate_transitions(counts: FloatArray, prior: FloatArray, prior_steps: flo
         raise ValueError(f"counts and prior must both be (C, C), got {counts.shape} and {prior.shape}")
     if not (np.isfinite(counts).all() and (counts >= 0).all()):
         raise ValueError("counts must be finite and not negative")
-    check_transition_prob("prior", prior, len(prior))
+    check_transition_prob(prior, len(prior), "prior")
     if not (np.isfinite(prior_steps) and prior_steps > 0):
         raise ValueError(f"prior_steps must be above zero, got {prior_steps}")
     posterior = counts + prior_steps * prior
@@ -131,7 +130,7 @@ def filter_windows(
     of the filter if all steps came with the windows. `transition_prob` is that between windows: of steps, its power.
     """
     n_contexts = windows.prob.shape[1]
-    check_transition_prob("transition_prob", transition_prob, n_contexts)
+    check_transition_prob(transition_prob, n_contexts)
     if not 0 < floor < 1:
         raise ValueError(f"floor must be between 0 and 1, got {floor}")
     log_prob = np.log(np.maximum(windows.prob, floor))

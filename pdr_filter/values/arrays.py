@@ -33,3 +33,17 @@ def table(columns: Mapping[str, ArrayLike]) -> Table:
         result[name] = array
     result.flags.writeable = False
     return result.view(np.recarray)
+
+
+def check_transition_prob(transition_prob: FloatArray, n: int, name: str = "transition_prob") -> None:
+    """Raise ValueError unless `transition_prob[i, j]`, from i to j, is (n, n) with rows that sum to one."""
+    if transition_prob.shape != (n, n):
+        raise ValueError(f"{name} must be ({n}, {n}), one row for each that it leads from, got {transition_prob.shape}")
+    of_row = transition_prob.sum(axis=1)
+    wrong = (transition_prob < 0).any(axis=1) | ~np.isclose(of_row, 1.0, atol=1e-9)  # NaN and infinity too
+    if wrong.any():
+        row = int(np.argmax(wrong))
+        raise ValueError(
+            f"rows of {name} must be probabilities and must sum to 1, row {row} is {transition_prob[row]} with sum "
+            f"{of_row[row]}; transpose it?"
+        )
