@@ -20,7 +20,8 @@ from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
 
-# Against an attitude tilted by theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees.
+# The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
+# theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
 _MAX_TILT_COS = 0.5
 
 # Columns of the samples that wait for a whole window of the bias.

@@ -101,8 +101,9 @@ class GyroBias:
     window_s : float
         Length of the windows. One second averages a step or two, and the turning that each brings.
     prior_std_radps, prior_prob : tuple of float
-        The mixture the bias comes from: phones that calibrate themselves well (0.001 to 0.003 rad/s), less well (0.01),
-        and not (0.03 to 0.1).
+        The mixture the bias comes from: phones that calibrate themselves well (the drifts of known walks here are 0.001
+        to 0.003 rad/s), less well (0.01), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
+        seen elsewhere).
     prior_radps : tuple of float
         What it is scattered about, x, y, z: zero, or what an earlier recording of the same phone ended with.
     walk_radps_per_sqrt_s : float
@@ -112,8 +113,8 @@ class GyroBias:
     still_max_radps : float
         No bias is above this; what is still and faster turns evenly.
     still_std_radps, still_std_share : float
-        Standard deviation of the mean of a still window: a constant and a share of that within it (0.45 to 0.6 on
-        people who stand; 0.8 for their correlation in time).
+        Standard deviation of the mean of a still window: a constant and a share of that within it. On people who stand
+        with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their correlation in time.
     still_outlier_prob, turning_radps : float
         How often a still phone turns evenly, and how fast.
     walking_acc_mps2 : float
@@ -145,7 +146,8 @@ class GyroBias:
     field_std_rad : float
         Of the direction in an undisturbed field: attitude and calibration.
     field_walk_rad_per_sqrt_s : float
-        Random walk of the field's direction from place to place: up to 0.7 rad along a corridor of a minute.
+        Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
+        a corridor of a minute, smoothly and with hardly a change of its size.
     field_jump_rad : float
         After a larger change since the last window the direction starts again: no bias does that.
     field_outlier_prob : float

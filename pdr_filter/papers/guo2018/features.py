@@ -32,9 +32,10 @@ WITHOUT_LIGHT_AND_PROXIMITY: tuple[str, ...] = NAMES[:12]
 def pitch_and_roll(up_sensor: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Pitch in [-pi/2, pi/2] and roll in [-pi, pi] of a device, each (N,), from unit vectors up (N, 3).
 
-    The device turns from flat, face up and y north, by yaw about z, pitch about x, roll about y, each by the right-hand
-    rule: up = [-sin(roll) cos(pitch), sin(pitch), cos(roll) cos(pitch)]. (Android's `getOrientation` has the same roll
-    and the opposite pitch.)
+    The device turns from flat, face up and y north, by yaw about z, then pitch about x, then roll about y, each by the
+    right-hand rule: R = R_z(yaw) R_x(pitch) R_y(roll), sensor to world. Then up = [-sin(roll) cos(pitch), sin(pitch),
+    cos(roll) cos(pitch)]. Pitch is positive with the top edge up, roll with the right edge down. (Android's
+    `getOrientation` has the same roll and the opposite pitch.)
     """
     x, y, z = up_sensor.T
     return np.arcsin(np.clip(y, -1.0, 1.0)), np.arctan2(-x, z)
@@ -114,6 +115,7 @@ class MotionLevel:
             [x, y, z, x * x + y * y + z * z, np.where(known, u * u + v * v + w * w, 0.0), (~known).astype(float)]
         )
         line = np.concatenate([state.delay_line, new], axis=1)
+        # Every output is one dot product of the window's length, so cutting the signal elsewhere changes no bit.
         sums = np.stack([np.convolve(row, np.ones(self.window_samples), mode="valid") for row in line])
         seen = np.minimum(state.n_samples + 1 + np.arange(sums.shape[1]), self.window_samples)
         x, y, z, force, rate, missing = sums / seen

@@ -33,7 +33,8 @@ SELECTED_18: tuple[str, ...] = tuple(
 WITHOUT_MAGNETOMETER: tuple[str, ...] = tuple(n for n in NAMES if "magn" not in n)
 WITHOUT_GYROSCOPE: tuple[str, ...] = tuple(n for n in WITHOUT_MAGNETOMETER if "gyro" not in n)
 
-# Below this spread the third and fourth moments are rounding noise: those of a constant are zero.
+# Below this spread the third and fourth moments are rounding noise divided by itself; they are then those of a
+# constant: zero.
 _MIN_STD = 1e-9
 
 

@@ -18,7 +18,9 @@ from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 
 # Eq. 12 for walking: fitted to 298 legs of known displacement (humolire, one person; ms_indoor, several surveyors) with
-# the priors k1 = 0.30 +- 0.05 m s and k2 = 0 +- 0.003.
+# the priors k1 = 0.30 +- 0.05 m s (a person's own change of step length with cadence, which two sites with one cadence
+# each cannot show) and k2 = 0 +- 0.003. The default recipe has a model that carries over better between people, sites
+# and carrying modes (docs/methods/step_length.md).
 _FREQUENCY_VARIANCE_WALKING = StepLengthFit(
     FrequencyVarianceStepLength(max_variance=8.0),
     theta=np.array([0.4298, 0.1776, -0.0020]),

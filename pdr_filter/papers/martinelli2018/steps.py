@@ -50,11 +50,13 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     running_wavelet_frequency_hz : float
         The same for running.
     running_rms_mps2 : float
-        Root mean square of |f| - g over about half a second above which the faster scale is used.
+        Root mean square of |f| - g over about half a second above which the faster scale is used. Jogging has 8 to
+        15 m/s2, brisk walking with the phone in a pocket 4 to 7.
     low_pass_hz : float
         Cutoff of the low-pass (Hamming window, 0.25 s) before the transform.
     min_peak_mps2 : float
-        Smallest response that is a step; a sinusoid of 1 m/s2 at the wavelet frequency has a response of 1 m/s2.
+        Smallest response that is a step. The response is scaled so that a sinusoid of amplitude 1 m/s2 at the
+        wavelet frequency gives 1 m/s2.
     relative_peak : float
         A step must also reach this part of the running mean of the last peaks.
     min_interval_s : float
@@ -108,6 +110,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
         return replace(state, power_zi=power_zi), np.stack([magnitude, power])
 
     def _response(self, line: FloatArray) -> FloatArray:
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         walking, running = (np.convolve(line[0], kernel, mode="valid") for kernel in self._kernels)
         n_before = self._delay_samples
         is_running = line[1, n_before : n_before + len(walking)] > self.running_rms_mps2**2

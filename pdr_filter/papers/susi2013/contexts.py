@@ -131,8 +131,9 @@ TREE_ACCELEROMETER = MotionModeTree(
 class MotionModes(WindowStage[MotionWindowState, MotionWindow, None]):
     """Motion mode of every window as context, carrying mode and irregular motion; a `ContextStage`.
 
-    An arm at rest is walking, with texting, calling and a bag alike. Irregular motion is stationary with
-    `irregular_prob`. Running and stairs count as walking. Where nobody walks all ways to hold it are alike.
+    Static is stationary. An arm at rest is walking, with texting, calling and a bag alike; a swinging one is walking
+    and swinging. Irregular motion is stationary with `irregular_prob`: nobody goes anywhere. Running and stairs count
+    as walking. Where nobody walks the device may be held in any of the four ways.
     """
 
     windows: MotionWindows = field(default_factory=MotionWindows)

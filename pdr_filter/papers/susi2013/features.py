@@ -164,6 +164,7 @@ class MotionWindows(SlidingWindows[MotionWindowState, MotionWindow]):
     def _moving_mean(self, line: FloatArray, n_before: int) -> FloatArray:
         """Mean over the last L samples, or those so far, of each sample after the delay line (eq. 3)."""
         length = self.window_samples
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         sums = np.stack([np.convolve(row, np.ones(length), mode="valid") for row in line])
         seen = np.minimum(n_before + 1 + np.arange(sums.shape[1]), length)
         return sums / seen

@@ -49,8 +49,10 @@ class MachineState:
 class CarryingMachine:
     """The machine of Table I, sample by sample.
 
-    It sees transitions in the angular rate. Where that is missing, gravity alone decides every `transition_s`
-    (docs/methods/tian2016.md). An upright phone is taken to be in a pocket there, because most are.
+    It sees transitions in the angular rate. Where that is missing, gravity alone decides: every `transition_s` the
+    phone is held if its screen looks up (g_z < -GH_z) in more than half of the samples, swinging if it lies on its long
+    edge in more than half, in a pocket otherwise. That is ours: the paper always has a gyroscope. An upright phone
+    is taken to be in a pocket there, because most are.
 
     Parameters
     ----------
@@ -65,8 +67,8 @@ class CarryingMachine:
     face_down_z_g : float
         GS_z: gravity on z never reached on the way into a swinging hand.
     held_again_s : float
-        A phone that was held and whose screen looks up (g_z < -GH_z) for this long at the end of the window was only
-        turned, and is still held. Longer than the window: never, as printed.
+        A phone that was held and whose screen looks up (g_z < -GH_z) all through the end of the window, for this
+        long, was only turned, and is still held. Longer than the window: never, as printed.
     """
 
     rate_hz: float = 100.0

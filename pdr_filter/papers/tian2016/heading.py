@@ -39,8 +39,9 @@ def average_angle(angle_rad: FloatArray) -> float:
 def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) -> FloatArray:
     """Where the user of a held phone looks: horizontal, at right angles to its x axis, (N,), clockwise, any zero.
 
-    With up u and x axis e, u x e is that direction in the sensor frame; specific force f is known there and along the
-    horizontal axes of the world. Undefined, and then 0, where f or the x axis is exactly vertical.
+    With up u and x axis e, u x e is that direction in the sensor frame. The attitude gives specific force f both in
+    the sensor frame and along the horizontal axes of the world: the angles from it to either frame differ by the
+    heading. Undefined, and then 0, where f or the x axis is exactly vertical.
     """
     f, up = specific_force_mps2, attitude.up_sensor
     along = f[:, 0] * up[:, 0] + f[:, 1] * up[:, 1] + f[:, 2] * up[:, 2]
@@ -88,8 +89,9 @@ class OffsetCompensation:
     n_omit : int
         M_omit: of them those at the start that are left out, while the phone slides into place.
     direction_std_rad : float
-        Given to every direction: more than the paper's median errors, 1 to 5 degrees (Tables VIII, IX). On winding
-        walks in a room ours are 5 to 17: give more where other measurements of direction compete.
+        Given to every direction. The paper trusts them fully; its median errors are 1 to 5 degrees (Tables VIII, IX).
+        On winding walks in a room ours are 5 to 17 (docs/methods/tian2016.md): give more where other measurements of
+        direction compete.
     """
 
     rate_hz: float = 100.0

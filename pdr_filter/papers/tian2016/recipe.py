@@ -16,7 +16,8 @@ from pdr_filter.papers.tian2016.steps import TianStepDetector
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import FloatArray, Note, Step
 
-# k of men and women: text of eq. 9; standard deviation of the distances of ten people over 28 m: Table VII.
+# k of men and women: text of eq. 9. Of the distances of ten people over 28 m Table VII has a standard deviation of
+# 2.30 m.
 _K = {"M": 0.3139, "F": 0.2975}
 _RELATIVE_STD = 2.30 / 28
 

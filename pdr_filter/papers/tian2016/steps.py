@@ -5,7 +5,8 @@ axis, whose peaks of both signs are steps, because an arm swings once in two ste
 (Table III). While the phone moves from one place to another nothing can be detected: what the person walked
 meanwhile is filled in afterwards (eq. 8).
 
-The equations are in the convention of iOS (`ios_acceleration`), gravity and user acceleration in g.
+The equations are in the convention of iOS: gravity and user acceleration in g, -1 on z for a phone that lies face up.
+`ios_acceleration` is the only place that converts.
 
 Deviations: docs/methods/tian2016.md.
 """
@@ -47,8 +48,9 @@ def ios_acceleration(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> 
 def step_signals(specific_force_mps2: FloatArray, up_sensor: FloatArray) -> FloatArray:
     """User acceleration in which steps are sought, (3, N), in g: vertical (HOLDING), y (SWING), z (POCKET); Table III.
 
-    The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5, 6), with the signs of gravity:
-    -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2). Zero where both are.
+    The vertical one is a_uz sin(phi) + a_uy cos(phi) with phi = atan |g_z / g_y| (eq. 5, 6), that is
+    -(a_uy g_y + a_uz g_z) / sqrt(g_y^2 + g_z^2): as printed where g_y and g_z are negative, as they are for a phone
+    that somebody reads, and with the right sign elsewhere. Zero where both are.
     """
     gravity, user = ios_acceleration(specific_force_mps2, up_sensor)
     in_plane = np.sqrt(gravity[:, 1] ** 2 + gravity[:, 2] ** 2)
@@ -111,7 +113,8 @@ class TianStepDetector(StepDetector[TianDetectorState]):
     Parameters
     ----------
     holding_peak_g, swing_peak_g, pocket_peak_g : float
-        Smallest peak that is a step.
+        Smallest peak that is a step. The paper prints one only, the 0.2 g of the walk in a pocket of Fig. 7, which
+        loses a fifth of the steps of other people.
     low_pass_hz : float
         Cutoff of the low-pass (Butterworth, second order): people make 0.5 to 5 steps a second.
     min_interval_s : float

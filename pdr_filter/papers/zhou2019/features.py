@@ -79,6 +79,7 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
         Length of the static start, at most the window, so that no window is late for it.
     static_std_mps2 : float
         If |f| spreads more than this over the start, or is not gravity, nobody stood still: the bias is taken as zero.
+        Over a second a standing foot stays below 0.05 m/s2 (pyshoe), a walking one above 1 m/s2.
     low_pass_hz : float
         Cutoff (-6 dB) of the FIR filter.
     low_pass_s : float
@@ -131,8 +132,10 @@ class BehaviourWindows(SlidingWindows[BehaviourState, BehaviourWindow]):
                 return replace(state, waiting=rows), []
             bias = self._bias(np.ascontiguousarray(rows[: self.static_samples, 1:]))
         a = acceleration(rows[:, 1:], bias)
+        # What was before the first sample is taken to be like it: a zero there would look like a blow.
         before = state.delay_line if len(state.delay_line) else np.full(len(self._taps) - 1, a[0])
         line = np.concatenate([before, a])
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         buffer, windows = self.cut(state.buffer, rows[:, 0], np.convolve(line, self._taps, mode="valid")[None])
         state = BehaviourState(np.empty((0, 4)), bias, line[len(a) :], buffer)
         return state, [(window.last, self._describe(window)) for window in windows]

@@ -1,11 +1,12 @@
 """Steps between crossings of adaptive reference lines: Zhou et al. 2019, section IV.
 
-In four stages (docs/methods/zhou2019.md): a = |f| - g is low-passed as the behaviour asks for, its dominant frequency
-f_D sets a window (eq. 5), the extrema in it (eq. 6) place the lines R_L, R_M, R_S (Table 2), and an event reaches from
-the first rise through R_M to the next fall through R_S. Standing and irregular swing are not counted; what happens
-there waits until the behaviour is known to have been walking or running.
+Acceleration a = |f| - g is low-passed as the behaviour asks for (stage 1), its dominant frequency f_D sets a window of
+one period (eq. 5, stage 2), the extrema in the window (eq. 6, stage 3) place the lines R_L, R_M, R_S (Table 2), and an
+event reaches from the first rise through R_M to the next fall through R_S (stage 4). Standing and irregular swing are
+not counted; what happens there waits until the behaviour is known to have been walking or running.
 
-An event of the paper is a stride of the instrumented foot, two steps (`FOOT`); of a phone elsewhere a step.
+An event of the paper is a stride of the instrumented foot: two steps. A phone elsewhere on the body feels both feet,
+and an event is a step. `steps_per_event` is 2 or 1; `FOOT` and `CARRIED` are the detectors for either.
 
 Deviations, with reasons and figures: docs/methods/zhou2019.md.
 """
@@ -172,6 +173,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     def _detect(
         self, state: ReferenceLineState, line: FloatArray, first: int
     ) -> tuple[ReferenceLineState, list[tuple[int, Step]]]:
+        # Every output is one dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
         filtered = [np.convolve(line[0], taps, mode="valid") for taps in self._taps]
         new = np.stack([*filtered, line[1, self._n_line :]])
         n_samples = first + new.shape[1]

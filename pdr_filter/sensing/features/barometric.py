@@ -4,8 +4,9 @@ Height differences come from the hydrostatic relation, dh = -(R T / (g M)) dp / 
 of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. An absolute height is not needed and never formed: weather moves the
 pressure by a few hPa an hour at most, which is less than 0.01 m/s.
 
-No recording with barometer and labels is at hand: stairs are as building codes have them, lifts and draughts are
-judged, the noise of the sensor is from data sheets. How much the barometer helps is not known.
+No recording with barometer and labels is at hand. What `climb_log_evidence` takes for stairs comes from building codes,
+what it takes for lifts and draughts from judgement, the noise of the sensor from data sheets. None of it has been
+measured, and how much the barometer helps is not known.
 """
 
 from __future__ import annotations
@@ -61,12 +62,14 @@ class ClimbRate:
     Parameters
     ----------
     window_s, hop_s : float
-        Length and advance. At 1 Hz, the slowest that phones deliver, 4 s are five samples: 0.026 m/s with that noise.
+        Length and advance. At 1 Hz, the slowest that phones deliver, 4 s are five samples: a standard deviation of
+        0.026 m/s with the noise below, a tenth of what stairs climb.
     max_gap_s : float
         A longer time without samples is a gap.
     noise_hpa : float
-        Least standard deviation of a sample: few may lie on a line by chance. 0.01 hPa (0.08 m) is the noise of the ST
-        LPS25HB; the Bosch BMP280 has 0.005 hPa in the setting that its data sheet suggests for Android.
+        Least standard deviation of a sample: few samples may lie on a line by chance, and a coarse sensor repeats
+        itself. 0.01 hPa (0.08 m) is the noise of the ST LPS25HB; the Bosch BMP280 has 0.005 hPa in the setting that its
+        data sheet suggests for Android.
     temperature_c : float
         Of the air; 10 degrees more make the rate 3.5 % larger.
     """
@@ -158,7 +161,8 @@ def _is_plausible(hpa: FloatArray) -> BoolArray:
     return (hpa >= _MIN_HPA) & (hpa <= _MAX_HPA)  # NaN is not
 
 
-# Stairs: the riser (0.14 to 0.19 m in buildings, DIN 18065) times the steps a second, up or down.
+# Stairs: the riser times the steps a second. A riser is 0.14 to 0.19 m in buildings in general (DIN 18065), mostly
+# about 0.17 m; people take 1.6 +- 0.3 steps a second, up or down.
 RISER_M, RISER_STD_M = 0.17, 0.01
 STAIR_CADENCE_HZ, STAIR_CADENCE_STD_HZ = 1.6, 0.3
 # Elsewhere: ramps (1.3 m/s on 4 % are 0.05 m/s; 6 % is the steepest that DIN 18040 allows) and draughts: 0.05 m/s over
@@ -183,8 +187,10 @@ def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
     """Log likelihood of a climb rate in each of `CONTEXTS`, (6,), up to a constant common to all.
 
     log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.07 m/s, downstairs -0.27 +- 0.07 m/s, the
-    others 0 +- 0.05 m/s, and with probability e = 0.1 anything that a lift does. A slow lift (0.5 m/s) is still 1 nat
-    for stairs, and an escalator keeps their rate: so the evidence is bounded, and must not be the only one.
+    others 0 +- 0.05 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
+    are equally likely, and the other sensors distinguish standing from stairs. A slow lift (0.5 m/s) is still 1 nat for
+    stairs, each lift passes their rate on the way to its own, and an escalator keeps it: so the evidence is bounded,
+    and must not be the only one. A rate with a large `std_mps` is no evidence.
 
     Windows overlap: of windows of 4 s every second, each should count a quarter (multiply by hop over window).
     """

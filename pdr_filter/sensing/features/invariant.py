@@ -140,7 +140,8 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     """Features (W, F) of windows of `SIGNALS`, shape (W, 12, N), in the order of `NAMES`.
 
     A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it. A window has
-    the same bits alone and among others: sums run along contiguous axes, matrix products window by window.
+    the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
+    transforms are made window by window.
     """
     return in_groups(_of_group, windows, rate_hz, len(NAMES))
 

@@ -65,7 +65,8 @@ def harmonics(signals: FloatArray, duration_s: float) -> tuple[FloatArray, Float
     """Complex amplitudes (3,) of signals (3, N), once and twice a stride.
 
     The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
-    if every other step was missed: if they are slow and the harmonics say so.
+    if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
+    twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
     """
     waves = _waves(signals.shape[1])
     centred = signals - signals.mean(axis=1)[:, None]
