@@ -10,7 +10,6 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.artefact import Arrays, of_prefix, prefixed
 from pdr_filter.classifiers.boosting import BoostedTrees
@@ -43,9 +42,8 @@ class Blend(Machine):
         """Number of classes, K."""
         return self.linear.n_classes
 
-    def predict_proba(self, X: ArrayLike) -> FloatArray:
-        """Class probabilities of rows, (N, F) to (N, K); the same bits alone and in any batch."""
-        relative = np.sqrt(self.linear.predict_proba(X) * self.trees.predict_proba(X))
+    def _of_rows(self, rows: FloatArray) -> FloatArray:
+        relative = np.sqrt(self.linear.predict_proba(rows) * self.trees.predict_proba(rows))
         return relative / relative.sum(axis=1, keepdims=True)
 
     def to_arrays(self) -> Arrays:

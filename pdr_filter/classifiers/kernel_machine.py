@@ -9,7 +9,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.machine import Machine
+from pdr_filter.classifiers.machine import Machine, row_by_row
 from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values import FloatArray, IntArray
 
@@ -52,6 +52,9 @@ class RelevanceVectors(Machine):
     def n_classes(self) -> int:
         """Number of classes, K."""
         return len(self.weights)
+
+    def _of_rows(self, rows: FloatArray) -> FloatArray:
+        return row_by_row(self._of_row, rows, self.n_classes)
 
     def _of_row(self, row: FloatArray) -> FloatArray:
         return (normalised_sigmoids if self.link == "sigmoid" else moderated_softmax)(*self._logits(row))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 from dataclasses import MISSING, fields
 from typing import Any, Self, cast
 
@@ -77,13 +78,14 @@ class Machine(Stored, ABC):
             )
         return self._of_rows(rows)
 
+    @abstractmethod
     def _of_rows(self, rows: FloatArray) -> FloatArray:
-        """Probabilities (N, K) of checked rows (N, F): one after the other, unless a machine has a better way."""
-        result = np.empty((len(rows), self.n_classes))
-        for i, row in enumerate(rows):
-            result[i] = self._of_row(row)
-        return result
+        """Probabilities (N, K) of checked rows (N, F)."""
 
-    def _of_row(self, row: FloatArray) -> FloatArray:
-        """Probabilities (K,) of one checked row (F,)."""
-        raise NotImplementedError
+
+def row_by_row(of_row: Callable[[FloatArray], FloatArray], rows: FloatArray, n_classes: int) -> FloatArray:
+    """Probabilities (N, K) of rows, one after the other: sums of a batch have other bits than those of a row."""
+    result = np.empty((len(rows), n_classes))
+    for i, row in enumerate(rows):
+        result[i] = of_row(row)
+    return result
