@@ -38,6 +38,12 @@ class Step:
     # How much the angle between walking and device may have changed since the step before (standard deviation): 0
     # while the phone stays where it is, large when it was moved to another place.
     offset_change_std_rad: float = 0.0
+    # Walking less device heading as strides, and the axis of a phone that somebody reads, show it: where the phone
+    # points against the body. It need not be known for a track, whose frame holds that of the first place.
+    shown_offset_rad: float = 0.0
+    shown_offset_std_rad: float = np.inf
+    # How well the strides agree on it, 0 to 1: the squared length of their mean direction.
+    direction_trust: float = 0.0
     # Standard deviation of the gyroscope's bias about the vertical at this step, after correction.
     yaw_bias_std_radps: float = 0.0
     # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.

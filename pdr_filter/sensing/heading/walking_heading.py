@@ -17,6 +17,7 @@ each step is only what is new: `pdr_filter.sensing.heading.reported`.
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass, field, replace
 
@@ -24,7 +25,8 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.heading.reported import UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Reported
+from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.reported import Reported
 from pdr_filter.sensing.heading.strides import (
     Stride,
     carry_axis,
@@ -62,6 +64,8 @@ _PRIOR_SCATTER, _PRIOR_STRIDES = 0.5, 4.0
 _NOISE_MPS2, _LEAK = 0.05, 0.06
 # Sway looks like a slow change to a single stride, by 6 / (2 pi^2) of its amplitude; the next stride takes it back.
 _SWAY_LEAK = 0.3
+# Strides that agree less than this, squared, say nothing.
+_MIN_TRUST = 0.005
 # Strides after which a direction is good enough to be kept when the phone is moved.
 _SETTLED_STRIDES = 4
 # Former places that are remembered: a look at the phone may be two.
@@ -91,8 +95,8 @@ class Place:
     weight: float = 0.0  # strides
     # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
     powers: FloatArray = field(default_factory=lambda: np.zeros(3))
-    prior_rad: float = 0.0  # the last walking heading elsewhere
-    prior_var_rad2: float = math.inf
+    recent: complex = 0j  # sum of the last strides' directions, of unit length on average
+    n_recent: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -116,8 +120,9 @@ class WalkingHeadingState:
     up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
     place: Place | None
+    offset: Offset
     reported: Reported
-    walking_rad: float  # last walking heading that was learnt well, in the attitude's frame; NaN before
+    walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
     direction: FloatArray  # (3,) the same in the sensor frame, across `direction_up`
     direction_up: FloatArray  # (3,) mean up direction of that stride
@@ -206,6 +211,7 @@ class WalkingHeading:
             up=None,
             axis=np.zeros(3),
             place=None,
+            offset=Offset(),
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -279,19 +285,30 @@ class WalkingHeading:
             return state, step
         stride = self._describe(state, samples, context)
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        place = self._learn(place, stride, step.duration_s)
-        angle_rad, var_rad2 = self._estimate(place, stride)
-        if place.n_strides >= _SETTLED_STRIDES and var_rad2 < self.change_std_rad**2:
-            right = cross(stride.axis, stride.up)
-            state = replace(
-                state,
-                walking_rad=stride.axis_heading_rad + angle_rad,
-                walking_s=step.time_s,
-                direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * right,
-                direction_up=stride.up,
-            )
-        offset_rad = stride.axis_heading_rad - stride.device_heading_rad + angle_rad
+        elapsed_s = step.duration_s
+        place = self._learn(place, stride, elapsed_s)
+        offset = state.offset.wandered(self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s)
+        place, offset, turned_rad = self._believe(place, offset, stride)
+        shown = self._with_axis(place, offset, stride)
+        angle_rad = shown.shown_rad - (stride.axis_heading_rad - stride.device_heading_rad)
+        right = cross(stride.axis, stride.up)
+        offset_rad, var_rad2 = float(shown.mean[0]), shown.var_rad2
+        state = replace(
+            state,
+            offset=offset,
+            walking_rad=stride.device_heading_rad + offset_rad,
+            walking_s=step.time_s,
+            direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * right,
+            direction_up=stride.up,
+        )
+        change_std_rad = max(change_std_rad, abs(turned_rad))
         reported, step = state.reported.with_report(step, offset_rad, var_rad2, change_std_rad, self.first_std_rad)
+        step = replace(
+            step,
+            shown_offset_rad=shown.shown_rad,
+            shown_offset_std_rad=math.sqrt(shown.shown_var_rad2),
+            direction_trust=self._trust(place),
+        )
         return replace(state, place=place, reported=reported), step
 
     def _stride_samples(
@@ -351,31 +368,34 @@ class WalkingHeading:
         """State with the frame of this stride, the place it is in, and by how much the offset may have changed."""
         before = state.place
         state = replace(state, up=stride.up, axis=stride.axis)
+        systematic_rad = self.held_systematic_std_rad if stride.up[2] > 0.5 else self.systematic_std_rad
         if before is None:
-            return state, Place(time_s, carrying_mode, -1, stride.up), 0.0
+            offset = state.offset.moved(0.0, 0.0, systematic_rad**2)
+            return replace(state, offset=offset), Place(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(float(before.up @ stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
         label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
-        is_relabelled = label != before.carrying_mode and before.carrying_mode >= 0
-        if not (is_moved or is_relabelled):
+        if not is_moved:
             up = before.up + (stride.up - before.up) / _UP_STRIDES
             return state, replace(before, up=up / math.sqrt(float(up @ up)), carrying_mode=label), 0.0
-        place = Place(time_s, label, -1, stride.up)
-        if is_moved:
-            # What is said of the mode is of windows that ended before the phone was moved.
-            place = replace(place, carrying_mode=-1, old_mode=carrying_mode)
-        prior = self._came_back(state.formers, stride, time_s)
+        # What is said of the mode is of windows that ended before the phone was moved.
+        place = Place(time_s, -1, carrying_mode, stride.up)
+        offset = self._with_axis(before, state.offset, stride)
+        moved_rad, turned_var = float(offset.mean[0]), UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
-            prior += _von_mises(state.walking_rad - stride.axis_heading_rad, turned_var)
-        if prior != 0:
-            place = replace(place, prior_rad=math.atan2(prior.imag, prior.real), prior_var_rad2=1.0 / abs(prior))
+            moved_rad = state.walking_rad - stride.device_heading_rad
+        offset = offset.moved(moved_rad, turned_var, systematic_rad**2)
+        former_rad = self._came_back(state.formers, stride, time_s)
+        if former_rad is not None:
+            shown_rad = stride.axis_heading_rad - stride.device_heading_rad + former_rad
+            offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if state.walking_s >= before.start_s:
             former = Former(time_s, before.n_strides, state.direction_up, state.direction)
             state = replace(state, formers=(*state.formers, former)[-_N_FORMERS:])
-        return state, place, UNKNOWN_STD_RAD
+        return replace(state, offset=offset), place, UNKNOWN_STD_RAD
 
-    def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> complex:
+    def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
         """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
         alike = [
             f
@@ -383,12 +403,11 @@ class WalkingHeading:
             if time_s - f.left_s < self.away_s and float(f.up @ stride.up) > math.cos(self.max_tilt_rad)
         ]
         if not alike:
-            return 0j
+            return None
         former = max(alike, key=lambda f: f.n_strides)
         direction = carry_axis(former.direction, former.up, stride.up)
         right = cross(stride.axis, stride.up)
-        angle_rad = math.atan2(float(direction @ right), float(direction @ stride.axis))
-        return _von_mises(angle_rad, self.return_std_rad**2)
+        return math.atan2(float(direction @ right), float(direction @ stride.axis))
 
     def _learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
         """The place after one stride more."""
@@ -401,7 +420,6 @@ class WalkingHeading:
             products=stay * place.products + stride.vectors @ stride.vectors.T,
             weight=stay * place.weight + 1.0,
             powers=place.powers + (stride.powers - place.powers) / min(float(n_strides), _POWER_STRIDES),
-            prior_var_rad2=place.prior_var_rad2 * math.exp(elapsed_s / self.prior_memory_s),
         )
 
     def _swings(self, place: Place) -> bool:
@@ -418,40 +436,49 @@ class WalkingHeading:
         lifts = lift_power >= self.swinging_lift**2 * stride_power
         return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
 
-    def _estimate(self, place: Place, stride: Stride) -> tuple[float, float]:
-        """Walking heading, clockwise from the reference axis, and its variance."""
+    def _with_axis(self, place: Place, offset: Offset, stride: Stride) -> Offset:
+        """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
         is_reading = place.carrying_mode == _TEXTING
-        is_like_reading = place.carrying_mode < 0 and stride.up[2] > 0.5
-        is_held = is_like_reading or place.carrying_mode in _HELD
-        systematic_rad = self.held_systematic_std_rad if is_held else self.systematic_std_rad
-        total = _von_mises(place.prior_rad, place.prior_var_rad2)
-        if place.weight > 0:
-            angle_rad, variance = self._direction(place)
-            total += _von_mises(angle_rad, variance + systematic_rad**2)
-        if is_reading or is_like_reading:
-            axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
-            total += _von_mises(stride.pointing_rad, axis_rad**2)
-        concentration = abs(total)
-        variance = UNKNOWN_VAR_RAD2 if concentration == 0 else min(1.0 / concentration, UNKNOWN_VAR_RAD2)
-        return math.atan2(total.imag, total.real), variance
+        if not (is_reading or (place.carrying_mode < 0 and stride.up[2] > 0.5)):
+            return offset
+        axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
+        pointing_rad = stride.axis_heading_rad - stride.device_heading_rad + stride.pointing_rad
+        return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), axis_rad**2)
 
-    def _direction(self, place: Place) -> tuple[float, float]:
-        """Direction of the summed vectors, clockwise from the axis, and its variance, rad2."""
+    def _mix(self, place: Place) -> FloatArray:
+        """Which of the stride's vectors point ahead."""
         if self._swings(place):
-            mix = np.array([1.0, 0.0, 0.0])
-        else:
-            ahead_rad = self._phase_ahead(place)
-            mix = np.array([0.0, math.cos(ahead_rad), math.sin(ahead_rad)])
+            return np.array([1.0, 0.0, 0.0])
+        ahead_rad = self._phase_ahead(place)
+        return np.array([0.0, math.cos(ahead_rad), math.sin(ahead_rad)])
+
+    def _agreement(self, place: Place, mix: FloatArray) -> tuple[float, float]:
+        """Mean squared length of the vectors, and that of their mean as it would be of very many."""
         forward, right = (float(v) for v in mix @ place.vectors / place.weight)
-        mean2 = forward * forward + right * right
-        if mean2 == 0:
-            return 0.0, math.inf
         length2 = float(mix @ place.products @ mix) / place.weight
-        # overlapping by half, n strides are worth half of n
-        scatter = place.weight * 0.5 * max(length2 - mean2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
-        variance = 2.0 * scatter / (place.weight + _PRIOR_STRIDES) / (place.weight * mean2)
+        n = max(0.5 * place.weight, 1.0)  # overlapping by half, n strides are worth half of n
+        mean2 = forward * forward + right * right
         leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
-        return math.atan2(right, forward), variance + leak2 / mean2
+        shared2 = (n * mean2 - length2) / (n - 1.0) if n > 1.0 else mean2
+        return length2, max(shared2 - leak2, 0.0)
+
+    def _trust(self, place: Place) -> float:
+        length2, shared2 = self._agreement(place, self._mix(place))
+        return shared2 / length2 if length2 > 0 else 0.0
+
+    def _believe(self, place: Place, offset: Offset, stride: Stride) -> tuple[Place, Offset, float]:
+        """Place and offset after the direction of a stride, and by how much the phone was turned about the vertical."""
+        mix = self._mix(place)
+        length2, shared2 = self._agreement(place, mix)
+        if shared2 <= _MIN_TRUST * length2:
+            return place, offset, 0.0
+        # of the component across the mean, strides overlapping by half
+        scatter = place.weight * max(length2 - shared2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
+        var_rad2 = 2.0 * (scatter / (place.weight + _PRIOR_STRIDES)) * 0.5 / shared2
+        forward, right = (float(v) for v in mix @ stride.vectors)
+        toward = complex(forward, right) / math.sqrt(shared2)
+        toward *= cmath.exp(1j * (stride.axis_heading_rad - stride.device_heading_rad))
+        return place, offset.seen(OF_STRIDES, toward, var_rad2), 0.0
 
     def _phase_ahead(self, place: Place) -> float:
         """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
@@ -460,7 +487,3 @@ class WalkingHeading:
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
         return min(max(ahead_rad, -limit_rad), limit_rad)
 
-
-def _von_mises(angle_rad: float, var_rad2: float) -> complex:
-    """Direction as a complex number whose length is its concentration, 1 / variance."""
-    return complex(math.cos(angle_rad), math.sin(angle_rad)) / var_rad2
