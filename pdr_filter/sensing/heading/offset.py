@@ -56,9 +56,14 @@ class Offset:
         """Its variance; that of a uniform angle at most."""
         return min(float(OF_AXIS @ self.cov @ OF_AXIS), UNKNOWN_VAR_RAD2)
 
-    def wandered(self, var_rad2: float) -> Offset:
-        """After the phone was turned a little against the body."""
-        return replace(self, cov=self.cov + np.diag([var_rad2, 0.0, 0.0]))
+    def wandered(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
+        """After a while: the phone was turned a little against the body, and strides are off by something else.
+
+        `stay` is the share of the systematic error that is left, and `systematic_rad2` the variance that it keeps.
+        """
+        keep = np.array([1.0, 1.0, stay])
+        cov = self.cov * np.outer(keep, keep)
+        return Offset(self.mean * keep, cov + np.diag([var_rad2, 0.0, (1.0 - stay * stay) * systematic_rad2]))
 
     def seen(self, of: FloatArray, toward: complex, var_rad2: float) -> Offset:
         """After a direction was seen: `of` says of which sum, `toward` points there, with a length of 1 on average.

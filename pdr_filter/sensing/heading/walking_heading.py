@@ -192,6 +192,7 @@ class WalkingHeading:
     prior_memory_s: float = 10.0
     systematic_std_rad: float = math.radians(6.0)
     held_systematic_std_rad: float = math.radians(12.0)
+    systematic_s: float = 30.0
     axis_std_rad: float = math.radians(7.0)
     guessed_axis_std_rad: float = math.radians(12.0)
     max_tilt_rad: float = math.radians(35.0)
@@ -287,7 +288,11 @@ class WalkingHeading:
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         elapsed_s = step.duration_s
         place = self._learn(place, stride, elapsed_s)
-        offset = state.offset.wandered(self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s)
+        offset = state.offset.wandered(
+            self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s,
+            math.exp(-elapsed_s / self.systematic_s),
+            self._systematic_rad2(stride),
+        )
         place, offset, turned_rad = self._believe(place, offset, stride)
         shown = self._with_axis(place, offset, stride)
         angle_rad = shown.shown_rad - (stride.axis_heading_rad - stride.device_heading_rad)
@@ -368,9 +373,8 @@ class WalkingHeading:
         """State with the frame of this stride, the place it is in, and by how much the offset may have changed."""
         before = state.place
         state = replace(state, up=stride.up, axis=stride.axis)
-        systematic_rad = self.held_systematic_std_rad if stride.up[2] > 0.5 else self.systematic_std_rad
         if before is None:
-            offset = state.offset.moved(0.0, 0.0, systematic_rad**2)
+            offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
             return replace(state, offset=offset), Place(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(float(before.up @ stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
@@ -385,7 +389,7 @@ class WalkingHeading:
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
-        offset = offset.moved(moved_rad, turned_var, systematic_rad**2)
+        offset = offset.moved(moved_rad, turned_var, self._systematic_rad2(stride))
         former_rad = self._came_back(state.formers, stride, time_s)
         if former_rad is not None:
             shown_rad = stride.axis_heading_rad - stride.device_heading_rad + former_rad
@@ -435,6 +439,9 @@ class WalkingHeading:
             return not is_pocket and bool(step_power <= _LABELLED_STEP_SHARE**2 * stride_power)
         lifts = lift_power >= self.swinging_lift**2 * stride_power
         return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
+
+    def _systematic_rad2(self, stride: Stride) -> float:
+        return (self.held_systematic_std_rad if stride.up[2] > 0.5 else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Place, offset: Offset, stride: Stride) -> Offset:
         """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
