@@ -33,8 +33,8 @@ from pdr_filter.values import BoolArray, FloatArray
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and of the building's axes in uncorrected headings, in rad, clockwise.
-_BIAS, _FIELD, _AXIS = slice(0, 3), 3, 4
-_N_STATES = 5
+_BIAS, _FIELD, _AXIS, _ERROR = slice(0, 3), 3, 4, 5
+_N_STATES = 6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -76,11 +76,13 @@ class FieldScatter:
 class GyroBiasState:
     """A bank of Kalman filters, and what the measurements need of the windows before."""
 
-    mean: FloatArray  # (M, 5); the first half of the filters walks where they like, the other along axes
-    cov: FloatArray  # (M, 5, 5)
+    mean: FloatArray  # (M, 6); the first half of the filters walks where they like, the other along axes
+    cov: FloatArray  # (M, 6, 6)
     log_weight: FloatArray  # (M,) largest is 0
     bias_radps: FloatArray  # (3,) mean of the mixture
     bias_cov_radps2: FloatArray  # (3, 3) of the mixture
+    heading_error_rad: float = 0.0  # of the corrected heading since the start, of the mixture
+    heading_error_var_rad2: float = 0.0
     corrected_rad: float = 0.0  # what the estimates so far have turned the heading by
     n_still: int = 0  # still windows in a row
     walk: StraightWalk | None = None
@@ -174,7 +176,7 @@ class GyroBias:
     straight_turn_rad: float = 0.16
     straight_outlier_prob: float = 0.2
     curve_radps: float = 0.06
-    rectangular_prob: float = 0.1
+    rectangular_prob: float = 1e-6
     axis_corner_rad: float = 0.6
     axis_std_rad: float = 0.07
     axis_outlier_prob: float = 0.2
@@ -234,7 +236,17 @@ class GyroBias:
         bank, state = self._see_field(bank, state, window)
         bias, bias_cov = _mixture(*bank)
         mean, cov, log_weight = bank
-        return replace(state, mean=mean, cov=cov, log_weight=log_weight, bias_radps=bias, bias_cov_radps2=bias_cov)
+        error_rad, error_var = _error(*bank)
+        return replace(
+            state,
+            mean=mean,
+            cov=cov,
+            log_weight=log_weight,
+            bias_radps=bias,
+            bias_cov_radps2=bias_cov,
+            heading_error_rad=error_rad,
+            heading_error_var_rad2=error_var,
+        )
 
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         is_still = (
@@ -293,7 +305,7 @@ class GyroBias:
         from_centre_s = (np.arange(n) - 0.5 * (n - 1)) * self.window_s
         rate_radps = -float((from_centre_s * measured_rad).sum() / (from_centre_s * from_centre_s).sum())
         variance = (self.straight_turn_rad / (n * self.window_s)) ** 2
-        rows = np.array([[*up, 0.0, 0.0]])
+        rows = np.array([[*up, 0.0, 0.0, 0.0]])
         otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
         seen = (rate_radps - _along(bank[0], up))[:, None]
         bank, _ = _update(bank, rows, seen, variance, self.straight_outlier_prob, otherwise)
@@ -302,7 +314,7 @@ class GyroBias:
         if walk.n_measured > 0 or same:
             return bank, state
         # from the middle of the walk to the end of its last window
-        row = np.array([*((0.5 * n + 1.0) * self.window_s * up), 0.0, 1.0])
+        row = np.array([*((0.5 * n + 1.0) * self.window_s * up), 0.0, 1.0, 0.0])
         bank, state = self._see_axis(bank, state, float(measured_rad.mean()), row)
         return bank, replace(state, axis_heading_rad=heading_rad)
 
@@ -381,11 +393,11 @@ def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Ba
     """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
     dt = bias.window_s
     transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
-    transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = -dt * up_sensor
+    transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = transition[_ERROR, _BIAS] = -dt * up_sensor
     noise[_BIAS] = bias.walk_radps_per_sqrt_s**2 * dt
     noise[_FIELD] = bias.field_walk_rad_per_sqrt_s**2 * dt
     mean = state.mean @ transition.T
-    mean[:, _FIELD] += dt * _dot(up_sensor, state.bias_radps)
+    mean[:, [_FIELD, _ERROR]] += dt * _dot(up_sensor, state.bias_radps)
     return mean, transition @ state.cov @ transition.T + np.diag(noise), state.log_weight
 
 
@@ -448,6 +460,15 @@ def _mixture(mean: FloatArray, cov: FloatArray, log_weight: FloatArray) -> tuple
     away = mean[:, _BIAS] - bias
     within = (weight[:, None, None] * cov[:, _BIAS, _BIAS]).sum(axis=0)
     return bias, within + (weight[:, None, None] * away[:, :, None] * away[:, None, :]).sum(axis=0)
+
+
+def _error(mean: FloatArray, cov: FloatArray, log_weight: FloatArray) -> tuple[float, float]:
+    """Mean and variance of the heading's error over the bank."""
+    weight = np.exp(log_weight)
+    weight = weight / weight.sum()
+    error_rad = float((weight * mean[:, _ERROR]).sum())
+    away = mean[:, _ERROR] - error_rad
+    return error_rad, float((weight * (cov[:, _ERROR, _ERROR] + away * away)).sum())
 
 
 def _along(rows: FloatArray, up: FloatArray) -> FloatArray:

@@ -11,16 +11,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 
+from pdr_filter.sensing.heading.offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import HeadingDrift, Step, wrap_angle
 
-# What was reported is doubtful if its mean squared distance from what is known now is so many variances beyond its own.
-_DOUBT = 2.0
 # Less is not worth a report, and its measurement would be far from everything.
 _MIN_GAIN = 1e-3
 _MAX_INNOVATION_RAD = 2.5
-# An angle that could be anything is uniform on the circle.
-UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
-UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
 # Where more is lost it is not reported: the filter must still hear of a phone that is moved.
 _MAX_LOST_VAR_RAD2 = 1.0
 
@@ -50,26 +46,18 @@ class Reported:
         return replace(wandered.after_loss(lost_var), time_s=step.time_s)
 
     def with_report(
-        self, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float, first_std_rad: float
+        self, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float
     ) -> tuple[Reported, Step]:
         """What the filter knows after a step, and the step with the measurement that takes it there.
 
         The measurement is z = o- + (o - o-) / K, K = 1 - P / P-, and its variance P- P / (P- - P)
-        (docs/methods/heading.md). Where strides have made an earlier report doubtful, a change of the offset is
-        reported. Nothing is reported before the offset is known to `first_std_rad`.
+        (docs/methods/heading.md).
         """
-        if math.isinf(self.var_rad2):
-            if var_rad2 > first_std_rad**2:
-                return self, step
-            first_rad = float(wrap_angle(offset_rad))
-            first = replace(self, offset_rad=first_rad, var_rad2=var_rad2 + self.lost_var_rad2)
-            return first, _with_heading(step, first_rad, first.var_rad2, 0.0)
-        away_rad = float(wrap_angle(offset_rad - self.offset_rad))
-        known_var = max(self.var_rad2 - self.lost_var_rad2, 0.0)
-        doubt_var = var_rad2 + away_rad**2 - known_var
-        if doubt_var > _DOUBT * known_var:
-            change_std_rad = max(change_std_rad, math.sqrt(doubt_var))
         var_rad2 += self.lost_var_rad2
+        if math.isinf(self.var_rad2):
+            first = replace(self, offset_rad=offset_rad, var_rad2=var_rad2)
+            return first, _with_heading(step, offset_rad, var_rad2, 0.0)
+        away_rad = float(wrap_angle(offset_rad - self.offset_rad))
         before_var = min(self.var_rad2 + change_std_rad**2, UNKNOWN_VAR_RAD2)
         gain = 1.0 - var_rad2 / before_var
         if gain < _MIN_GAIN:

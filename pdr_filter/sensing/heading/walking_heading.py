@@ -25,7 +25,8 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
+from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, OFFSET, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
 from pdr_filter.sensing.heading.reported import Reported
 from pdr_filter.sensing.heading.strides import (
     Stride,
@@ -121,6 +122,8 @@ class WalkingHeadingState:
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
     place: Place | None
     offset: Offset
+    corridors: CorridorState
+    drifted_rad: float  # of the heading in the frame, as axes showed it before they were left
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
@@ -200,6 +203,7 @@ class WalkingHeading:
     change_std_rad: float = math.radians(35.0)
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
+    corridors: Corridors = field(default_factory=Corridors)
     drift: HeadingDrift = field(default_factory=HeadingDrift)
 
     def init(self) -> WalkingHeadingState:
@@ -213,6 +217,8 @@ class WalkingHeading:
             axis=np.zeros(3),
             place=None,
             offset=Offset(),
+            corridors=self.corridors.init(),
+            drifted_rad=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -297,7 +303,16 @@ class WalkingHeading:
         shown = self._with_axis(place, offset, stride)
         angle_rad = shown.shown_rad - (stride.axis_heading_rad - stride.device_heading_rad)
         right = cross(stride.axis, stride.up)
-        offset_rad, var_rad2 = float(shown.mean[0]), shown.var_rad2
+        offset_rad, var_rad2 = float(shown.mean[OFFSET]), shown.var_rad2
+        if change_std_rad > 0:
+            known = self.corridors.drift(state.corridors)
+            state = replace(
+                state,
+                corridors=self.corridors.restart(state.corridors),
+                drifted_rad=state.drifted_rad + (known[0] if known else 0.0),
+            )
+        corridors = self.corridors.step(state.corridors, step.time_s, stride.device_heading_rad + offset_rad)
+        state = replace(state, corridors=corridors)
         state = replace(
             state,
             offset=offset,
@@ -307,7 +322,12 @@ class WalkingHeading:
             direction_up=stride.up,
         )
         change_std_rad = max(change_std_rad, abs(turned_rad))
-        reported, step = state.reported.with_report(step, offset_rad, var_rad2, change_std_rad, self.first_std_rad)
+        reported, in_frame_rad = state.reported, offset_rad - state.drifted_rad
+        known = self.corridors.drift(corridors)
+        if known is not None:
+            in_frame_rad, var_rad2 = in_frame_rad - known[0], known[1]
+            reported = replace(reported, lost_var_rad2=0.0)
+        reported, step = reported.with_report(step, in_frame_rad, var_rad2, change_std_rad)
         step = replace(
             step,
             shown_offset_rad=shown.shown_rad,
@@ -385,7 +405,7 @@ class WalkingHeading:
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Place(time_s, -1, carrying_mode, stride.up)
         offset = self._with_axis(before, state.offset, stride)
-        moved_rad, turned_var = float(offset.mean[0]), UNKNOWN_VAR_RAD2
+        moved_rad, turned_var = float(offset.mean[OFFSET]), UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad

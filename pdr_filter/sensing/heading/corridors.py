@@ -1,0 +1,181 @@
+"""What the axes of a building say of the heading's drift: a slow mixture of "this walk keeps to axes" and "it does not".
+
+Straight parts of a walk along corridors differ by right angles, however long ago they were. What is missing to that is
+the drift of the heading. The hypothesis of axes holds a bank of Kalman filters, each with another rate of the drift, so
+that none of them mistakes an axis for the next one while the drift is uncertain by 45 degrees. Each step of a straight
+part is a measurement of the direction modulo 90 degrees, and perhaps of none (Bar-Shalom et al. 2009, as in
+`pdr_filter.sensing.bias`). The other hypothesis is that legs point anywhere.
+
+The odds of the two count the first step of a leg in a new direction only: who goes straight on says nothing of axes,
+and a slow curve looks like a drift. Only overwhelming odds are used; free walks, circles and curved aisles must cost
+nothing. So the drift of a walk is known after some corners, and with it all of its past (docs/methods/heading.md).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.values import FloatArray, wrap_angle
+
+_DRIFT, _RATE, _AXIS = range(3)
+_RIGHT_ANGLE = 0.5 * math.pi
+_OF_HEADING = np.array([1.0, 0.0, 1.0])  # a heading along an axis is axis and drift
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class CorridorState:
+    """A bank of Kalman filters of drift, its rate and the direction of the axes, and the odds of there being axes."""
+
+    mean: FloatArray  # (M, 3) rad, rad/s, rad; all clockwise
+    cov: FloatArray  # (M, 3, 3)
+    log_weight: FloatArray  # (M,) of probabilities
+    log_odds: float  # of axes
+    leg_rad: float = math.nan  # last heading of a straight part; NaN before the first
+    recent: tuple[tuple[float, float], ...] = ()  # times and headings of the last steps
+
+
+@dataclass(frozen=True)
+class Corridors:
+    """Drift of the walking heading from the axes that a walk keeps to.
+
+    Parameters
+    ----------
+    rate_step_radps, max_rate_radps : float
+        The bank has a filter for each rate of the drift from minus to plus the second.
+    rate_std_radps, wild_rate_prob : float
+        Rates are normal about zero, with this share spread over all of them alike: what is left of the gyroscope's bias
+        is 0.001 to 0.003 rad/s on the phones here.
+    rectangular_prob : float
+        How often a walk keeps to axes at right angles: rarely, so that it has to be shown.
+    sure_log_odds : float
+        Log odds from which the drift is used. 6 were never reached in malls, rooms and free walks, and are after four
+        to six corners of an office.
+    n_straight, straight_rad, straight_s : int, float, float
+        So many steps in so short a time are a straight part if their headings are this close together.
+    leg_std_rad : float
+        How far a leg is off its axis.
+    step_std_rad : float
+        How far a step is off it, as an independent measurement: some steps of one leg have the same error.
+    outlier_prob : float
+        How often a straight part follows no axis where there are some.
+    corner_rad : float
+        A leg is in a new direction if it is this far from the last.
+    wander_rad_per_sqrt_s : float
+        Random walk of the drift besides its rate.
+    """
+
+    rate_step_radps: float = 0.001
+    max_rate_radps: float = 0.009
+    rate_std_radps: float = 0.003
+    wild_rate_prob: float = 0.02
+    rectangular_prob: float = 0.05
+    sure_log_odds: float = 6.0
+    n_straight: int = 4
+    straight_rad: float = math.radians(20.0)
+    straight_s: float = 4.0
+    leg_std_rad: float = math.radians(4.0)
+    step_std_rad: float = math.radians(11.0)
+    outlier_prob: float = 0.1
+    corner_rad: float = math.radians(30.0)
+    wander_rad_per_sqrt_s: float = math.radians(0.05)
+
+    def init(self) -> CorridorState:
+        """State before the first step."""
+        n = round(self.max_rate_radps / self.rate_step_radps)
+        mean, cov = np.zeros((2 * n + 1, 3)), np.zeros((2 * n + 1, 3, 3))
+        mean[:, _RATE] = self.rate_step_radps * np.arange(-n, n + 1)
+        # half of the distance to the next: the sum of the densities is smooth
+        cov[:, _RATE, _RATE] = (0.6 * self.rate_step_radps) ** 2
+        weight = np.exp(-0.5 * (mean[:, _RATE] / self.rate_std_radps) ** 2)
+        weight = (1.0 - self.wild_rate_prob) * weight / weight.sum() + self.wild_rate_prob / len(weight)
+        odds = math.log(self.rectangular_prob / (1.0 - self.rectangular_prob))
+        return CorridorState(mean, cov, np.log(weight), odds)
+
+    def restart(self, state: CorridorState) -> CorridorState:
+        """State where headings no longer follow on those before: drift and axes are unknown, the rates may be not."""
+        fresh = self.init()
+        mean, cov = state.mean.copy(), fresh.cov.copy()
+        mean[:, [_DRIFT, _AXIS]] = 0.0
+        cov[:, _RATE, _RATE] = state.cov[:, _RATE, _RATE]
+        return replace(fresh, mean=mean, cov=cov, log_weight=state.log_weight)
+
+    def step(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
+        """State after a step in a direction; headings have any number of turns."""
+        last_s = state.recent[-1][0] if state.recent else time_s
+        mean, cov = self._predict(state, time_s - last_s)
+        near = [r for r in state.recent if time_s - r[0] < self.straight_s][1 - self.n_straight :]
+        recent = (*near, (time_s, heading_rad))
+        state = replace(state, mean=mean, cov=cov, recent=recent)
+        headings = [h for _, h in recent]
+        if len(recent) < self.n_straight or max(headings) - min(headings) > self.straight_rad:
+            return state
+        if math.isnan(state.leg_rad):
+            mean, cov = mean.copy(), cov.copy()
+            mean[:, _AXIS] = heading_rad - mean[:, _DRIFT]
+            # the axis is unknown: whatever the drift, this heading is along it
+            cov[:, _AXIS, :], cov[:, :, _AXIS] = -cov[:, _DRIFT, :], -cov[:, :, _DRIFT]
+            cov[:, _AXIS, _AXIS] = cov[:, _DRIFT, _DRIFT] + self.leg_std_rad**2
+            return replace(state, mean=mean, cov=cov, leg_rad=heading_rad)
+        is_new = abs(float(wrap_angle(heading_rad - state.leg_rad))) > self.corner_rad
+        return replace(self._see(state, heading_rad, is_new), leg_rad=heading_rad)
+
+    def drift(self, state: CorridorState) -> tuple[float, float] | None:
+        """By how much headings are too far clockwise since the first step, and its variance; None if it is unsure."""
+        if state.log_odds < self.sure_log_odds:
+            return None
+        weight = np.exp(state.log_weight)
+        drift_rad = float(weight @ state.mean[:, _DRIFT])
+        away = state.mean[:, _DRIFT] - drift_rad
+        return drift_rad, float(weight @ (state.cov[:, _DRIFT, _DRIFT] + away * away))
+
+    def _predict(self, state: CorridorState, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
+        transition = np.eye(3)
+        transition[_DRIFT, _RATE] = elapsed_s
+        cov = transition @ state.cov @ transition.T
+        cov[:, _DRIFT, _DRIFT] += self.wander_rad_per_sqrt_s**2 * elapsed_s
+        return state.mean @ transition.T, cov
+
+    def _see(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
+        """State after a step of a straight part, whose leg is in a new direction or goes on."""
+        gain = state.cov @ _OF_HEADING
+        spread = gain @ _OF_HEADING
+        away = heading_rad - state.mean @ _OF_HEADING
+        away = away - _RIGHT_ANGLE * np.round(away / _RIGHT_ANGLE)
+        variance = spread + self.step_std_rad**2
+        log_in = self._log_likelihood(away, variance)
+        log_any = np.logaddexp(log_in, self._log_outlier)
+        inlier = np.exp(log_in - log_any)
+        shift = gain * (away / variance)[:, None]
+        mean = state.mean + inlier[:, None] * shift
+        doubt = (inlier * (1.0 - inlier))[:, None, None] * shift[:, :, None] * shift[:, None, :]
+        taken = (inlier / variance)[:, None, None] * gain[:, :, None] * gain[:, None, :]
+        log_odds = state.log_odds
+        if is_new:
+            of_leg = np.logaddexp(self._log_likelihood(away, spread + self.leg_std_rad**2), self._log_outlier)
+            log_weight = state.log_weight + of_leg
+            log_odds += _log_sum(log_weight) + math.log(_RIGHT_ANGLE)
+        else:
+            # as much less than a leg as its variance is more, twice because half of its steps are the same error
+            log_weight = state.log_weight + min(2.0 * (self.leg_std_rad / self.step_std_rad) ** 2, 1.0) * log_any
+        return replace(
+            state,
+            mean=mean,
+            cov=state.cov - taken + doubt,
+            log_weight=log_weight - _log_sum(log_weight),
+            log_odds=log_odds,
+        )
+
+    def _log_likelihood(self, away: FloatArray, variance: FloatArray) -> FloatArray:
+        return math.log(1.0 - self.outlier_prob) - 0.5 * (np.log(2 * np.pi * variance) + away * away / variance)
+
+    @property
+    def _log_outlier(self) -> float:
+        return math.log(self.outlier_prob / _RIGHT_ANGLE)
+
+
+def _log_sum(log_weight: FloatArray) -> float:
+    largest = log_weight.max()
+    return float(largest + np.log(np.exp(log_weight - largest).sum()))
