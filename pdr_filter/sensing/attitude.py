@@ -39,6 +39,8 @@ class AttitudeBlock:
     up_sensor: FloatArray  # (N, 3) unit vector up, sensor frame: what gravity direction means here
     device_heading_rad: FloatArray  # (N,) clockwise from the first heading, not wrapped
     yaw_bias_std_radps: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) error of the heading's rate
+    heading_error_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) that biases found late have left
+    heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,14 +119,14 @@ class AttitudeEstimator:
         estimator = self._filter()
         if state.vqf is not None:
             estimator.state = state.vqf
-        start, n, pieces = 0, len(block.time_s), list[tuple[FloatArray, FloatArray, FloatArray, FloatArray]]()
+        start, n, pieces = 0, len(block.time_s), list[tuple[FloatArray, ...]]()
         while start < n:
             end = min(start + self._window_samples - len(state.window), n)
             state, found = self._turn(state, estimator, block, slice(start, end))
             pieces.append(found)
             start = end
         joined = pieces[0] if len(pieces) == 1 else [np.concatenate(c) for c in zip(*pieces, strict=True)]
-        quat, up, heading_rad, bias_std = joined
+        quat, up, heading_rad, bias_std, error_rad, error_var = joined
         east, north, vertical = _rotate(quat, block.specific_force_mps2)
         attitude = AttitudeBlock(
             vertical_mps2=vertical - STANDARD_GRAVITY_MPS2,
@@ -132,13 +134,15 @@ class AttitudeEstimator:
             up_sensor=up,
             device_heading_rad=heading_rad,
             yaw_bias_std_radps=bias_std,
+            heading_error_rad=error_rad,
+            heading_error_var_rad2=error_var,
         )
         return replace(state, vqf=estimator.state), attitude
 
     def _turn(
         self, state: AttitudeState, estimator: Any, block: UniformBlock, piece: slice
-    ) -> tuple[AttitudeState, tuple[FloatArray, FloatArray, FloatArray, FloatArray]]:
-        """Attitudes, up, headings and errors of their rate for samples of one window, and the state with its bias."""
+    ) -> tuple[AttitudeState, tuple[FloatArray, ...]]:
+        """Attitudes, up, headings, errors of their rate and of themselves, and the state with its bias, of one window."""
         known = block.angular_rate_known[piece]
         rate = np.where(known[:, None], block.angular_rate_radps[piece] - state.bias.bias_radps, 0.0)
         force = np.ascontiguousarray(block.specific_force_mps2[piece])
@@ -151,10 +155,12 @@ class AttitudeEstimator:
             [block.angular_rate_radps[piece], force, up, block.magnetic_field_ut[piece], quat, heading_rad, flags]
         )
         window = np.concatenate([state.window, rows]) if len(state.window) else rows
+        errors = np.full(len(up), state.bias.heading_error_rad), np.full(len(up), state.bias.heading_error_var_rad2)
+        found = (quat, up, heading_rad, bias_std, *errors)
         if len(window) < self._window_samples:
-            return replace(state, window=window), (quat, up, heading_rad, bias_std)
+            return replace(state, window=window), found
         bias = self.bias.step(state.bias, _bias_window(window))
-        return replace(state, bias=bias, window=_NO_SAMPLES), (quat, up, heading_rad, bias_std)
+        return replace(state, bias=bias, window=_NO_SAMPLES), found
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:

@@ -40,8 +40,8 @@ class Reported:
         """What the filter still knows at a step, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         times_s = (elapsed_s, step.heading_unknown_s)
-        lost_var = float(sum(drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)))
-        wandered_var = float(drift.variances_rad2(*times_s, 0.0)[0])
+        lost_var = float(drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)[1])
+        wandered_var = float(drift.variances_rad2(*times_s, step.yaw_bias_std_radps)[0])
         wandered = replace(self, var_rad2=self.var_rad2 + wandered_var)
         return replace(wandered.after_loss(lost_var), time_s=step.time_s)
 

@@ -50,7 +50,8 @@ _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
 
 # Rows of the remembered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
-_N_ROWS = 12
+_ERROR, _ERROR_VAR = 12, 13
+_N_ROWS = 14
 
 # Two steps between these are a stride: 0.9 to 4.5 steps a second, as the step detectors have it.
 _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
@@ -116,7 +117,7 @@ class WalkingHeadingState:
 
     n_samples: int  # of this segment
     start_s: float  # its first sample
-    signals: FloatArray  # (12, H)
+    signals: FloatArray  # (14, H)
     contacts_s: tuple[float, ...]  # the last two
     up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
@@ -256,6 +257,10 @@ class WalkingHeading:
         new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
         new[_VERTICAL], new[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
         new[_KNOWN] = block.angular_rate_known
+        if len(attitude.heading_error_rad):
+            new[_ERROR], new[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
+        else:
+            new[_ERROR], new[_ERROR_VAR] = 0.0, 0.0
         signals = np.concatenate([state.signals, new], axis=1)
         state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
         result: list[tuple[int, Step]] = []
@@ -326,7 +331,8 @@ class WalkingHeading:
         known = self.corridors.drift(corridors)
         if known is not None:
             in_frame_rad, var_rad2 = in_frame_rad - known[0], known[1]
-            reported = replace(reported, lost_var_rad2=0.0)
+        else:
+            in_frame_rad, var_rad2 = in_frame_rad - samples[_ERROR,-1], var_rad2 + samples[_ERROR_VAR,-1]
         reported, step = reported.with_report(step, in_frame_rad, var_rad2, change_std_rad)
         step = replace(
             step,
