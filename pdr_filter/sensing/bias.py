@@ -157,8 +157,8 @@ class GyroBias:
     """
 
     window_s: float = 1.0
-    prior_std_radps: tuple[float, ...] = (0.002, 0.01, 0.05)
-    prior_prob: tuple[float, ...] = (0.8, 0.08, 0.12)
+    prior_std_radps: tuple[float, ...] = (0.004, 0.02, 0.05)
+    prior_prob: tuple[float, ...] = (0.8, 0.1, 0.1)
     prior_radps: tuple[float, float, float] = (0.0, 0.0, 0.0)
     walk_radps_per_sqrt_s: float = 1e-4
     still_gyr_radps: float = 0.1
@@ -173,7 +173,7 @@ class GyroBias:
     tilted_rad: float = 0.35
     straight_s: tuple[float, float] = (4.0, 15.0)
     straight_again_s: float = 60.0
-    straight_turn_rad: float = 0.16
+    straight_turn_rad: float = 0.3
     straight_outlier_prob: float = 0.2
     curve_radps: float = 0.06
     rectangular_prob: float = 1e-6

@@ -72,7 +72,7 @@ class Corridors:
     rate_std_radps: float = 0.003
     wild_rate_prob: float = 0.02
     rectangular_prob: float = 0.05
-    sure_log_odds: float = 6.0
+    sure_log_odds: float = 5.0
     n_straight: int = 4
     straight_rad: float = math.radians(20.0)
     straight_s: float = 4.0
