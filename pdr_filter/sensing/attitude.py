@@ -142,7 +142,7 @@ class AttitudeEstimator:
     def _turn(
         self, state: AttitudeState, estimator: Any, block: UniformBlock, piece: slice
     ) -> tuple[AttitudeState, tuple[FloatArray, ...]]:
-        """Attitudes, up, headings, errors of their rate and of themselves, and the state with its bias, of one window."""
+        """State with its bias; attitudes, up, headings, and errors of their rate and of themselves, of one window."""
         known = block.angular_rate_known[piece]
         rate = np.where(known[:, None], block.angular_rate_radps[piece] - state.bias.bias_radps, 0.0)
         force = np.ascontiguousarray(block.specific_force_mps2[piece])

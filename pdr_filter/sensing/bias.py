@@ -1,15 +1,17 @@
 """What the gyroscope reads when nothing turns: its bias, learnt while the phone is carried, with its uncertainty.
 
-Four kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
+Three kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
 that an outlier hardly moves the estimate (docs/methods/attitude.md):
 
 1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn.
 2. Straight walking. Somebody who walks from corner to corner turned little in between. A long curve counts as one walk,
    or the bias would follow it.
-3. Right angles. Where walks before and after corners differ by whole right angles, what is missing to them is drift.
-   One half of the filters assumes such a place. Only walks in new directions count.
-4. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
+3. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
    is trusted follows from the scatter of its horizontal and vertical parts. After a jump it starts again.
+
+Each filter also holds by how much the heading is off that was corrected with the estimates so far. A bias that is found
+late has turned the heading before: its estimate brings that error with it. What a building's axes say of it is
+`pdr_filter.sensing.heading.corridors`.
 
 The bias is about the three axes of the sensor, so what is learnt with the phone in the hand still holds, as far as it
 goes, when it hangs in the pocket. Most phones subtract a bias of their own and are off by little, some are not: the
@@ -18,8 +20,8 @@ prior is a mixture of normal distributions, each with a Kalman filter of its own
 doi:10.1109/TAC.1965.1098191). A measurement enters with the probability that it is no outlier, and the doubt that
 leaves is added to the covariance (Y. Bar-Shalom, F. Daum, J. Huang, "The probabilistic data association filter", IEEE
 Control Systems 29(6), 2009, doi:10.1109/MCS.2009.934469). Walking as a measurement: J. Borenstein, L. Ojeda, "Heuristic
-drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010, who steer towards the axes of a
-building with a fixed gain. Figures: tests/benchmarks/heading_drift.py.
+drift elimination for personnel tracking systems", Journal of Navigation 63(4), 2010. Figures:
+tests/benchmarks/heading_drift.py.
 """
 
 from __future__ import annotations
@@ -29,12 +31,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import BoolArray, FloatArray
+from pdr_filter.values import FloatArray
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
-# attitude's frame, and of the building's axes in uncorrected headings, in rad, clockwise.
-_BIAS, _FIELD, _AXIS, _ERROR = slice(0, 3), 3, 4, 5
-_N_STATES = 6
+# attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
+_BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
+_N_STATES = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -58,7 +60,6 @@ class StraightWalk:
     heading_rad: tuple[float, ...]  # corrected, of the last two: to see a corner
     measured_rad: tuple[float, ...]  # uncorrected, of those to measure: its slope is the bias
     up_sensor: FloatArray  # (3,) in the first window
-    n_measured: int  # how often this walk has been measured
     n_to_skip: int  # windows until it is measured again
 
 
@@ -76,8 +77,8 @@ class FieldScatter:
 class GyroBiasState:
     """A bank of Kalman filters, and what the measurements need of the windows before."""
 
-    mean: FloatArray  # (M, 6); the first half of the filters walks where they like, the other along axes
-    cov: FloatArray  # (M, 6, 6)
+    mean: FloatArray  # (M, 5)
+    cov: FloatArray  # (M, 5, 5)
     log_weight: FloatArray  # (M,) largest is 0
     bias_radps: FloatArray  # (3,) mean of the mixture
     bias_cov_radps2: FloatArray  # (3, 3) of the mixture
@@ -89,9 +90,6 @@ class GyroBiasState:
     field: FieldScatter | None = None
     field_tracked: bool = False
     n_field_outliers: int = 0  # in a row
-    axis_tracked: bool = False
-    axis_heading_rad: float = 0.0  # corrected, of the last walk that was compared with the axes
-    n_axis_outliers: int = 0  # in a row
 
 
 @dataclass(frozen=True)
@@ -131,14 +129,6 @@ class GyroBias:
         How far somebody turns (standard deviation) in a straight walk, whatever its length.
     straight_outlier_prob, curve_radps : float
         How often a walk is curved, and how much.
-    rectangular_prob : float
-        How often corridors, or streets, meet at right angles only.
-    axis_corner_rad : float
-        A walk less than this off the last one that was compared with the axes is the same one, or the same curve.
-    axis_std_rad : float
-        How far a straight walk there is off their axes.
-    axis_outlier_prob : float
-        How often it has nothing to do with them, even there.
     field_memory_s : float
         Time constant of the mean and the scatter of the field.
     field_correlation_s : float
@@ -176,10 +166,6 @@ class GyroBias:
     straight_turn_rad: float = 0.3
     straight_outlier_prob: float = 0.2
     curve_radps: float = 0.06
-    rectangular_prob: float = 1e-6
-    axis_corner_rad: float = 0.6
-    axis_std_rad: float = 0.07
-    axis_outlier_prob: float = 0.2
     field_memory_s: float = 20.0
     field_correlation_s: float = 5.0
     field_scatter_weight: float = 4.0
@@ -202,25 +188,16 @@ class GyroBias:
     def init(self) -> GyroBiasState:
         """State before the first window: the prior."""
         n = len(self.prior_std_radps)
-        mean, cov = np.zeros((2 * n, _N_STATES)), np.zeros((2 * n, _N_STATES, _N_STATES))
+        mean, cov = np.zeros((n, _N_STATES)), np.zeros((n, _N_STATES, _N_STATES))
         mean[:, _BIAS] = self.prior_radps
-        cov[:, _BIAS, _BIAS] = np.tile(np.square(self.prior_std_radps), 2)[:, None, None] * np.eye(3)
-        log_weight = np.log(np.outer([1.0 - self.rectangular_prob, self.rectangular_prob], self.prior_prob).ravel())
+        cov[:, _BIAS, _BIAS] = np.square(self.prior_std_radps)[:, None, None] * np.eye(3)
+        log_weight = np.log(self.prior_prob)
         bias, bias_cov = _mixture(mean, cov, log_weight)
         return GyroBiasState(mean, cov, log_weight - log_weight.max(), bias, bias_cov)
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
         """State that keeps the bias and forgets what the windows before a time without samples were."""
-        return replace(
-            state,
-            n_still=0,
-            walk=None,
-            field=None,
-            field_tracked=False,
-            n_field_outliers=0,
-            axis_tracked=False,
-            n_axis_outliers=0,
-        )
+        return replace(state, n_still=0, walk=None, field=None, field_tracked=False, n_field_outliers=0)
 
     def step(self, state: GyroBiasState, window: BiasWindow) -> GyroBiasState:
         """State after one more window, whose heading was corrected with the bias of the state before."""
@@ -269,76 +246,38 @@ class GyroBias:
     ) -> tuple[_Bank, GyroBiasState]:
         walk = state.walk
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
-            bank, state = self._measure_walk(bank, state)
-            return bank, replace(state, walk=None)
+            return self._measure_walk(bank, walk), replace(state, walk=None)
         if walk is not None:
             late = walk.heading_rad
-            if abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad:
-                bank, state = self._measure_walk(bank, state)
-                walk = None
-        if walk is not None and _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
+            is_corner = abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad
             # held in another way, the phone points somewhere else
-            bank, state = self._measure_walk(bank, state)
-            state, walk = replace(state, axis_tracked=False, n_axis_outliers=0), None
+            if is_corner or _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
+                bank, walk = self._measure_walk(bank, walk), None
         if walk is None:
-            first = StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0, 0)
+            first = StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0)
             return bank, replace(state, walk=first)
         walk = replace(walk, heading_rad=(*walk.heading_rad, window.heading_rad)[-2:])
         if walk.n_to_skip > 0:
             return bank, replace(state, walk=replace(walk, n_to_skip=walk.n_to_skip - 1))
         walk = replace(walk, measured_rad=(*walk.measured_rad, measured_rad))
-        state = replace(state, walk=walk)
         if len(walk.measured_rad) >= round(self.straight_s[1] / self.window_s) + 2:
-            bank, state = self._measure_walk(bank, state)
-            n_to_skip = round(self.straight_again_s / self.window_s)
-            walk = replace(walk, measured_rad=(), n_measured=walk.n_measured + 1, n_to_skip=n_to_skip)
-            state = replace(state, walk=walk)
-        return bank, state
+            bank = self._measure_walk(bank, walk)
+            walk = replace(walk, measured_rad=(), n_to_skip=round(self.straight_again_s / self.window_s))
+        return bank, replace(state, walk=walk)
 
-    def _measure_walk(self, bank: _Bank, state: GyroBiasState) -> tuple[_Bank, GyroBiasState]:
-        """Slope and direction of the uncorrected heading, without the first and the last window."""
-        walk = state.walk
+    def _measure_walk(self, bank: _Bank, walk: StraightWalk | None) -> _Bank:
+        """The slope of the uncorrected heading, without the first and the last window, is the bias."""
         n = 0 if walk is None else len(walk.measured_rad) - 2
         if walk is None or n * self.window_s < self.straight_s[0]:
-            return bank, state
+            return bank
         measured_rad, up = np.array(walk.measured_rad[1:-1]), walk.up_sensor
         from_centre_s = (np.arange(n) - 0.5 * (n - 1)) * self.window_s
         rate_radps = -float((from_centre_s * measured_rad).sum() / (from_centre_s * from_centre_s).sum())
         variance = (self.straight_turn_rad / (n * self.window_s)) ** 2
-        rows = np.array([[*up, 0.0, 0.0, 0.0]])
+        rows = np.array([[*up, 0.0, 0.0]])
         otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
         seen = (rate_radps - _along(bank[0], up))[:, None]
-        bank, _ = _update(bank, rows, seen, variance, self.straight_outlier_prob, otherwise)
-        heading_rad = sum(walk.heading_rad) / len(walk.heading_rad)
-        same = state.axis_tracked and abs(heading_rad - state.axis_heading_rad) < self.axis_corner_rad
-        if walk.n_measured > 0 or same:
-            return bank, state
-        # from the middle of the walk to the end of its last window
-        row = np.array([*((0.5 * n + 1.0) * self.window_s * up), 0.0, 1.0, 0.0])
-        bank, state = self._see_axis(bank, state, float(measured_rad.mean()), row)
-        return bank, replace(state, axis_heading_rad=heading_rad)
-
-    def _see_axis(
-        self, bank: _Bank, state: GyroBiasState, direction_rad: float, row: FloatArray
-    ) -> tuple[_Bank, GyroBiasState]:
-        """The direction of a straight walk, modulo a right angle; `row` times the state is what it should be."""
-        mean, cov, _ = bank
-        n_outliers, lost = 0, np.full(len(mean), True)
-        if state.axis_tracked:
-            spread = ((cov * row).sum(axis=2) * row).sum(axis=1)
-            lost = spread > (math.pi / 12) ** 2  # such a walk shows only where the axes may be
-            seen = _wrapped(direction_rad - (mean * row).sum(axis=1), 0.5 * math.pi)
-            outlier_prob = np.where(lost, _NEVER, np.repeat([_NEVER, self.axis_outlier_prob], len(mean) // 2))
-            otherwise = _uniform_log_density(0.5 * math.pi)
-            bank, _ = _update(bank, row[None, :], seen[:, None], self.axis_std_rad**2, outlier_prob, otherwise)
-            likely = len(mean) // 2 + int(np.argmax(bank[2][len(mean) // 2 :]))
-            is_far = abs(seen[likely]) > 3.0 * math.sqrt(spread[likely] + self.axis_std_rad**2)
-            n_outliers = state.n_axis_outliers + 1 if is_far else 0
-            if n_outliers >= _MAX_AXIS_OUTLIERS:
-                n_outliers, lost = 0, np.full(len(mean), True)
-        start = direction_rad - (bank[0][:, _BIAS] * row[_BIAS]).sum(axis=1)
-        bank = _restart(bank, _AXIS, start, self.axis_std_rad**2, lost)
-        return bank, replace(state, axis_tracked=True, n_axis_outliers=n_outliers)
+        return _update(bank, rows, seen, variance, self.straight_outlier_prob, otherwise)[0]
 
     def _see_field(self, bank: _Bank, state: GyroBiasState, window: BiasWindow) -> tuple[_Bank, GyroBiasState]:
         if not window.magnetic_field_known:
@@ -365,9 +304,7 @@ class GyroBias:
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, replace(state, n_field_outliers=n_outliers)
             # another place, another field: start again
-        start = np.full(len(mean), direction_rad)
-        bank = _restart(bank, _FIELD, start, variance, np.full(len(mean), True))
-        return bank, replace(state, field_tracked=True, n_field_outliers=0)
+        return _restarted(bank, _FIELD, direction_rad, variance), replace(state, field_tracked=True, n_field_outliers=0)
 
     def _scatter(self, field: FieldScatter | None, now: FloatArray, direction_rad: float) -> tuple[FieldScatter, float]:
         """Mean and scatter with this window, and the variance to assume for it."""
@@ -384,16 +321,13 @@ class GyroBias:
 _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
 # A filter is not written off for good: later measurements may speak for it.
 _MIN_LOG_WEIGHT = -12.0
-_NEVER = 1.0 - 1e-9  # probability of an outlier where no measurement is to be believed
-# So many straight walks in a row that follow no axis: the phone is held in another way, or the building has others.
-_MAX_AXIS_OUTLIERS = 3
 
 
 def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
     """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
     dt = bias.window_s
     transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
-    transition[_FIELD, _BIAS] = transition[_AXIS, _BIAS] = transition[_ERROR, _BIAS] = -dt * up_sensor
+    transition[_FIELD, _BIAS] = transition[_ERROR, _BIAS] = -dt * up_sensor
     noise[_BIAS] = bias.walk_radps_per_sqrt_s**2 * dt
     noise[_FIELD] = bias.field_walk_rad_per_sqrt_s**2 * dt
     mean = state.mean @ transition.T
@@ -406,7 +340,7 @@ def _update(
     rows: FloatArray,
     innovation: FloatArray,
     variance: float,
-    outlier_prob: float | FloatArray,
+    outlier_prob: float,
     outlier_log_density: float,
 ) -> tuple[_Bank, float]:
     """The bank after a measurement, H = `rows` (k, 5), innovations (M, k); the probability that it is no outlier."""
@@ -414,8 +348,8 @@ def _update(
     hp = rows @ cov
     inverse = np.asarray(np.linalg.inv(hp @ rows.T + variance * np.eye(len(rows))), dtype=np.float64)
     square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
-    log_in = np.log1p(-np.asarray(outlier_prob)) + 0.5 * (np.log(np.linalg.det(inverse)) - square)
-    log_both = np.logaddexp(log_in, np.log(outlier_prob) + outlier_log_density)
+    log_in = math.log1p(-outlier_prob) + 0.5 * (np.log(np.linalg.det(inverse)) - square)
+    log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
     inlier = np.exp(log_in - log_both)
     gain = np.swapaxes(hp, 1, 2) @ inverse
     shift = (gain @ innovation[:, :, None])[:, :, 0]
@@ -429,13 +363,13 @@ def _update(
     return (mean, cov, log_weight), float((weight * inlier).sum() / weight.sum())
 
 
-def _restart(bank: _Bank, index: int, start: FloatArray, variance: float, which: BoolArray) -> _Bank:
-    """The bank with one state of some filters as just measured, independent of the others."""
+def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:
+    """The bank with one state as just measured, independent of the others."""
     mean, cov = bank[0].copy(), bank[1].copy()
-    mean[which, index] = start[which]
-    cov[which, index, :] = 0.0
-    cov[which, :, index] = 0.0
-    cov[which, index, index] = variance
+    mean[:, index] = start
+    cov[:, index, :] = 0.0
+    cov[:, :, index] = 0.0
+    cov[:, index, index] = variance
     return mean, cov, bank[2]
 
 

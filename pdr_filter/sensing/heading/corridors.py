@@ -1,4 +1,4 @@
-"""What the axes of a building say of the heading's drift: a slow mixture of "this walk keeps to axes" and "it does not".
+"""What the axes of a building say of the heading's drift: a mixture of "this walk keeps to axes" and "it does not".
 
 Straight parts of a walk along corridors differ by right angles, however long ago they were. What is missing to that is
 the drift of the heading. The hypothesis of axes holds a bank of Kalman filters, each with another rate of the drift, so

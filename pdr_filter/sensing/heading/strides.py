@@ -31,6 +31,11 @@ class Stride:
     vectors: FloatArray  # (3, 2) as in `Place`
     powers: FloatArray  # (3,) squared amplitudes: horizontal once and twice a stride, vertical once
 
+    @property
+    def axis_offset_rad(self) -> float:
+        """The reference axis, clockwise from where the device heads."""
+        return self.axis_heading_rad - self.device_heading_rad
+
 
 def pointing_axis(up: FloatArray) -> FloatArray:
     """Horizontal unit vector (3,) along which somebody who reads holds the phone: y, or -z if it stands upright."""

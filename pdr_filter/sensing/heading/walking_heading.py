@@ -39,7 +39,7 @@ from pdr_filter.sensing.heading.strides import (
     power,
 )
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
 
 _TEXTING = CARRYING_MODES.index("texting")
 _SWINGING = CARRYING_MODES.index("swinging")
@@ -68,6 +68,9 @@ _NOISE_MPS2, _LEAK = 0.05, 0.06
 _SWAY_LEAK = 0.3
 # Strides that agree less than this, squared, say nothing.
 _MIN_TRUST = 0.005
+# Strides that agree so well speak for themselves, against a phone's axis that is this far off: people walk where they
+# read, but do not hold the phone upright always.
+_TRUSTED, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
 # Strides after which a direction is good enough to be kept when the phone is moved.
 _SETTLED_STRIDES = 4
 # Former places that are remembered: a look at the phone may be two.
@@ -97,8 +100,6 @@ class Place:
     weight: float = 0.0  # strides
     # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
     powers: FloatArray = field(default_factory=lambda: np.zeros(3))
-    recent: complex = 0j  # sum of the last strides' directions, of unit length on average
-    n_recent: float = 0.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -124,7 +125,8 @@ class WalkingHeadingState:
     place: Place | None
     offset: Offset
     corridors: CorridorState
-    drifted_rad: float  # of the heading in the frame, as axes showed it before they were left
+    error_rad: float  # of the device's heading when axes were looked for anew
+    error_of_bias_rad: float  # what the bias said of it then
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
@@ -160,24 +162,24 @@ class WalkingHeading:
         that is said to swing less is asked.
     memory_s : float
         How long a stride counts, in time of walking.
-    prior_memory_s : float
-        How long the last walking heading counts after the phone was moved.
     systematic_std_rad : float
         How far the push forward is from the walking heading after any number of strides.
     held_systematic_std_rad : float
         The same for texting and calling: the arm that holds the phone gives way to one side.
+    systematic_s : float
+        How long such an error lasts.
     axis_std_rad : float
         How far the phone's axis is from the walking heading where somebody reads.
     guessed_axis_std_rad : float
         The same for a phone that lies with its screen up, and nobody says how it is carried.
     max_tilt_rad : float
         If the mean up direction of a stride is further from that of the place, the phone was moved.
-    first_std_rad : float
-        Nothing is said before the direction is known as well as this.
     change_std_rad : float
         How far people turn while they move the phone.
     away_s, return_std_rad : float
         A phone that within this time is found tilted as in a former place is as it was there, this well.
+    corridors : Corridors
+        What the axes of a building say of the drift.
     drift : HeadingDrift
         That of the filter behind (`MotionNoise.heading_drift`); `Config` refuses another one.
     """
@@ -193,14 +195,12 @@ class WalkingHeading:
     swinging_step_share: float = 0.85
     swinging_agreement: float = 0.5
     memory_s: float = 30.0
-    prior_memory_s: float = 10.0
     systematic_std_rad: float = math.radians(6.0)
     held_systematic_std_rad: float = math.radians(12.0)
     systematic_s: float = 30.0
     axis_std_rad: float = math.radians(7.0)
     guessed_axis_std_rad: float = math.radians(12.0)
     max_tilt_rad: float = math.radians(35.0)
-    first_std_rad: float = math.radians(45.0)
     change_std_rad: float = math.radians(35.0)
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
@@ -219,7 +219,8 @@ class WalkingHeading:
             place=None,
             offset=Offset(),
             corridors=self.corridors.init(),
-            drifted_rad=0.0,
+            error_rad=0.0,
+            error_of_bias_rad=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -297,50 +298,53 @@ class WalkingHeading:
             return state, step
         stride = self._describe(state, samples, context)
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        elapsed_s = step.duration_s
-        place = self._learn(place, stride, elapsed_s)
-        offset = state.offset.wandered(
-            self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s,
-            math.exp(-elapsed_s / self.systematic_s),
-            self._systematic_rad2(stride),
-        )
-        place, offset, turned_rad = self._believe(place, offset, stride)
+        place = self._learn(place, stride, step.duration_s)
+        offset = self._believe(place, state.offset, stride, step.duration_s)
         shown = self._with_axis(place, offset, stride)
-        angle_rad = shown.shown_rad - (stride.axis_heading_rad - stride.device_heading_rad)
-        right = cross(stride.axis, stride.up)
-        offset_rad, var_rad2 = float(shown.mean[OFFSET]), shown.var_rad2
-        if change_std_rad > 0:
-            known = self.corridors.drift(state.corridors)
-            state = replace(
-                state,
-                corridors=self.corridors.restart(state.corridors),
-                drifted_rad=state.drifted_rad + (known[0] if known else 0.0),
-            )
-        corridors = self.corridors.step(state.corridors, step.time_s, stride.device_heading_rad + offset_rad)
-        state = replace(state, corridors=corridors)
+        angle_rad = shown.shown_rad - stride.axis_offset_rad
+        offset_rad = float(shown.mean[OFFSET])
         state = replace(
             state,
+            place=place,
             offset=offset,
             walking_rad=stride.device_heading_rad + offset_rad,
             walking_s=step.time_s,
-            direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * right,
+            direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * cross(stride.axis, stride.up),
             direction_up=stride.up,
         )
-        change_std_rad = max(change_std_rad, abs(turned_rad))
-        reported, in_frame_rad = state.reported, offset_rad - state.drifted_rad
-        known = self.corridors.drift(corridors)
-        if known is not None:
-            in_frame_rad, var_rad2 = in_frame_rad - known[0], known[1]
-        else:
-            in_frame_rad, var_rad2 = in_frame_rad - samples[_ERROR,-1], var_rad2 + samples[_ERROR_VAR,-1]
-        reported, step = reported.with_report(step, in_frame_rad, var_rad2, change_std_rad)
+        state, error_rad, error_var = self._drift(state, step.time_s, samples[_ERROR:, -1], change_std_rad > 0)
+        # axes show the walking heading itself, biases only that of the device
+        var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + float(samples[_ERROR_VAR, -1])
+        reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
         step = replace(
             step,
             shown_offset_rad=shown.shown_rad,
             shown_offset_std_rad=math.sqrt(shown.shown_var_rad2),
             direction_trust=self._trust(place),
         )
-        return replace(state, place=place, reported=reported), step
+        return replace(state, reported=reported), step
+
+    def _drift(
+        self, state: WalkingHeadingState, time_s: float, of_bias: FloatArray, is_turned: bool
+    ) -> tuple[WalkingHeadingState, float, float]:
+        """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise.
+
+        `of_bias` are the error that biases found late have left, and its variance. Where the phone was turned, axes
+        start again, from what was known.
+        """
+        if is_turned:
+            error_rad, _ = self._error(state, of_bias)
+            corridors = self.corridors.restart(state.corridors)
+            state = replace(state, corridors=corridors, error_rad=error_rad, error_of_bias_rad=float(of_bias[0]))
+        corridors = self.corridors.step(state.corridors, time_s, state.walking_rad)
+        state = replace(state, corridors=corridors)
+        return state, *self._error(state, of_bias)
+
+    def _error(self, state: WalkingHeadingState, of_bias: FloatArray) -> tuple[float, float]:
+        shown = self.corridors.drift(state.corridors)
+        if shown is None:
+            return state.error_rad + float(of_bias[0]) - state.error_of_bias_rad, math.inf
+        return state.error_rad + shown[0], shown[1]
 
     def _stride_samples(
         self, state: WalkingHeadingState, contacts_s: tuple[float, ...], known: int
@@ -418,7 +422,7 @@ class WalkingHeading:
         offset = offset.moved(moved_rad, turned_var, self._systematic_rad2(stride))
         former_rad = self._came_back(state.formers, stride, time_s)
         if former_rad is not None:
-            shown_rad = stride.axis_heading_rad - stride.device_heading_rad + former_rad
+            shown_rad = stride.axis_offset_rad + former_rad
             offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if state.walking_s >= before.start_s:
             former = Former(time_s, before.n_strides, state.direction_up, state.direction)
@@ -474,8 +478,10 @@ class WalkingHeading:
         is_reading = place.carrying_mode == _TEXTING
         if not (is_reading or (place.carrying_mode < 0 and stride.up[2] > 0.5)):
             return offset
+        pointing_rad = stride.axis_offset_rad + stride.pointing_rad
+        if self._trust(place) > _TRUSTED and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
+            return offset
         axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
-        pointing_rad = stride.axis_heading_rad - stride.device_heading_rad + stride.pointing_rad
         return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), axis_rad**2)
 
     def _mix(self, place: Place) -> FloatArray:
@@ -499,19 +505,21 @@ class WalkingHeading:
         length2, shared2 = self._agreement(place, self._mix(place))
         return shared2 / length2 if length2 > 0 else 0.0
 
-    def _believe(self, place: Place, offset: Offset, stride: Stride) -> tuple[Place, Offset, float]:
-        """Place and offset after the direction of a stride, and by how much the phone was turned about the vertical."""
+    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> Offset:
+        """The offset after the direction of a stride, which counts by how well strides agree."""
+        stay = math.exp(-elapsed_s / self.systematic_s)
+        wandered_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
+        offset = offset.wandered(wandered_rad2, stay, self._systematic_rad2(stride))
         mix = self._mix(place)
         length2, shared2 = self._agreement(place, mix)
         if shared2 <= _MIN_TRUST * length2:
-            return place, offset, 0.0
-        # of the component across the mean, strides overlapping by half
+            return offset
+        # of the component across the mean, two overlapping strides counting as one
         scatter = place.weight * max(length2 - shared2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
-        var_rad2 = 2.0 * (scatter / (place.weight + _PRIOR_STRIDES)) * 0.5 / shared2
+        var_rad2 = scatter / (place.weight + _PRIOR_STRIDES) / shared2
         forward, right = (float(v) for v in mix @ stride.vectors)
-        toward = complex(forward, right) / math.sqrt(shared2)
-        toward *= cmath.exp(1j * (stride.axis_heading_rad - stride.device_heading_rad))
-        return place, offset.seen(OF_STRIDES, toward, var_rad2), 0.0
+        toward = complex(forward, right) / math.sqrt(shared2) * cmath.rect(1.0, stride.axis_offset_rad)
+        return offset.seen(OF_STRIDES, toward, var_rad2)
 
     def _phase_ahead(self, place: Place) -> float:
         """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
@@ -519,4 +527,3 @@ class WalkingHeading:
         ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
         return min(max(ahead_rad, -limit_rad), limit_rad)
-
