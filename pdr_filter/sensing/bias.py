@@ -163,7 +163,7 @@ class GyroBias:
     tilted_rad: float = 0.35
     straight_s: tuple[float, float] = (4.0, 15.0)
     straight_again_s: float = 60.0
-    straight_turn_rad: float = 0.3
+    straight_turn_rad: float = 0.2
     straight_outlier_prob: float = 0.2
     curve_radps: float = 0.06
     field_memory_s: float = 20.0

@@ -13,8 +13,8 @@ velocity:
    the path below 0.5 Hz. A phone held in front is 0.35 m ahead, and sweeps sideways in every turn.
 3. Steps count where the body moves faster than 0.4 m/s and its path turns slower than 1 rad/s, for 70 % of the step.
 
-"Learnt" is the direction that a Kalman filter has after each step which believes the stage's measurements: a scalar
-filter of the heading offset, process noise as in `MotionNoise`. "Fixed" keeps the true offset of the first six steps;
+"Learnt" is the direction that each step shows against the device, from where its standard deviation is below 45 degrees
+on. "Fixed" keeps the true offset of the first six steps;
 "best" is the best constant offset: what remains is the hand or leg that turns against the body, the gyroscope, and the
 truth. Parameters were chosen on `nodist`; `dist` is the same person on other walks. Other sets have no truth of the
 direction: there, an offset that stays the same in one place is all that can be asked, and that in one person's pocket
@@ -92,24 +92,10 @@ class Walk:
 
 
 def believed(steps: list[Step]) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """Heading offset after each step, its standard deviation, and whether anything was said so far."""
-    offset, variance, is_first, last_s = 0.0, NOISE.initial_heading_offset_std_rad**2, True, None
-    result: list[tuple[float, float, bool]] = []
-    for step in steps:
-        elapsed_s = step.duration_s if last_s is None else step.time_s - last_s
-        variance += NOISE.heading_drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
-        variance += 2 * NOISE.heading_drift.bias_correlation_s * step.yaw_bias_std_radps**2 * elapsed_s
-        variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
-        last_s = step.time_s
-        if np.isfinite(step.walking_heading_std_rad):
-            measured = step.walking_heading_rad - step.device_heading_rad
-            gain = 1.0 if is_first else variance / (variance + step.walking_heading_std_rad**2)
-            offset += gain * float(wrap_angle(measured - offset))
-            variance = step.walking_heading_std_rad**2 if is_first else (1 - gain) * variance
-            is_first = False
-        result.append((offset, variance, not is_first))
-    offsets, variances, said = np.array(result).T
-    return offsets, np.sqrt(variances), said.astype(bool)
+    """Heading offset that each step shows, its standard deviation, and whether that is below 45 degrees."""
+    offsets = np.array([step.shown_offset_rad for step in steps])
+    stds = np.array([step.shown_offset_std_rad for step in steps])
+    return offsets, stds, stds < np.radians(45)
 
 
 # --- truth -----------------------------------------------------------------------------------------------------------

@@ -58,7 +58,8 @@ class Corridors:
     leg_std_rad : float
         How far a leg is off its axis.
     step_std_rad : float
-        How far a step is off it, as an independent measurement: some steps of one leg have the same error.
+        How far a step is off it, as an independent measurement: the steps of a leg have one error, and eight of them
+        say together what a leg says.
     outlier_prob : float
         How often a straight part follows no axis where there are some.
     corner_rad : float
@@ -129,7 +130,9 @@ class Corridors:
         weight = np.exp(state.log_weight)
         drift_rad = float(weight @ state.mean[:, _DRIFT])
         away = state.mean[:, _DRIFT] - drift_rad
-        return drift_rad, float(weight @ (state.cov[:, _DRIFT, _DRIFT] + away * away))
+        # the leg that is walked now, of which some steps have been seen, is off its axis too
+        of_leg = (0.5 * self.leg_std_rad) ** 2
+        return drift_rad, float(weight @ (state.cov[:, _DRIFT, _DRIFT] + away * away)) + of_leg
 
     def _predict(self, state: CorridorState, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
         transition = np.eye(3)

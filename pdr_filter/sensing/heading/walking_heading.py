@@ -27,6 +27,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
 from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, OFFSET, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.place import Place, StrideAgreement
 from pdr_filter.sensing.heading.reported import Reported
 from pdr_filter.sensing.heading.strides import (
     Stride,
@@ -42,11 +43,9 @@ from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
 
 _TEXTING = CARRYING_MODES.index("texting")
-_SWINGING = CARRYING_MODES.index("swinging")
 _HELD = (_TEXTING, CARRYING_MODES.index("calling"))
 _SIDEWAYS = CONTEXTS.index("sideways")
 _RUNNING = CONTEXTS.index("running")
-_MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
 
 # Rows of the remembered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
@@ -58,16 +57,8 @@ _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
 _MAX_LATENCY_S = 8.0
 # A step longer than this part of the stride is not one of two alike: one was missed, or the walk has just begun.
 _MAX_SHARE = 0.68
-# Strides over which the powers that distinguish a swinging hand are averaged.
-_POWER_STRIDES = 6.0
-# Before strides have shown their scatter: a vector is off by half its length across, worth four strides.
-_PRIOR_SCATTER, _PRIOR_STRIDES = 0.5, 4.0
-# A mean vector is off by so much, m/s2, and by this part of the motion at stride frequency, however many strides agree.
-_NOISE_MPS2, _LEAK = 0.05, 0.06
-# Sway looks like a slow change to a single stride, by 6 / (2 pi^2) of its amplitude; the next stride takes it back.
-_SWAY_LEAK = 0.3
-# Strides that agree less than this, squared, say nothing.
-_MIN_TRUST = 0.005
+# So many strides of a place are told from others by their sum alone.
+_YOUNG_STRIDES = 30
 # Strides that agree so well speak for themselves, against a phone's axis that is this far off: people walk where they
 # read, but do not hold the phone upright always.
 _TRUSTED, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
@@ -79,27 +70,8 @@ _N_FORMERS = 3
 _UP_STRIDES = 8.0
 # Classifiers of carrying modes look at some seconds, and follow slowly.
 _LABEL_LAG_S = 10.0
-# A hand that is said to swing may have more at step frequency than one that nobody speaks of, and need not lift.
-_LABELLED_STEP_SHARE = 1.3
 # People turn while nothing is known of it: 3 degrees in a second, as a random walk.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Place:
-    """What was learnt since the phone came to where it is. Angles are clockwise from the reference axis."""
-
-    start_s: float
-    carrying_mode: int  # -1 unknown
-    old_mode: int  # of the place before, which is still said of this one for some seconds; -1 none
-    up: FloatArray  # (3,) mean up direction of its strides, sensor frame
-    n_strides: int = 0
-    # Sums over strides. Rows: motion at stride frequency in phase, at step frequency in phase and 90 degrees ahead.
-    vectors: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # forward and right of the axis
-    products: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))  # of the rows with each other
-    weight: float = 0.0  # strides
-    # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
-    powers: FloatArray = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -123,10 +95,12 @@ class WalkingHeadingState:
     up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
     axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
     place: Place | None
-    offset: Offset
+    offset: Offset  # without what is believed for the moment only
+    shown: Offset  # with that
     corridors: CorridorState
     error_rad: float  # of the device's heading when axes were looked for anew
-    error_of_bias_rad: float  # what the bias said of it then
+    error_of_bias_rad: float  # what biases found late said of it then
+    of_bias_rad: float  # what they say now
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
@@ -147,21 +121,11 @@ class WalkingHeading:
     running_phase_rad : float
         The same for running: -60 to -180 degrees in the trouser pockets of twelve people, if they run with the phone
         as they walk with it.
-    max_phase_rad : float
-        How far the phase of a person may be from these.
-    phase_strides : float
-        So many strides must show it to be believed by half.
     running_mps2 : float
         Amplitude of the vertical specific force at step frequency that is running. Walking has up to 6.5 m/s2,
         jogging 11 to 16.
-    swinging_mps2, swinging_lift, swinging_step_share, swinging_agreement : float
-        A hand swings if its horizontal amplitude at stride frequency is at least the first, the vertical one at least
-        the second part of it (a back pocket has less), the horizontal one at step frequency at most the third (a pocket
-        has more), and its vectors from step frequency agree no better than the fourth, the squared length of their
-        mean over their mean squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. Of a hand
-        that is said to swing less is asked.
-    memory_s : float
-        How long a stride counts, in time of walking.
+    strides : StrideAgreement
+        What the strides of one place have in common.
     systematic_std_rad : float
         How far the push forward is from the walking heading after any number of strides.
     held_systematic_std_rad : float
@@ -187,17 +151,11 @@ class WalkingHeading:
     rate_hz: float = 100.0
     phase_rad: float = math.radians(85.0)
     running_phase_rad: float = math.radians(-135.0)
-    max_phase_rad: float = math.radians(45.0)
-    phase_strides: float = 10.0
     running_mps2: float = 8.5
-    swinging_mps2: float = 1.2
-    swinging_lift: float = 0.3
-    swinging_step_share: float = 0.85
-    swinging_agreement: float = 0.5
-    memory_s: float = 30.0
+    strides: StrideAgreement = field(default_factory=StrideAgreement)
     systematic_std_rad: float = math.radians(6.0)
     held_systematic_std_rad: float = math.radians(12.0)
-    systematic_s: float = 30.0
+    systematic_s: float = 300.0
     axis_std_rad: float = math.radians(7.0)
     guessed_axis_std_rad: float = math.radians(12.0)
     max_tilt_rad: float = math.radians(35.0)
@@ -218,9 +176,11 @@ class WalkingHeading:
             axis=np.zeros(3),
             place=None,
             offset=Offset(),
+            shown=Offset(),
             corridors=self.corridors.init(),
             error_rad=0.0,
             error_of_bias_rad=0.0,
+            of_bias_rad=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -235,6 +195,7 @@ class WalkingHeading:
         A phone that is found tilted as before is taken to be where it was.
         """
         signals = np.empty((_N_ROWS, 0))
+        state = self._without_axes(state)
         return replace(
             state, n_samples=0, signals=signals, contacts_s=(), walking_rad=math.nan, walking_s=math.nan, formers=()
         )
@@ -295,56 +256,58 @@ class WalkingHeading:
         samples = self._stride_samples(state, contacts_s, known)
         # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
         if samples is None or context == _SIDEWAYS:
-            return state, step
+            return state, step if state.place is None else self._with_shown(state, state.place, step)
         stride = self._describe(state, samples, context)
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        place = self._learn(place, stride, step.duration_s)
-        offset = self._believe(place, state.offset, stride, step.duration_s)
-        shown = self._with_axis(place, offset, stride)
+        place = self.strides.learn(place, stride, step.duration_s)
+        offset, shown = self._believe(place, state.offset, stride, step.duration_s)
+        shown = self._with_axis(place, shown, stride)
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = float(shown.mean[OFFSET])
         state = replace(
             state,
             place=place,
             offset=offset,
+            shown=shown,
             walking_rad=stride.device_heading_rad + offset_rad,
             walking_s=step.time_s,
             direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * cross(stride.axis, stride.up),
             direction_up=stride.up,
         )
-        state, error_rad, error_var = self._drift(state, step.time_s, samples[_ERROR:, -1], change_std_rad > 0)
+        if change_std_rad > 0 or step.heading_unknown_s > 0:
+            state = self._without_axes(state)
+        corridors = self.corridors.step(state.corridors, step.time_s, state.walking_rad)
+        state = replace(state, corridors=corridors, of_bias_rad=float(samples[_ERROR, -1]))
+        error_rad, error_var = self._error(state)
         # axes show the walking heading itself, biases only that of the device
         var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + float(samples[_ERROR_VAR, -1])
         reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
-        step = replace(
-            step,
-            shown_offset_rad=shown.shown_rad,
-            shown_offset_std_rad=math.sqrt(shown.shown_var_rad2),
-            direction_trust=self._trust(place),
-        )
+        step = self._with_shown(state, place, step)
         return replace(state, reported=reported), step
 
-    def _drift(
-        self, state: WalkingHeadingState, time_s: float, of_bias: FloatArray, is_turned: bool
-    ) -> tuple[WalkingHeadingState, float, float]:
-        """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise.
+    def _with_shown(self, state: WalkingHeadingState, place: Place, step: Step) -> Step:
+        return replace(
+            step,
+            shown_offset_rad=state.shown.shown_rad,
+            shown_offset_std_rad=math.sqrt(state.shown.shown_var_rad2),
+            direction_trust=self.strides.share(place),
+        )
 
-        `of_bias` are the error that biases found late have left, and its variance. Where the phone was turned, axes
-        start again, from what was known.
-        """
-        if is_turned:
-            error_rad, _ = self._error(state, of_bias)
-            corridors = self.corridors.restart(state.corridors)
-            state = replace(state, corridors=corridors, error_rad=error_rad, error_of_bias_rad=float(of_bias[0]))
-        corridors = self.corridors.step(state.corridors, time_s, state.walking_rad)
-        state = replace(state, corridors=corridors)
-        return state, *self._error(state, of_bias)
-
-    def _error(self, state: WalkingHeadingState, of_bias: FloatArray) -> tuple[float, float]:
+    def _error(self, state: WalkingHeadingState) -> tuple[float, float]:
+        """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise."""
         shown = self.corridors.drift(state.corridors)
         if shown is None:
-            return state.error_rad + float(of_bias[0]) - state.error_of_bias_rad, math.inf
+            return state.error_rad + state.of_bias_rad - state.error_of_bias_rad, math.inf
         return state.error_rad + shown[0], shown[1]
+
+    def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
+        """State that looks for axes anew, because headings do not follow on those before; what they showed is kept."""
+        return replace(
+            state,
+            corridors=self.corridors.restart(state.corridors),
+            error_rad=self._error(state)[0],
+            error_of_bias_rad=state.of_bias_rad,
+        )
 
     def _stride_samples(
         self, state: WalkingHeadingState, contacts_s: tuple[float, ...], known: int
@@ -414,7 +377,7 @@ class WalkingHeading:
             return state, replace(before, up=up / math.sqrt(float(up @ up)), carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Place(time_s, -1, carrying_mode, stride.up)
-        offset = self._with_axis(before, state.offset, stride)
+        offset = state.shown
         moved_rad, turned_var = float(offset.mean[OFFSET]), UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
@@ -443,33 +406,6 @@ class WalkingHeading:
         right = cross(stride.axis, stride.up)
         return math.atan2(float(direction @ right), float(direction @ stride.axis))
 
-    def _learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
-        """The place after one stride more."""
-        n_strides = place.n_strides + 1
-        stay = math.exp(-elapsed_s / self.memory_s)
-        return replace(
-            place,
-            n_strides=n_strides,
-            vectors=stay * place.vectors + stride.vectors,
-            products=stay * place.products + stride.vectors @ stride.vectors.T,
-            weight=stay * place.weight + 1.0,
-            powers=place.powers + (stride.powers - place.powers) / min(float(n_strides), _POWER_STRIDES),
-        )
-
-    def _swings(self, place: Place) -> bool:
-        """Whether the phone is in a hand that swings."""
-        stride_power, step_power, lift_power = place.powers
-        if place.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
-            return False
-        # Steps that agree on a direction: the hand knows nothing of them, a pocket does.
-        in_phase_sum, length2 = place.vectors[1], place.products[1, 1]
-        agree = float(in_phase_sum @ in_phase_sum) > self.swinging_agreement * place.weight * float(length2)
-        if place.carrying_mode == _SWINGING:
-            is_pocket = agree and place.n_strides >= _SETTLED_STRIDES
-            return not is_pocket and bool(step_power <= _LABELLED_STEP_SHARE**2 * stride_power)
-        lifts = lift_power >= self.swinging_lift**2 * stride_power
-        return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
-
     def _systematic_rad2(self, stride: Stride) -> float:
         return (self.held_systematic_std_rad if stride.up[2] > 0.5 else self.systematic_std_rad) ** 2
 
@@ -479,51 +415,31 @@ class WalkingHeading:
         if not (is_reading or (place.carrying_mode < 0 and stride.up[2] > 0.5)):
             return offset
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
-        if self._trust(place) > _TRUSTED and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
+        if (
+            self.strides.share(place) > _TRUSTED
+            and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD
+        ):
             return offset
         axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
         return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), axis_rad**2)
 
-    def _mix(self, place: Place) -> FloatArray:
-        """Which of the stride's vectors point ahead."""
-        if self._swings(place):
-            return np.array([1.0, 0.0, 0.0])
-        ahead_rad = self._phase_ahead(place)
-        return np.array([0.0, math.cos(ahead_rad), math.sin(ahead_rad)])
+    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> tuple[Offset, Offset]:
+        """The offset after a stride, which counts by how well strides agree, and what is believed for the moment.
 
-    def _agreement(self, place: Place, mix: FloatArray) -> tuple[float, float]:
-        """Mean squared length of the vectors, and that of their mean as it would be of very many."""
-        forward, right = (float(v) for v in mix @ place.vectors / place.weight)
-        length2 = float(mix @ place.products @ mix) / place.weight
-        n = max(0.5 * place.weight, 1.0)  # overlapping by half, n strides are worth half of n
-        mean2 = forward * forward + right * right
-        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
-        shared2 = (n * mean2 - length2) / (n - 1.0) if n > 1.0 else mean2
-        return length2, max(shared2 - leak2, 0.0)
-
-    def _trust(self, place: Place) -> float:
-        length2, shared2 = self._agreement(place, self._mix(place))
-        return shared2 / length2 if length2 > 0 else 0.0
-
-    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> Offset:
-        """The offset after the direction of a stride, which counts by how well strides agree."""
+        The first strides of a place count as their sum, which later ones may show in another light: that it is a hand
+        which swings, or another phase. From then on each has its say.
+        """
         stay = math.exp(-elapsed_s / self.systematic_s)
         wandered_rad2 = self.drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
         offset = offset.wandered(wandered_rad2, stay, self._systematic_rad2(stride))
-        mix = self._mix(place)
-        length2, shared2 = self._agreement(place, mix)
-        if shared2 <= _MIN_TRUST * length2:
-            return offset
-        # of the component across the mean, two overlapping strides counting as one
-        scatter = place.weight * max(length2 - shared2, 0.0) + _PRIOR_STRIDES * _PRIOR_SCATTER**2 * length2
-        var_rad2 = scatter / (place.weight + _PRIOR_STRIDES) / shared2
-        forward, right = (float(v) for v in mix @ stride.vectors)
-        toward = complex(forward, right) / math.sqrt(shared2) * cmath.rect(1.0, stride.axis_offset_rad)
-        return offset.seen(OF_STRIDES, toward, var_rad2)
-
-    def _phase_ahead(self, place: Place) -> float:
-        """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
-        a, b = place.vectors[1], place.vectors[2]
-        ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
-        limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
-        return min(max(ahead_rad, -limit_rad), limit_rad)
+        mix = self.strides.mix(place)
+        length2, share = self.strides.agreement(place, mix)
+        if length2 == 0:
+            return offset, offset
+        # half of what is not shared is across the direction, and two overlapping strides count as one
+        is_young = place.n_strides <= _YOUNG_STRIDES
+        vectors, weight = (place.vectors, place.weight) if is_young else (stride.vectors, 1.0)
+        forward, right = (float(v) for v in mix @ vectors / weight)
+        toward = complex(forward, right) / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
+        shown = offset.seen(OF_STRIDES, toward, (1.0 - share) / share / weight)
+        return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown

@@ -124,9 +124,13 @@ def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray,
 
 
 def error_deg(steps: list[Step], heading_rad: FloatArray | float) -> FloatArray:
-    """Error of the believed walking heading at each step."""
+    """Error of the walking heading that each step shows against the device."""
     device = np.array([s.device_heading_rad for s in steps])
-    return np.degrees(wrap_angle(device + believed(steps)[0] - heading_rad))
+    return np.degrees(wrap_angle(device + [s.shown_offset_rad for s in steps] - heading_rad))
+
+
+def shown_std_deg(steps: list[Step]) -> FloatArray:
+    return np.degrees([s.shown_offset_std_rad for s in steps])
 
 
 # --- parts -----------------------------------------------------------------------------------------------------------
@@ -192,7 +196,8 @@ def test_a_turn_of_the_body_is_a_turn_of_the_device_and_the_offset_stays() -> No
     block, attitude, steps = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=16.0)
     result = annotated((block, attitude, steps), "pocket")
     truth = 1.0 + np.array([s.device_heading_rad for s in result])
-    assert np.abs(error_deg(result, truth)[6:]).max() < 6.0
+    assert np.abs(error_deg(result, truth)[6:]).max() < 7.0
+    assert np.abs(np.degrees(believed(result)[0])).max() < 2.0
     assert sum(s.offset_change_std_rad > 0.5 for s in result) == 0
 
 
@@ -205,11 +210,11 @@ def test_a_phone_that_comes_back_after_a_look_is_as_it_was() -> None:
         vectors[730:1000] = looked_at.apply(vectors[730:1000])
     result = annotated((block, attitude, steps))
     assert sum(s.offset_change_std_rad > 1.0 for s in result) == 2
-    truth = 0.6 + np.array([s.device_heading_rad for s in result])
-    assert np.abs(error_deg(result, truth)[-3:]).max() < 30.0
+    offset, variance = believed(result)
+    assert np.abs(np.degrees(offset[-3:])).max() < 15.0
     forgetful = replace(STAGE, away_s=0.0)
     _, without = forgetful.step(forgetful.init(), block, attitude, modes(1400), steps)
-    assert np.abs(error_deg([s for _, s in without], truth)[-3:]).min() > 45.0
+    assert variance[-1] < 0.5 * believed([s for _, s in without])[1][-1]
 
 
 def test_a_runners_push_has_another_phase() -> None:
@@ -226,20 +231,20 @@ def test_another_persons_phase_is_learnt() -> None:
     parts = body(Rotation.from_euler("x", 1.5), 0.6, phase_rad=np.radians(140.0), seconds=25.0)
     result = annotated(parts, "pocket")
     assert np.abs(error_deg(result, 0.6)[-10:]).max() < 5.0
-    assert believed(result)[1][-1] < np.radians(12) ** 2
+    assert shown_std_deg(result)[-1] < 12.0
 
 
 def test_a_reader_walks_where_the_phone_points_and_a_pocket_has_no_such_axis() -> None:
     phone = Rotation.from_euler("x", np.radians(35.0))  # y forward and up: points north
     still = body(phone, 0.0, forward_mps2=0.0)
     assert_allclose(error_deg(annotated(still, "texting"), 0.0)[2:], 0.0, atol=3.0)
-    assert believed(annotated(still, "texting"))[1][-1] < np.radians(10) ** 2
-    assert not np.isfinite([s.walking_heading_std_rad for s in annotated(still, "pocket")]).any()
+    assert shown_std_deg(annotated(still, "texting"))[-1] < 10.0
+    assert shown_std_deg(annotated(still, "pocket")).min() > 35.0
 
 
 def test_acceleration_corrects_the_axis_of_a_reader_in_part() -> None:
     steps = annotated(body(Rotation.from_euler("x", np.radians(35.0)), np.radians(30.0), seconds=30.0), "texting")
-    learnt_deg = np.degrees(believed(steps)[0][-1])
+    learnt_deg = np.degrees(steps[-1].shown_offset_rad)
     assert 3.0 < learnt_deg < 20.0
 
 
@@ -261,7 +266,8 @@ def test_noise_gives_no_direction() -> None:
     block.specific_force_mps2[:, :2] += noise
     attitude.horizontal_mps2[:] += noise
     result = annotated((block, attitude, steps), "bag")
-    assert (np.array([s.walking_heading_std_rad for s in result]) > np.radians(15)).all()
+    assert shown_std_deg(result).min() > 15.0
+    assert max(s.direction_trust for s in result[4:]) < 0.3
 
 
 # --- what the filter is told -----------------------------------------------------------------------------------------
@@ -283,11 +289,13 @@ def test_a_stage_that_reckons_with_another_drift_than_the_filter_is_refused() ->
 
 def test_a_kalman_filter_that_believes_every_measurement_has_the_learnt_offset_and_variance() -> None:
     parts = body(Rotation.from_euler("xyz", [1.0, 0.4, 2.0]), 1.0, turned_rad=2.0, seconds=20.0)
+    for vectors in (parts[0].specific_force_mps2, parts[1].up_sensor):
+        vectors[900:] = Rotation.from_euler("x", -60, degrees=True).apply(vectors[900:])
     state, steps = stage_state(parts, "pocket")
     offset, variance = believed(steps)
     assert_allclose(offset[-1], state.reported.offset_rad, atol=1e-9)
     assert_allclose(variance[-1], state.reported.var_rad2, rtol=1e-9)
-    assert sum(np.isfinite(s.walking_heading_std_rad) for s in steps) > 20
+    assert sum(np.isfinite(s.walking_heading_std_rad) for s in steps) > 10
 
 
 @pytest.mark.parametrize("label", ["texting", "pocket"])
@@ -303,20 +311,36 @@ def test_a_carrying_mode_that_is_reported_later_becomes_that_of_the_place(label:
 
 
 def test_no_number_of_strides_is_better_than_the_systematic_error() -> None:
-    _, variance = believed(annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket"))
-    assert STAGE.systematic_std_rad < np.sqrt(variance[-1]) < 2 * STAGE.systematic_std_rad
-    one_step = annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket")[-1]
-    assert one_step.walking_heading_std_rad > 3 * np.sqrt(variance[-1])
+    steps = annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=120.0), "pocket")
+    systematic_deg = np.degrees(STAGE.systematic_std_rad)
+    assert 0.5 * systematic_deg < shown_std_deg(steps)[-1] < 2 * systematic_deg
+    assert steps[-1].direction_trust > 0.75
 
 
-def test_what_the_gyroscope_lost_stays_lost() -> None:
+def test_what_strides_show_in_the_first_place_does_not_bend_the_track() -> None:
+    """Where the phone points against the body is a matter of the frame, whatever strides say of it."""
+    pushes = np.where(np.arange(6000) < 3000, 1.2, 0.0)
+    for forward_mps2 in (1.2, 0.0, pushes):
+        steps = annotated(body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0, forward_mps2=forward_mps2), "pocket")
+        offset, variance = believed(steps)
+        assert np.abs(np.degrees(offset)).max() < 2.0
+        assert np.degrees(np.sqrt(variance[-1])) < 5.0
+
+
+def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0)
-    lossy = [(k, replace(s, yaw_bias_std_radps=0.01)) for k, s in steps]
-    _, result = STAGE.step(STAGE.init(), block, attitude, modes(len(block.time_s), "pocket"), lossy)
-    wandering = np.hypot(NOISE.heading_drift.random_walk_rad_per_sqrt_s, 0.01 * 60**0.5)
-    noise = MotionNoise(replace(NOISE.heading_drift, random_walk_rad_per_sqrt_s=wandering))
-    lost = 2 * NOISE.heading_drift.bias_correlation_s * 0.01**2 * (steps[-1][1].time_s - steps[5][1].time_s)
-    assert believed([s for _, s in result], noise)[1][-1] > lost
+    n = len(block.time_s)
+    late = replace(
+        attitude,
+        heading_error_rad=np.where(np.arange(n) < n // 2, 0.0, 0.3),
+        heading_error_var_rad2=np.where(np.arange(n) < n // 2, 0.04, 0.01),
+    )
+    unsure = [(k, replace(s, yaw_bias_std_radps=0.02)) for k, s in steps]
+    _, result = STAGE.step(STAGE.init(), block, late, modes(n, "pocket"), unsure)
+    noise = MotionNoise(replace(NOISE.heading_drift, random_walk_rad_per_sqrt_s=np.hypot(0.008, 0.02 * 6**0.5)))
+    offset, variance = believed([s for _, s in result], noise)
+    assert_allclose(offset[-1], -0.3, atol=0.02)
+    assert 0.01 < variance[-1] < 0.015
 
 
 # --- missing data ----------------------------------------------------------------------------------------------------
@@ -464,7 +488,7 @@ def room_error_deg(path: Path) -> FloatArray:
     seen = np.diff(position.time_s)[frames - 1] < 0.1
     moving = inside & seen & (np.abs(velocity[at]) > 0.4)
     error = error_deg(steps, np.angle(velocity[at]) - turned[at])
-    return error[moving & (middle_s > 10.0)]
+    return error[moving & (middle_s > 10.0) & (shown_std_deg(steps) < 45.0)]
 
 
 @pytest.mark.recordings
@@ -491,6 +515,6 @@ def test_in_one_pocket_the_offset_stays_where_it_is(data_dir: Path, name: str) -
 @pytest.mark.recordings
 def test_a_reader_in_a_corridor_is_told_of_no_other_direction(data_dir: Path) -> None:
     steps, _, _ = sensed(pdr.read(data_dir / "humolire" / "humolire_user1_1f.zip"), lambda _: "texting")
-    offset, variance = believed(steps)
-    assert np.degrees(np.abs(offset[5:])).max() < 10.0
-    assert np.degrees(np.sqrt(variance[20:])).max() < 10.0
+    offset_deg = np.degrees([s.shown_offset_rad for s in steps])
+    assert np.abs(offset_deg[5:]).max() < 10.0
+    assert shown_std_deg(steps)[20:].max() < 10.0

@@ -1,0 +1,124 @@
+"""Axes of a building as a measurement of the heading's drift, on walks by formula."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+
+from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
+from pdr_filter.values import FloatArray
+
+AXES = Corridors()
+QUARTER = np.pi / 2
+OFFICE = (QUARTER, QUARTER, -QUARTER, QUARTER, QUARTER, QUARTER, -QUARTER, -QUARTER)
+STEP_S = 0.55
+
+
+def legs(
+    turns_rad: tuple[float, ...] | FloatArray, rng: np.random.Generator, *, n: int = 18, rate_radps: float = 0.0
+) -> tuple[FloatArray, FloatArray]:
+    """Times and headings of steps: straight legs that are 3 degrees off, steps that are 2, corners of two steps."""
+    headings: list[float] = []
+    heading = 0.4
+    for turn in (0.0, *turns_rad):
+        headings += [heading + 0.5 * turn] if turn else []
+        heading += turn
+        headings += list(heading + rng.normal(scale=np.radians(3)) + rng.normal(scale=np.radians(2), size=n))
+    time_s = STEP_S * np.arange(len(headings))
+    return time_s, np.array(headings) + rate_radps * time_s
+
+
+def run(axes: Corridors, time_s: FloatArray, headings_rad: FloatArray) -> list[CorridorState]:
+    states, state = [], axes.init()
+    for t, h in zip(time_s.tolist(), headings_rad.tolist(), strict=True):
+        state = axes.step(state, t, h)
+        states.append(state)
+    return states
+
+
+@pytest.mark.parametrize("rate_radps", [-0.006, -0.002, 0.0, 0.003, 0.008])
+@pytest.mark.parametrize("seed", range(3))
+def test_an_office_shows_the_drift_of_a_walk(rate_radps: float, seed: int) -> None:
+    time_s, headings = legs(OFFICE, np.random.default_rng(seed), rate_radps=rate_radps)
+    last = run(AXES, time_s, headings)[-1]
+    shown = AXES.drift(last)
+    assert shown is not None
+    drift_rad, variance = shown
+    # the axis itself is known from the first leg, 4 degrees
+    assert_allclose(drift_rad, rate_radps * time_s[-1], atol=np.radians(8))
+    assert abs(drift_rad - rate_radps * time_s[-1]) < 3 * np.sqrt(variance) + np.radians(1)
+
+
+def test_errors_of_the_drift_are_as_large_as_its_variance_says() -> None:
+    """With rates drawn from twice the spread that the filter assumes."""
+    rng = np.random.default_rng(3)
+    squares: list[float] = []
+    for _ in range(60):
+        rate = float(rng.normal(scale=0.006))
+        turns = QUARTER * rng.choice([-1, 1], size=10)
+        time_s, headings = legs(turns, rng, n=int(rng.integers(6, 25)), rate_radps=rate)
+        shown = AXES.drift(run(AXES, time_s, headings)[-1])
+        if shown is not None:
+            squares.append((shown[0] - rate * time_s[-1]) ** 2 / shown[1])
+    assert len(squares) > 50
+    assert 0.3 < np.median(squares) / 0.455 < 1.7  # the median of chi-square with one degree of freedom
+
+
+def test_free_walks_circles_and_diagonals_are_left_alone() -> None:
+    rng = np.random.default_rng(4)
+    free = [legs(rng.uniform(0.4, 2.8, 12) * rng.choice([-1, 1], 12), rng) for _ in range(60)]
+    used = [max(s.log_odds for s in run(AXES, *walk)) > AXES.sure_log_odds for walk in free]
+    assert sum(used) <= 1  # of 60: odds of 1 to 150 with the prior
+    time_s = STEP_S * np.arange(400)
+    for turn_radps in (0.02, 0.05, 0.2):
+        circle = turn_radps * time_s + rng.normal(scale=np.radians(3), size=400)
+        assert AXES.drift(run(AXES, time_s, circle)[-1]) is None
+    # a diagonal through a hall, there and back, is one axis and no corner
+    diagonal = legs((np.pi, -np.pi, 0.8, -0.8 + np.pi), rng)
+    assert AXES.drift(run(AXES, *diagonal)[-1]) is None
+
+
+def test_who_goes_straight_on_says_nothing_of_axes() -> None:
+    time_s, headings = legs((), np.random.default_rng(5), n=500)
+    states = run(AXES, time_s, headings)
+    assert states[-1].log_odds == AXES.init().log_odds
+
+
+def test_a_diagonal_among_corridors_is_an_outlier_and_no_drift() -> None:
+    rng = np.random.default_rng(6)
+    with_diagonal = (*OFFICE, QUARTER / 2, QUARTER / 2, QUARTER, -QUARTER)
+    time_s, headings = legs(with_diagonal, rng, rate_radps=0.002)
+    shown = AXES.drift(run(AXES, time_s, headings)[-1])
+    assert shown is not None
+    assert_allclose(shown[0], 0.002 * time_s[-1], atol=np.radians(8))
+
+
+def test_turning_the_whole_walk_changes_nothing() -> None:
+    time_s, headings = legs(OFFICE, np.random.default_rng(7), rate_radps=0.003)
+    first = AXES.drift(run(AXES, time_s, headings)[-1])
+    turned = AXES.drift(run(AXES, time_s, headings + 1.1)[-1])
+    assert first is not None
+    assert turned is not None
+    assert_allclose(turned, first, rtol=1e-6)
+
+
+def test_a_restart_forgets_axes_and_odds_and_keeps_the_rates() -> None:
+    time_s, headings = legs(OFFICE, np.random.default_rng(8), rate_radps=0.006)
+    last = run(AXES, time_s, headings)[-1]
+    again = AXES.restart(last)
+    assert AXES.drift(again) is None
+    assert again.log_odds == AXES.init().log_odds
+    assert_array_equal(again.log_weight, last.log_weight)
+    # so a walk that goes on elsewhere knows its drift at once
+    weight = np.exp(again.log_weight)
+    assert_allclose(weight @ again.mean[:, 1], 0.006, atol=0.002)
+
+
+def test_unsure_axes_say_nothing() -> None:
+    time_s, headings = legs(OFFICE[:2], np.random.default_rng(9))
+    assert AXES.drift(run(AXES, time_s, headings)[-1]) is None
+    eager = replace(AXES, sure_log_odds=-10.0)
+    assert eager.drift(run(eager, time_s, headings)[-1]) is not None
