@@ -11,6 +11,7 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
@@ -49,6 +50,12 @@ class Config:
     def with_model(self, **changes: Any) -> Config:
         """The same with other values of some fields of the model."""
         return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
+
+    def with_device(self, device: Device) -> Config:
+        """The same for a phone whose gyroscope is known."""
+        attitude = self.sensing.attitude
+        known = replace(attitude, bias=replace(attitude.bias, device=device))
+        return replace(self, sensing=replace(self.sensing, attitude=known))
 
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""

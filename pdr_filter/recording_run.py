@@ -16,6 +16,7 @@ from pdr_filter.filtering import Output, State, climb_at, due_s, finish, init, n
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.front_end import Event, Sensing
 from pdr_filter.tracks import Track
@@ -44,6 +45,7 @@ def track(
     fixes: Sequence[Fix] = (),
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
+    device: Device | str | Path | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -64,6 +66,8 @@ def track(
         Called with the fraction done, 0 to 1.
     calibration : Calibration or path, optional
         Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
+    device : Device or path, optional
+        `Track.device` of an earlier recording of the same phone, or where one was saved.
     """
     config = config or default_config(recording)
     if calibration is not None:
@@ -71,6 +75,8 @@ def track(
 
         known = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = known.config(config, recording.subject)
+    if device is not None:
+        config = config.with_device(device if isinstance(device, Device) else Device.load(device))
     if weighting is not None:
         config = config.with_weighting(weighting)
     return collected(recording, config, outputs(recording, config, fixes, progress))
@@ -119,6 +125,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         start_time_s=start_s,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
+        device=config.sensing.device(state.sensing),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
     alignment = state.tracker.pedestrian.frame.alignment

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 
 from pdr_filter.io import writers
 from pdr_filter.report import trust
+from pdr_filter.sensing.device import Device
 from pdr_filter.values import TrackRows
 
 if TYPE_CHECKING:
@@ -17,6 +18,8 @@ if TYPE_CHECKING:
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Track(TrackRows):
     """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
+
+    device: Device | None = None  # what the recording taught of the phone, for its next one
 
     def report(self) -> str:
         """What the track is, how sure it is, and where not to trust it; see `pdr_filter.report.trust`."""

@@ -31,6 +31,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from pdr_filter.sensing.device import Device
 from pdr_filter.values import FloatArray
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
@@ -104,8 +105,8 @@ class GyroBias:
         The mixture the bias comes from: phones that calibrate themselves well (the drifts of known walks here are 0.001
         to 0.003 rad/s), less well (0.01), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
         seen elsewhere).
-    prior_radps : tuple of float
-        What it is scattered about, x, y, z: zero, or what an earlier recording of the same phone ended with.
+    device, device_prob : Device or None, float
+        What an earlier recording of the phone knew, and with which probability it is this one still.
     walk_radps_per_sqrt_s : float
         Random walk of the bias: 0.002 rad/s in five minutes of warming up.
     still_gyr_radps, still_acc_mps2 : float
@@ -149,7 +150,8 @@ class GyroBias:
     window_s: float = 1.0
     prior_std_radps: tuple[float, ...] = (0.004, 0.02, 0.05)
     prior_prob: tuple[float, ...] = (0.8, 0.1, 0.1)
-    prior_radps: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    device: Device | None = None
+    device_prob: float = 0.9
     walk_radps_per_sqrt_s: float = 1e-4
     still_gyr_radps: float = 0.1
     still_acc_mps2: float = 0.8
@@ -187,11 +189,14 @@ class GyroBias:
 
     def init(self) -> GyroBiasState:
         """State before the first window: the prior."""
-        n = len(self.prior_std_radps)
-        mean, cov = np.zeros((n, _N_STATES)), np.zeros((n, _N_STATES, _N_STATES))
-        mean[:, _BIAS] = self.prior_radps
-        cov[:, _BIAS, _BIAS] = np.square(self.prior_std_radps)[:, None, None] * np.eye(3)
-        log_weight = np.log(self.prior_prob)
+        covs = [std**2 * np.eye(3) for std in self.prior_std_radps]
+        means, prob = [np.zeros(3) for _ in covs], np.array(self.prior_prob)
+        if self.device is not None:
+            means, covs = [self.device.bias_radps, *means], [self.device.bias_cov_radps2, *covs]
+            prob = np.concatenate([[self.device_prob], (1.0 - self.device_prob) * prob])
+        mean, cov = np.zeros((len(covs), _N_STATES)), np.zeros((len(covs), _N_STATES, _N_STATES))
+        mean[:, _BIAS], cov[:, _BIAS, _BIAS] = means, covs
+        log_weight = np.log(prob)
         bias, bias_cov = _mixture(mean, cov, log_weight)
         return GyroBiasState(mean, cov, log_weight - log_weight.max(), bias, bias_cov)
 
@@ -224,6 +229,14 @@ class GyroBias:
             heading_error_rad=error_rad,
             heading_error_var_rad2=error_var,
         )
+
+    def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
+        """What is known of the phone; where something else has shown the error of the heading, from that too."""
+        bank = state.mean, state.cov, state.log_weight
+        if math.isfinite(error_var_rad2):
+            seen = (error_rad - state.mean[:, _ERROR])[:, None]
+            bank, _ = _update(bank, np.eye(1, _N_STATES, _ERROR), seen, error_var_rad2, 1e-9, 0.0)
+        return Device(*_mixture(*bank))
 
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         is_still = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -11,8 +12,10 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
 from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext
+from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step
@@ -120,6 +123,13 @@ class Sensing:
     def finish(self, state: SensingState) -> list[tuple[float, Event]]:
         """The steps that were still waiting for samples when the recording ended."""
         return self._close_segment(state)[1]
+
+    def device(self, state: SensingState) -> Device:
+        """What is known of the phone by now."""
+        error_rad, error_var = 0.0, math.inf
+        if isinstance(self.heading, WalkingHeading):
+            error_rad, error_var = self.heading.heading_error(state.heading)
+        return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
 
     def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         n_before = state.n_samples

@@ -14,7 +14,8 @@ from pdr_filter.filter.tracker import Passage
 from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
-from pdr_filter.recording_run import collected, default_config, outputs
+from pdr_filter.recording_run import collected, default_config, outputs, track
+from pdr_filter.sensing.device import Device
 from pdr_filter.tracks import Track
 from pdr_filter.values import Fix, FloatArray, read_only, wrap_angle
 
@@ -26,6 +27,17 @@ class Hindsight:
     track: Track
     mean: FloatArray  # (K, 4) after each step, see `pdr_filter.filter.motion`
     cov: FloatArray  # (K, 4, 4)
+
+
+def knowing_the_device(recording: Recording, config: Config) -> Config:
+    """The configuration with what the whole recording teaches of the phone's gyroscope, for its first seconds too.
+
+    Its covariance counts double: the second pass sees the same samples.
+    """
+    if "gyroscope" not in recording.streams or config.sensing.attitude.bias.device is not None:
+        return config
+    device = track(recording, config).device
+    return config if device is None else config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2))
 
 
 def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Hindsight:

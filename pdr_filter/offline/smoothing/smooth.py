@@ -24,7 +24,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight
+from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight, knowing_the_device
 from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
@@ -121,6 +121,7 @@ def smooth(
     config = config or default_config(recording)
     if calibration is not None:
         config = calibration.config(config, recording.subject)
+    config = knowing_the_device(recording, config)
     observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
         return _from_hindsight(in_hindsight(recording, config), observed)

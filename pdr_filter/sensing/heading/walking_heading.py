@@ -293,6 +293,10 @@ class WalkingHeading:
             direction_trust=self.strides.share(place),
         )
 
+    def heading_error(self, state: WalkingHeadingState) -> tuple[float, float]:
+        """By how much the device's heading is too large, rad, and its variance: infinite unless axes show it."""
+        return self._error(state)
+
     def _error(self, state: WalkingHeadingState) -> tuple[float, float]:
         """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise."""
         shown = self.corridors.drift(state.corridors)
