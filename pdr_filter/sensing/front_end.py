@@ -128,7 +128,7 @@ class Sensing:
         """What is known of the phone by now."""
         error_rad, error_var = 0.0, math.inf
         if isinstance(self.heading, WalkingHeading):
-            error_rad, error_var = self.heading.heading_error(state.heading)
+            error_rad, error_var = self.heading.drift_in_time(state.heading)
         return self.attitude.bias.learnt(state.attitude.bias, error_rad, error_var)
 
     def _sense(self, state: SensingState, part: UniformBlock) -> tuple[SensingState, list[tuple[float, Event]]]:

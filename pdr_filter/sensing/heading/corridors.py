@@ -20,19 +20,20 @@ import numpy as np
 
 from pdr_filter.values import FloatArray, wrap_angle
 
-_DRIFT, _RATE, _AXIS = range(3)
+_DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _RIGHT_ANGLE = 0.5 * math.pi
-_OF_HEADING = np.array([1.0, 0.0, 1.0])  # a heading along an axis is axis and drift
+_OF_HEADING = np.array([1.0, 0.0, 1.0, 0.0])  # a heading along an axis is axis and drift
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class CorridorState:
     """A bank of Kalman filters of drift, its rate and the direction of the axes, and the odds of there being axes."""
 
-    mean: FloatArray  # (M, 3) rad, rad/s, rad; all clockwise
-    cov: FloatArray  # (M, 3, 3)
+    mean: FloatArray  # (M, 4) rad, rad/s, rad, rad of drift a rad of turning; all clockwise
+    cov: FloatArray  # (M, 4, 4)
     log_weight: FloatArray  # (M,) of probabilities
     log_odds: float  # of axes
+    turned_rad: float = 0.0  # since the start
     leg_rad: float = math.nan  # last heading of a straight part; NaN before the first
     recent: tuple[tuple[float, float], ...] = ()  # times and headings of the last steps
 
@@ -48,6 +49,9 @@ class Corridors:
     rate_std_radps, wild_rate_prob : float
         Rates are normal about zero, with this share spread over all of them alike: what is left of the gyroscope's bias
         is 0.001 to 0.003 rad/s on the phones here.
+    scale_std : float
+        How far the gyroscope's scale is off: 0.01 of data sheets, 0.02 in one phone here, whose walks to the left and
+        to the right drift apart.
     rectangular_prob : float
         How often a walk keeps to axes at right angles: rarely, so that it has to be shown.
     sure_log_odds : float
@@ -72,6 +76,7 @@ class Corridors:
     max_rate_radps: float = 0.009
     rate_std_radps: float = 0.003
     wild_rate_prob: float = 0.02
+    scale_std: float = 0.015
     rectangular_prob: float = 0.05
     sure_log_odds: float = 5.0
     n_straight: int = 4
@@ -86,10 +91,11 @@ class Corridors:
     def init(self) -> CorridorState:
         """State before the first step."""
         n = round(self.max_rate_radps / self.rate_step_radps)
-        mean, cov = np.zeros((2 * n + 1, 3)), np.zeros((2 * n + 1, 3, 3))
+        mean, cov = np.zeros((2 * n + 1, 4)), np.zeros((2 * n + 1, 4, 4))
         mean[:, _RATE] = self.rate_step_radps * np.arange(-n, n + 1)
         # half of the distance to the next: the sum of the densities is smooth
         cov[:, _RATE, _RATE] = (0.6 * self.rate_step_radps) ** 2
+        cov[:, _SCALE, _SCALE] = self.scale_std**2
         weight = np.exp(-0.5 * (mean[:, _RATE] / self.rate_std_radps) ** 2)
         weight = (1.0 - self.wild_rate_prob) * weight / weight.sum() + self.wild_rate_prob / len(weight)
         odds = math.log(self.rectangular_prob / (1.0 - self.rectangular_prob))
@@ -105,11 +111,12 @@ class Corridors:
 
     def step(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
         """State after a step in a direction; headings have any number of turns."""
-        last_s = state.recent[-1][0] if state.recent else time_s
-        mean, cov = self._predict(state, time_s - last_s)
+        last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
+        mean, cov = self._predict(state, time_s - last_s, heading_rad - last_rad)
+        turned_rad = state.turned_rad + heading_rad - last_rad
         near = [r for r in state.recent if time_s - r[0] < self.straight_s][1 - self.n_straight :]
         recent = (*near, (time_s, heading_rad))
-        state = replace(state, mean=mean, cov=cov, recent=recent)
+        state = replace(state, mean=mean, cov=cov, recent=recent, turned_rad=turned_rad)
         headings = [h for _, h in recent]
         if len(recent) < self.n_straight or max(headings) - min(headings) > self.straight_rad:
             return state
@@ -125,18 +132,23 @@ class Corridors:
 
     def drift(self, state: CorridorState) -> tuple[float, float] | None:
         """By how much headings are too far clockwise since the first step, and its variance; None if it is unsure."""
+        # the leg that is walked now, of which some steps have been seen, is off its axis too
+        return self._moments(state, np.array([1.0, 0.0, 0.0, 0.0]), (0.5 * self.leg_std_rad) ** 2)
+
+    def drift_in_time(self, state: CorridorState) -> tuple[float, float] | None:
+        """The part of the drift that came with time, not with turning, and its variance; None if it is unsure."""
+        return self._moments(state, np.array([1.0, 0.0, 0.0, -state.turned_rad]), 0.0)
+
+    def _moments(self, state: CorridorState, of: FloatArray, besides_rad2: float) -> tuple[float, float] | None:
         if state.log_odds < self.sure_log_odds:
             return None
-        weight = np.exp(state.log_weight)
-        drift_rad = float(weight @ state.mean[:, _DRIFT])
-        away = state.mean[:, _DRIFT] - drift_rad
-        # the leg that is walked now, of which some steps have been seen, is off its axis too
-        of_leg = (0.5 * self.leg_std_rad) ** 2
-        return drift_rad, float(weight @ (state.cov[:, _DRIFT, _DRIFT] + away * away)) + of_leg
+        weight, values = np.exp(state.log_weight), state.mean @ of
+        mean = float(weight @ values)
+        return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2
 
-    def _predict(self, state: CorridorState, elapsed_s: float) -> tuple[FloatArray, FloatArray]:
-        transition = np.eye(3)
-        transition[_DRIFT, _RATE] = elapsed_s
+    def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
+        transition = np.eye(4)
+        transition[_DRIFT, _RATE], transition[_DRIFT, _SCALE] = elapsed_s, turned_rad
         cov = transition @ state.cov @ transition.T
         cov[:, _DRIFT, _DRIFT] += self.wander_rad_per_sqrt_s**2 * elapsed_s
         return state.mean @ transition.T, cov

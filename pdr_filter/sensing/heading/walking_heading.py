@@ -293,9 +293,10 @@ class WalkingHeading:
             direction_trust=self.strides.share(place),
         )
 
-    def heading_error(self, state: WalkingHeadingState) -> tuple[float, float]:
-        """By how much the device's heading is too large, rad, and its variance: infinite unless axes show it."""
-        return self._error(state)
+    def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
+        """What time has added to the device's heading, rad, and its variance: infinite unless axes show it."""
+        shown = self.corridors.drift_in_time(state.corridors)
+        return (0.0, math.inf) if shown is None else (state.error_rad + shown[0], shown[1])
 
     def _error(self, state: WalkingHeadingState) -> tuple[float, float]:
         """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise."""
