@@ -18,9 +18,8 @@ error in it; normalised means divided by `yaw_bias_std_radps`. With `--sources` 
 
 What was chosen where: the scatter of still windows on motionsense (people who stand) and ubicomp13, the settings of
 straight walking and of the field on every second recording of ms_indoor (sorted by name), the probabilities of the
-prior on all of it and on what ubicomp13 showed. Axes of buildings were added when humolire showed them, with a
-probability that leaves ms_indoor as it was: humolire is not unseen there. tyrex was
-looked at for the twist and the weight of the field.
+prior on all of it, on humolire and on what ubicomp13 showed. tyrex was looked at for the twist and the weight of the
+field. Axes of buildings are not in these figures (`pdr_filter.sensing.heading.corridors`).
 """
 
 from __future__ import annotations
@@ -45,8 +44,7 @@ OFF = {"still_gyr_radps": 0.0, "walking_acc_mps2": np.inf}
 SOURCES = {
     "nothing": (GyroBias(**OFF), False),
     "still windows": (GyroBias(walking_acc_mps2=np.inf), False),
-    "straight walking": (GyroBias(still_gyr_radps=0.0, rectangular_prob=1e-9), False),
-    "axes": (GyroBias(still_gyr_radps=0.0, straight_turn_rad=1e3), False),
+    "straight walking": (GyroBias(still_gyr_radps=0.0), False),
     "field": (GyroBias(**OFF), True),
     "all": (GyroBias(), True),
 }

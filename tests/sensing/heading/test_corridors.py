@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose, assert_array_equal
 
+import pdr_filter as pdr
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
 from pdr_filter.values import FloatArray
 
@@ -122,3 +124,35 @@ def test_unsure_axes_say_nothing() -> None:
     assert AXES.drift(run(AXES, time_s, headings)[-1]) is None
     eager = replace(AXES, sure_log_odds=-10.0)
     assert eager.drift(run(eager, time_s, headings)[-1]) is not None
+
+
+def test_a_wrong_scale_of_the_gyroscope_is_no_bias() -> None:
+    """Laps to the left and to the right, with two per cent too much turning and no bias."""
+    for side in (-1, 1):
+        time_s, headings = legs(np.full(24, side * QUARTER), np.random.default_rng(10))
+        last = run(AXES, time_s, 1.02 * headings)[-1]
+        whole, in_time = AXES.drift(last), AXES.drift_in_time(last)
+        assert whole is not None
+        assert in_time is not None
+        assert_allclose(whole[0], 0.02 * (headings[-1] - headings[0]), atol=np.radians(8))
+        assert abs(in_time[0]) < 0.7 * abs(whole[0])
+        assert abs(in_time[0]) < 2 * np.sqrt(in_time[1])
+
+
+@pytest.mark.recordings
+def test_a_real_walk_through_corridors_keeps_its_right_angles_in_hindsight(data_dir: Path) -> None:
+    # uncorrected, the gyroscope of this recording is off by 28 degrees at the end
+    recording = pdr.read(data_dir / "humolire" / "humolire_user1_straight.zip")
+    track = pdr.smooth(recording).track
+    legs_, waypoints = recording.truth.segments, recording.truth.waypoints
+    errors = []
+    for leg in legs_[legs_.end_s - legs_.start_s > 5]:
+        a, b = (int(np.argmin(np.abs(waypoints.time_s - t))) for t in (leg.start_s, leg.end_s))
+        east, north = waypoints.east_m[b] - waypoints.east_m[a], waypoints.north_m[b] - waypoints.north_m[a]
+        inside = (track.time_s > leg.start_s + 1) & (track.time_s < leg.end_s - 1)
+        off = np.exp(1j * (track.walking_heading_rad[inside] - np.arctan2(east, north))).mean()
+        errors.append(np.angle(off))
+    error = np.unwrap(errors)
+    assert len(error) >= 8
+    assert np.rad2deg(np.std(error)) < 6
+    assert np.rad2deg(abs(error[-1] - error[-4])) < 6
