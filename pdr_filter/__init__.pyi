@@ -21,6 +21,7 @@ from .recording_run import classify as classify
 from .recording_run import detect_steps as detect_steps
 from .recording_run import track as track
 from .sensing.conditioning import merge_streams as merge_streams
+from .sensing.device import Device as Device
 from .tracks import Track as Track
 from .values.contexts import CONTEXTS as CONTEXTS
 from .values.fixes import HeadingFix as HeadingFix

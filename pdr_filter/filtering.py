@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from math import isfinite
 from operator import attrgetter
 
 import numpy as np
@@ -15,7 +16,18 @@ from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
-from pdr_filter.values import CONTEXTS, Fix, FixResult, FloatArray, ImuBlock, Note, Standstill, received_s
+from pdr_filter.values import (
+    CONTEXTS,
+    HARDLY_AGREE,
+    Fix,
+    FixResult,
+    FloatArray,
+    ImuBlock,
+    Note,
+    Standstill,
+    Step,
+    received_s,
+)
 
 # How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
 # pedestrian who rests now and then makes as many in a minute. A clock that is further off is another clock.
@@ -46,6 +58,19 @@ class WindowCounts:
         )
 
 
+@dataclass(frozen=True, slots=True)
+class StepCounts:
+    """How many steps there were, and in how many of them strides did not agree on a direction."""
+
+    n: int = 0
+    untrusted: int = 0
+
+    def plus(self, step: Step) -> StepCounts:
+        """With one step more."""
+        is_untrusted = isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
+        return StepCounts(self.n + 1, self.untrusted + is_untrusted)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class State:
     """Everything about a filter that changes."""
@@ -54,6 +79,7 @@ class State:
     tracker: TrackerState
     barometer: ClimbState
     seen: WindowCounts = WindowCounts()
+    walked: StepCounts = StepCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
@@ -120,6 +146,8 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
 
 
+# The same of steps: a turn, or a door, is ten of them.
+_UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
@@ -140,6 +168,10 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if seen.irregular > notable:
         words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
         notes.append(Note("steps", words + "steps there may be false"))
+    if state.walked.untrusted > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
+        words = f"in {state.walked.untrusted} of {state.walked.n} steps strides do not agree on where walking leads, "
+        words += "as in a bag: the turn of the phone alone leads there"
+        notes.append(Note("heading", words))
     notes += config.notes
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
@@ -192,6 +224,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
         else:
+            state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
         state = replace(state, tracker=tracker)
         output.updates.extend(brought.updates)

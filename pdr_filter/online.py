@@ -11,6 +11,7 @@ from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
 from pdr_filter.filtering import State, add_pressure, due_s, finish, init, notes_of, step, untimely
+from pdr_filter.sensing.device import Device
 from pdr_filter.values import Fix, FloatArray, ImuBlock
 
 
@@ -114,6 +115,11 @@ class OnlineFilter:
     def notes(self) -> tuple[str, ...]:
         """What to keep in mind about the track so far, in plain words."""
         return tuple(note.text for note in notes_of(self.config, self.state))
+
+    @property
+    def device(self) -> Device:
+        """What the samples so far teach of the phone, for its next walk: `Config.with_device`."""
+        return self.config.sensing.device(self.state.sensing)
 
     def save(self) -> bytes:
         """Bytes from which `load` continues as if nothing had happened, configuration and models included."""

@@ -38,6 +38,9 @@ class Method:
     model: Annotated[Path | None, typer.Option(help="Context model (.npz) for windows with gyroscope.")] = None
     calibration: CalibrationFile = None
     transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None
+    device: Annotated[
+        Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
+    ] = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -146,9 +149,10 @@ def track(
 
     with console.one_line_errors():
         if workers.make_one_table(files):
-            if any((method.model, method.transitions, output.origin, output.report, as_json)):
+            if any((method.model, method.transitions, method.device, output.origin, output.report, as_json)):
                 raise ValueError(
-                    "many recordings make one table: leave out --model, --transitions, --origin, --report and --json"
+                    "many recordings make one table: leave out --model, --transitions, --device, --origin, --report "
+                    "and --json"
                 )
             _track_many(files, method, source, output.table, workers)
             return
@@ -159,7 +163,12 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        result = pdr.track(recording, config, method.weighting_name, progress=progress, calibration=method.calibration)
+        known = method.device if method.device is not None and method.device.exists() else None
+        result = pdr.track(
+            recording, config, method.weighting_name, progress=progress, calibration=method.calibration, device=known
+        )
+        if method.device is not None and result.device is not None:
+            result.device.save(method.device)
         output.write(result, recording, _unused(result.name, written))
         if as_json:
             console.print_json(result.summary())

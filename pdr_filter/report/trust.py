@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, TrackRows
+from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows
 
 _STATIONARY = CONTEXTS.index("stationary")
 # Shorter doubts are ordinary: a turn, a door.
@@ -43,6 +43,12 @@ def doubts(track: TrackRows) -> list[str]:
             f"From {a:.0f} to {b:.0f} s the filter hesitates between {_names(track, a, b)}: their step lengths differ."
             for a, b in _long(track.time_s, undecided)
         ]
+        is_shown = np.isfinite(np.asarray(track.steps.shown_offset_std_rad))
+        found += _said(
+            _long(track.time_s, is_shown & (track.direction_trust < HARDLY_AGREE)),
+            "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, and "
+            "where the phone was turned against the body the track has turned too.",
+        )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
         found += [

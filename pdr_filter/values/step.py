@@ -9,6 +9,11 @@ import numpy as np
 
 from pdr_filter.values.arrays import Table, table
 
+# Strides that share half of their squared length and more agree: pockets and hands have 0.6 to 0.98, handbags 0.05 to
+# 0.3 (docs/methods/heading.md). Less than the second is no better than chance: 13 strides of no direction share 0.08 on
+# average, and half of them up to 0.2.
+TRUSTED, HARDLY_AGREE = 0.5, 0.2
+
 
 @dataclass(frozen=True, slots=True)
 class Step:
@@ -44,6 +49,7 @@ class Step:
     shown_offset_std_rad: float = np.inf
     # How well the strides agree on it, 0 to 1: the squared length of their mean direction.
     direction_trust: float = 0.0
+    on_axes: bool = False  # the walk keeps to the axes of a building, and its heading is corrected by them
     # Standard deviation of the gyroscope's bias about the vertical at this step, after correction.
     yaw_bias_std_radps: float = 0.0
     # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
@@ -51,6 +57,13 @@ class Step:
     # Geometric mean of that over the person's last steps, this one included; 0 before the second step of a bout.
     usual_amplitude_mps2: float = 0.0
     from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
+
+    @property
+    def heading_source(self) -> str:
+        """What leads the track here: "axes" of a building, "strides" that agree, or the "device" and its turn alone."""
+        if self.on_axes:
+            return "axes"
+        return "strides" if self.direction_trust >= TRUSTED else "device"
 
     @property
     def vertical_range_mps2(self) -> float:

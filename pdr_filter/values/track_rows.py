@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
+from pdr_filter.values.step import steps_of
 from pdr_filter.values.windows import Windows
 
 
@@ -62,6 +63,16 @@ class TrackRows:
     def distance_m(self) -> float:
         """Walked distance: the sum of the step lengths."""
         return float(self.step_length_m.sum())
+
+    @property
+    def direction_trust(self) -> FloatArray:
+        """How well strides agreed on where walking leads at each step, shape (K,), 0 to 1."""
+        return np.asarray(self.steps.direction_trust)
+
+    @property
+    def heading_source(self) -> tuple[str, ...]:
+        """What led the track at each step: "axes" of a building, "strides" that agree, or the "device" alone."""
+        return tuple(step.heading_source for step in steps_of(self.steps))
 
     @property
     def mode_entropy(self) -> FloatArray:

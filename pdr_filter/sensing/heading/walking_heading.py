@@ -283,6 +283,7 @@ class WalkingHeading:
         var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + float(samples[_ERROR_VAR, -1])
         reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
         step = self._with_shown(state, place, step)
+        step = replace(step, on_axes=math.isfinite(error_var))
         return replace(state, reported=reported), step
 
     def _with_shown(self, state: WalkingHeadingState, place: Place, step: Step) -> Step:

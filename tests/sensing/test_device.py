@@ -1,0 +1,118 @@
+"""What is known of a phone, from recording to recording."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose, assert_array_equal
+from typer.testing import CliRunner
+
+import pdr_filter as pdr
+from pdr_filter.cli.app import app
+from pdr_filter.io.recording import Recording
+
+BIAS = np.array([0.004, -0.006, 0.02])
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    """A walk with a phone whose gyroscope is off."""
+    return biased(pdr.simulate.demo_walk())
+
+
+def biased(recording: Recording) -> Recording:
+    assert recording.gyroscope is not None
+    return replace(recording, gyroscope=replace(recording.gyroscope, values=recording.gyroscope.values + BIAS))
+
+
+def test_a_recording_teaches_the_bias_and_the_next_one_begins_with_it(walk: Recording) -> None:
+    learnt = pdr.track(walk).device
+    assert learnt is not None
+    std = np.sqrt(np.diag(learnt.bias_cov_radps2))
+    assert (np.abs(learnt.bias_radps - BIAS) < 3 * std).all()
+    assert std.min() < 0.01
+    config = pdr.recipes.default().with_device(learnt)
+    first = config.sensing.attitude.bias.init()
+    # nine of ten that it is this phone
+    assert_allclose(first.bias_radps, 0.9 * learnt.bias_radps, rtol=1e-12)
+
+
+def test_a_known_phone_needs_no_time_to_learn(walk: Recording) -> None:
+    """With a well known device the first legs are as straight as without a bias."""
+    known = pdr.Device(BIAS, 1e-8 * np.eye(3))
+    clean = pdr.track(pdr.simulate.demo_walk(), device=pdr.Device(np.zeros(3), 1e-8 * np.eye(3)))
+    with_device = pdr.track(walk, device=known)
+    without = pdr.track(walk)
+    n = min(clean.n_steps, with_device.n_steps, without.n_steps)
+
+    def off(track: pdr.Track) -> float:
+        return float(np.abs(np.angle(np.exp(1j * (track.walking_heading_rad - clean.walking_heading_rad)[:n]))).max())
+
+    assert off(with_device) < np.radians(1.5)
+    assert off(with_device) < 0.5 * off(without)
+
+
+def test_days_and_temperature_widen_what_is_known() -> None:
+    device = pdr.Device(BIAS, 1e-6 * np.eye(3))
+    assert_array_equal(device.after().bias_cov_radps2, device.bias_cov_radps2)
+    day, week, warm = device.after(days=1), device.after(days=7), device.after(warmer_k=-15.0)
+    assert device.bias_cov_radps2[0, 0] < day.bias_cov_radps2[0, 0] < week.bias_cov_radps2[0, 0]
+    assert_allclose(warm.bias_cov_radps2[0, 0], 1e-6 + (15 * 0.0003) ** 2)
+    assert_array_equal(week.bias_radps, BIAS)
+
+
+def test_a_saved_device_is_the_same_when_it_is_read(tmp_path: Path) -> None:
+    device = pdr.Device(BIAS, np.diag([1e-6, 2e-6, 3e-6]))
+    read = pdr.Device.load(device.save(tmp_path / "phone.json"))
+    assert_array_equal(read.bias_radps, device.bias_radps)
+    assert_array_equal(read.bias_cov_radps2, device.bias_cov_radps2)
+
+
+@pytest.mark.parametrize("content", ["", "[]", "{}", '{"pdr_filter_device": 2}', '{"pdr_filter_device": 1}', "null"])
+def test_a_file_that_is_no_device_is_refused_by_its_name(tmp_path: Path, content: str) -> None:
+    path = tmp_path / "other.json"
+    path.write_text(content)
+    with pytest.raises(ValueError, match=r"other\.json: no device file"):
+        pdr.Device.load(path)
+
+
+def test_values_that_make_no_sense_are_refused() -> None:
+    with pytest.raises(ValueError, match="bias_radps"):
+        pdr.Device(np.array([0.0, np.nan, 0.0]))
+    with pytest.raises(ValueError, match="positive definite"):
+        pdr.Device(np.zeros(3), -np.eye(3))
+    with pytest.raises(ValueError, match="days"):
+        pdr.Device().after(days=-1)
+
+
+def test_an_app_learns_the_same_of_its_phone(walk: Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    online = pdr.OnlineFilter(pdr.recipes.default(walk.subject))
+    for start in range(0, len(samples.time_s), 777):
+        part = slice(start, start + 777)
+        online.push(
+            samples.time_s[part],
+            samples.specific_force_mps2[part],
+            samples.angular_rate_radps[part],
+            samples.magnetic_field_ut[part],
+        )
+    online.finish()
+    learnt = pdr.track(walk).device
+    assert learnt is not None
+    assert_array_equal(online.device.bias_radps, learnt.bias_radps)
+    assert_array_equal(online.device.bias_cov_radps2, learnt.bias_cov_radps2)
+
+
+def test_the_command_line_reads_a_device_file_if_there_is_one_and_writes_it_anew(
+    walk: Recording, tmp_path: Path
+) -> None:
+    file, phone = walk.save(tmp_path / "walk.zip"), tmp_path / "phone.json"
+    runner = CliRunner()
+    assert runner.invoke(app, ["track", str(file), "--device", str(phone)]).exit_code == 0
+    first = pdr.Device.load(phone)
+    assert runner.invoke(app, ["track", str(file), "--device", str(phone)]).exit_code == 0
+    second = pdr.Device.load(phone)
+    assert np.trace(second.bias_cov_radps2) < np.trace(first.bias_cov_radps2)
