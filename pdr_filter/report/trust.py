@@ -46,8 +46,8 @@ def doubts(track: TrackRows) -> list[str]:
         is_shown = np.isfinite(np.asarray(track.steps.shown_offset_std_rad))
         found += _said(
             _long(track.time_s, is_shown & (track.direction_trust < HARDLY_AGREE)),
-            "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, and "
-            "where the phone was turned against the body the track has turned too.",
+            "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, "
+            "and where the phone was turned against the body the track has turned too.",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")

@@ -1,0 +1,153 @@
+"""Tracks on people, phones and placements that nothing was chosen on: all recipes, axes of buildings, and trust.
+
+usage: python -m tests.benchmarks.placements [recipes] [corridors] [trust] [--data ../shared/data]
+
+recipes: oxiod against its continuous reference, at the times of the steps: RMSE of the position after rotation and
+translation onto the whole reference; median over the walks of a group. The reference is averaged over half a second,
+and on the trolley, where there are no steps, taken every second.
+
+corridors: the same figure without axes, with them as they come, and in hindsight; how many walks used them in the end.
+They were chosen on humolire and ms_indoor, not on the others.
+
+trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
+frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
+agree on a direction (`Step.direction_trust` below 0.2); and how often it says so. To the ellipse the reference's own error is
+added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m (oxiod).
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+
+import numpy as np
+from scipy.stats import chi2
+
+import pdr_filter as pdr
+from pdr_filter import evaluate
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.values import HARDLY_AGREE, FloatArray
+from tests.benchmarks.common import Tables, options, recordings
+
+RECIPES = ("default", "guo2018", "martinelli2018", "susi2013", "tian2016", "zhou2019")
+REFERENCE_STD_M = {"humolire": 0.7, "ms_indoor": 1.0, "oxiod": 0.3}
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A recording, its group, and where the person was."""
+
+    group: str
+    recording: pdr.Recording
+    time_s: FloatArray  # (N,)
+    position_m: FloatArray  # (N, 2)
+
+
+def walks(data: Path, sites: tuple[str, ...] = ("oxiod", "humolire", "ms_indoor")) -> Iterator[Walk]:
+    """Those with gyroscope and three places at least."""
+    for site in sites:
+        for recording in recordings(data, site):
+            if recording.gyroscope is None:
+                continue
+            found = re.search(r"_(floor|room)\d*_([a-z]+)", recording.name)
+            group = f"oxiod {found[1]} {found[2]}" if found else site
+            truth = recording.truth.position if site == "oxiod" else recording.truth.waypoints
+            if truth is None or len(truth) < 3:
+                continue
+            yield Walk(group, recording, truth.time_s, np.column_stack([truth.east_m, truth.north_m]))
+
+
+def places(walk: Walk, track: pdr.Track) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Times, true places and those of the track: at waypoints, or at the steps where the reference is continuous."""
+    when, true_m = walk.time_s, walk.position_m
+    if len(when) > 300:
+        inside = (track.time_s >= when[0]) & (track.time_s <= when[-1])
+        times = track.time_s[inside] if inside.sum() >= 10 else np.arange(when[0], when[-1])
+        true_m = np.column_stack([np.interp(times, when, true_m[:, k]) for k in (0, 1)])
+        when = times
+    return when, true_m, evaluate.positions_at(track.time_s, track.position_m, when)
+
+
+def rmse_m(walk: Walk, track: pdr.Track) -> float:
+    _, true_m, at_m = places(walk, track)
+    return evaluate.position_rmse_m(at_m, true_m, "all")
+
+
+def without_axes(config: pdr.Config) -> pdr.Config:
+    heading = config.sensing.heading
+    assert isinstance(heading, WalkingHeading)
+    heading = replace(heading, corridors=replace(heading.corridors, sure_log_odds=np.inf))
+    return replace(config, sensing=replace(config.sensing, heading=heading))
+
+
+def grouped(rows: list[tuple[str, tuple[float, ...]]]) -> dict[str, FloatArray]:
+    return {g: np.array([v for name, v in rows if name == g]) for g in sorted({name for name, _ in rows})}
+
+
+def of_recipes(tables: Tables, data: Path) -> None:
+    rows = [
+        (
+            w.group,
+            tuple(rmse_m(w, pdr.track(w.recording, pdr.recipes.RECIPES[r](w.recording.subject))) for r in RECIPES),
+        )
+        for w in walks(data, ("oxiod",))
+    ]
+    lines = []
+    for group, values in grouped(rows).items():
+        medians = np.median(values, axis=0)
+        lines.append([group, len(values), *(f"{m:.2f}" for m in medians), f"{values[:, 0].max():.1f}"])
+    tables.write("placements", ["group", "walks", *RECIPES, "default, worst"], lines, "RMSE in m, medians.")
+
+
+def of_corridors(tables: Tables, data: Path) -> None:
+    rows: list[tuple[str, tuple[float, ...]]] = []
+    for walk in walks(data):
+        config = pdr.recipes.default(walk.recording.subject)
+        track = pdr.track(walk.recording, config)
+        if track.n_steps < 10:
+            continue
+        scores = [rmse_m(walk, t) for t in (pdr.track(walk.recording, without_axes(config)), track)]
+        hindsight = rmse_m(walk, pdr.smooth(walk.recording, config=config).track)
+        rows.append((walk.group, (*scores, hindsight, float(track.steps.on_axes[-1]))))
+    lines = [
+        [g, len(v), *(f"{np.median(v[:, k]):.2f}, {v[:, k].mean():.2f}" for k in range(3)), int(v[:, 3].sum())]
+        for g, v in grouped(rows).items()
+    ]
+    columns = ["walks of", "n", "without axes", "with", "in hindsight", "used"]
+    tables.write("corridors", columns, lines, "RMSE in m: median, mean.")
+
+
+def of_trust(tables: Tables, data: Path) -> None:
+    level = chi2.ppf(0.95, 2)
+    rows: list[tuple[str, tuple[float, ...]]] = []
+    for walk in walks(data):
+        track = pdr.track(walk.recording)
+        if track.n_steps < 10:
+            continue
+        when, true_m, at_m = places(walk, track)
+        first = evaluate.first_of_path(true_m)
+        first[: max(3, int(first.sum()))] = True
+        turned_m = evaluate.fitted(true_m, at_m, first)
+        nearest = np.clip(np.searchsorted(track.time_s, when), 0, track.n_steps - 1)
+        own = REFERENCE_STD_M[walk.group.split()[0]] ** 2 * np.eye(2)
+        cov = track.position_cov_m2[nearest] + own
+        off = evaluate.nees(at_m - turned_m, cov) > level
+        doubted = (track.direction_trust < HARDLY_AGREE)[nearest]
+        late = ~first
+        if late.any():
+            rows += [
+                (walk.group, (float(o), float(o and not d), float(d)))
+                for o, d in zip(off[late], doubted[late], strict=True)
+            ]
+    lines = [[g, len(v), *(f"{100 * v[:, k].mean():.0f} %" for k in range(3))] for g, v in grouped(rows).items()]
+    tables.write("trust", ["walks of", "places", "off", "off and not said", "said"], lines)
+
+
+if __name__ == "__main__":
+    args = options(__doc__ or "", "recipes", "corridors", "trust").parse_args()
+    written = Tables.of(__spec__.name, args)
+    for part, make in (("recipes", of_recipes), ("corridors", of_corridors), ("trust", of_trust)):
+        if part in args.parts:
+            make(written, args.data)
