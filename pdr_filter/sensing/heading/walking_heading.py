@@ -101,6 +101,7 @@ class WalkingHeadingState:
     error_rad: float  # of the device's heading when axes were looked for anew
     error_of_bias_rad: float  # what biases found late said of it then
     of_bias_rad: float  # what they say now
+    of_bias_var_rad2: float
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
@@ -181,6 +182,7 @@ class WalkingHeading:
             error_rad=0.0,
             error_of_bias_rad=0.0,
             of_bias_rad=0.0,
+            of_bias_var_rad2=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -252,8 +254,9 @@ class WalkingHeading:
         self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
     ) -> tuple[WalkingHeadingState, Step]:
         contacts_s = (*state.contacts_s, step.time_s)[-3:]
-        state = replace(state, contacts_s=contacts_s[-2:], reported=state.reported.at_step(step, self.drift))
         samples = self._stride_samples(state, contacts_s, known)
+        state, step = self._with_loss(state, step, samples)
+        state = replace(state, contacts_s=contacts_s[-2:], reported=state.reported.at_step(step, self.drift))
         # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
         if samples is None or context == _SIDEWAYS:
             return state, step if state.place is None else self._with_shown(state, state.place, step)
@@ -285,6 +288,18 @@ class WalkingHeading:
         step = self._with_shown(state, place, step)
         step = replace(step, on_axes=math.isfinite(error_var))
         return replace(state, reported=reported), step
+
+    def _with_loss(
+        self, state: WalkingHeadingState, step: Step, samples: FloatArray | None
+    ) -> tuple[WalkingHeadingState, Step]:
+        """The step with what the heading has lost by the bias since the last stride, as the filter's random walk."""
+        if samples is None or not samples[_ERROR_VAR].any():
+            return state, step
+        var_rad2 = float(samples[_ERROR_VAR, -1])
+        lost = max(var_rad2 - state.of_bias_var_rad2, 0.0)
+        since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
+        std = math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))
+        return replace(state, of_bias_var_rad2=var_rad2), replace(step, yaw_bias_std_radps=std)
 
     def _with_shown(self, state: WalkingHeadingState, place: Place, step: Step) -> Step:
         return replace(
