@@ -13,6 +13,7 @@ from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, Unifo
 from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
+from pdr_filter.sensing.rattle import Rattle, RattleState
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
@@ -40,6 +41,7 @@ class SensingState:
     heading: Any
     gate: Any
     even: Any
+    rattle: RattleState
     n_samples: int  # of this segment
     context: int  # of the last window: index into `CONTEXTS`, -1 where none has half of the probability
     carrying_mode: int  # likewise into `CARRYING_MODES`
@@ -84,6 +86,10 @@ class Sensing:
             raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
 
     @property
+    def _rattle(self) -> Rattle:
+        return Rattle(self.conditioner.rate_hz)
+
+    @property
     def step_latency_s(self) -> float:
         """Longest time from a contact to its step, but for the first steps of a bout, which wait for a gate."""
         return max(self.steps.latency_s, self.gate.latency_s if self.gate else 0.0)
@@ -103,6 +109,7 @@ class Sensing:
             heading=self.heading.init() if self.heading else None,
             gate=self.gate.init() if self.gate else None,
             even=self.even.init() if self.even else None,
+            rattle=self._rattle.init(),
             n_samples=0,
             context=-1,
             carrying_mode=-1,
@@ -155,6 +162,7 @@ class Sensing:
             heading=heading_state,
             gate=gate_state,
             even=even_state,
+            rattle=self._rattle.step(state.rattle, part, steps),
             n_samples=n_before + n,
             context=int(context[-1]),
             carrying_mode=int(carrying_mode[-1]),
@@ -182,6 +190,7 @@ class Sensing:
             attitude=self.attitude.after_gap(state.attitude),
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
             steps=self.steps.init(),
+            rattle=self._rattle.after_gap(state.rattle),
             heading=self.heading.after_gap(state.heading) if self.heading else None,
             n_samples=0,
         )
