@@ -4,8 +4,8 @@
 
 The step frequency as a function of the power of the motion (the law of the detector); count errors of ubicomp13 by
 placement with the single-scale wavelet, with the default detector, behind the gate, and with left and right evened; the
-same with only every second or fourth sample; F1 of oxford at several rates. What the gate does to handling, with people left out, is in
-step_gate.py.
+same with only every second or fourth sample; F1 of oxford at several rates. What the gate does to handling, with people
+left out, is in step_gate.py.
 """
 
 from __future__ import annotations
@@ -32,11 +32,12 @@ FloatArray = NDArray[np.float64]
 
 DETECTOR = AdaptiveStepDetector()
 TOLERANCES_S = (0.25, 0.1, 0.06)
+DEFAULT = Sensing(steps=DETECTOR, gate=StepGate(), even=EvenSteps())
 PIPELINES = {
     "one or two scales (Martinelli et al.)": Sensing(steps=WaveletStepDetector()),
     "default detector": Sensing(steps=DETECTOR),
     "default detector, gate": Sensing(steps=DETECTOR, gate=StepGate()),
-    "the same, left and right evened": Sensing(steps=DETECTOR, gate=StepGate(), even=EvenSteps()),
+    "the same, left and right evened": DEFAULT,
 }
 
 
