@@ -62,7 +62,7 @@ def test_a_gap_ends_the_run_and_keeps_the_sum() -> None:
 def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: list[int]) -> None:
     rng = np.random.default_rng(seed)
     block = shaking(70, seed=seed)
-    steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 4.0)))
+    steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
     whole, cut, n = after(block, steps), RATTLE.init(), 0
     for part in cut_uniform(block, edges):
         cut = RATTLE.step(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
