@@ -64,7 +64,7 @@ def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: lis
     block = shaking(70, seed=seed)
     steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
     whole, cut, n = after(block, steps), RATTLE.init(), 0
-    for part in cut_uniform(block, edges):
+    for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
         cut = RATTLE.step(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
         n += len(part.time_s)
     assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
