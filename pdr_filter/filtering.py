@@ -158,6 +158,10 @@ def notes_of(config: Config, state: State) -> list[Note]:
     notes = [Note("samples", text) for text in report.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
+    moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
+    if moving_s:
+        words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
+        notes.append(Note("steps", words + "the phone shakes as on wheels, and no distance is counted there"))
     of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
     if seen.without_gyroscope:
         words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "

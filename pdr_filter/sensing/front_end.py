@@ -16,7 +16,9 @@ from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.rattle import Rattle, RattleState
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
+from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step
 
@@ -41,6 +43,8 @@ class SensingState:
     steps: Any
     heading: Any
     gate: Any
+    even: Any
+    rattle: RattleState
     n_samples: int  # of this segment
     context: int  # of the last window: index into `CONTEXTS`, -1 where none has half of the probability
     carrying_mode: int  # likewise into `CARRYING_MODES`
@@ -66,6 +70,8 @@ class Sensing:
         Where the person walked; without it, in the direction in which the device points.
     gate : StepGate, optional
         Holds back steps that nobody walked.
+    even : EvenSteps, optional
+        Moves contacts to where left and right are even, last of all: the samples of a step stay those of the detector.
     """
 
     steps: StepDetector[Any]
@@ -74,12 +80,17 @@ class Sensing:
     contexts: ContextStage | None = None
     heading: HeadingStage | None = None
     gate: StepGate | None = None
+    even: EvenSteps | None = None
 
     def __post_init__(self) -> None:
         stages = [self.conditioner, self.attitude, self.steps, *([self.contexts] if self.contexts else [])]
         rates = {stage.rate_hz for stage in stages}
         if len(rates) > 1:
             raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
+
+    @property
+    def _rattle(self) -> Rattle:
+        return Rattle(self.conditioner.rate_hz)
 
     @property
     def step_latency_s(self) -> float:
@@ -100,6 +111,8 @@ class Sensing:
             steps=self.steps.init(),
             heading=self.heading.init() if self.heading else None,
             gate=self.gate.init() if self.gate else None,
+            even=self.even.init() if self.even else None,
+            rattle=self._rattle.init(),
             n_samples=0,
             context=-1,
             carrying_mode=-1,
@@ -142,11 +155,13 @@ class Sensing:
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock(context, carrying_mode)
         step_state, steps = self.steps.step(state.steps, part, attitude, contexts)
-        heading_state, gate_state = None, None
+        heading_state, gate_state, even_state = None, None, None
         if self.gate:
             gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
         if self.heading:
             heading_state, steps = self.heading.step(state.heading, part, attitude, contexts, steps)
+        if self.even:
+            even_state, steps = self.even.step(state.even, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order = sorted([*windows, *steps], key=lambda e: e[0])
         state = SensingState(
@@ -156,6 +171,8 @@ class Sensing:
             steps=step_state,
             heading=heading_state,
             gate=gate_state,
+            even=even_state,
+            rattle=self._rattle.step(state.rattle, part, steps),
             n_samples=n_before + n,
             context=int(context[-1]),
             carrying_mode=int(carrying_mode[-1]),
@@ -172,6 +189,9 @@ class Sensing:
         if self.heading:
             heading, steps = self.heading.finish(state.heading, steps)
             state = replace(state, heading=heading)
+        if self.even:
+            even, steps = self.even.step(state.even, steps)
+            state = replace(state, even=even)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:
@@ -180,6 +200,7 @@ class Sensing:
             attitude=self.attitude.after_gap(state.attitude),
             contexts=self.contexts.after_gap(state.contexts) if self.contexts else None,
             steps=self.steps.init(),
+            rattle=self._rattle.after_gap(state.rattle),
             heading=self.heading.after_gap(state.heading) if self.heading else None,
             n_samples=0,
         )

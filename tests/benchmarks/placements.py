@@ -11,8 +11,8 @@ They were chosen on humolire and ms_indoor, not on the others.
 
 trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
 frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
-agree on a direction (`Step.direction_trust` below 0.2); and how often it says so. To the ellipse the reference's own error is
-added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m (oxiod).
+agree on a direction (`Step.direction_trust` below 0.2); and how often it says so. To the ellipse the reference's own
+error is added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m (oxiod).
 """
 
 from __future__ import annotations

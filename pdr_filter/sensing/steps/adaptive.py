@@ -6,9 +6,9 @@ rms of |specific force| around the step, m/s2, f in Hz (tests/benchmarks/steps.p
 1. R(t): standard deviation of the low-passed |f| from `before_s` before to `after_s` after t.
 2. Response: transform of |f| with the Mexican hat of frequency 1.37 R(t)^0.3, interpolated between a bank of hats, each
    low-passed and cut off at `after_s`. It has unit gain at its frequency.
-3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` of the last ones, and comes
-   `min_interval` periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects
-   it, `rhythm_share` of both thresholds is enough.
+3. A local maximum is a step if it reaches `min_peak_mps2` and `relative_peak` times R, and comes `min_interval`
+   periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects it,
+   `rhythm_share` of both thresholds is enough.
 
 Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli et al. 2018, section IV.
 """
@@ -40,14 +40,13 @@ _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
 class Rhythm:
     """The last steps of the bout."""
 
-    peak_level_mps2: float  # running mean of their responses
     period_s: float  # running mean of their intervals
     n_intervals: int
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class AdaptiveDetectorState(ResponseState):
-    """The last |f| less gravity, the last values of the transform and of R, and the last steps."""
+    """The last |f| less gravity, the last values of the transform and of R, and the last intervals."""
 
     rhythm: Rhythm
 
@@ -68,7 +67,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     min_peak_mps2 : float
         Smallest response that is a step outside a rhythm.
     relative_peak : float
-        A step must also reach this part of the running mean of the last responses.
+        A step of a walk must also reach this part of R; a sine has 1.4.
     rhythm_share : float
         Part of both thresholds that a peak needs when it is expected.
     rhythm_tolerance : float
@@ -90,8 +89,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     after_s: float = 0.75
     power_low_pass_hz: float = 5.5
     low_pass_hz: float = 4.0
-    min_peak_mps2: float = 0.2
-    relative_peak: float = 0.15
+    min_peak_mps2: float = 0.15
+    relative_peak: float = 0.25
     rhythm_share: float = 1 / 3
     rhythm_tolerance: float = 0.25
     min_interval: float = 0.6
@@ -127,7 +126,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     def init(self) -> AdaptiveDetectorState:
         """State before the first sample of a segment."""
-        return AdaptiveDetectorState(self._log.init(), np.empty((1, 0)), np.zeros((2, 2)), Rhythm(0.0, 0.0, 0))
+        return AdaptiveDetectorState(self._log.init(), np.empty((1, 0)), np.zeros((2, 2)), Rhythm(0.0, 0))
 
     @property
     def _n_line(self) -> int:
@@ -172,31 +171,36 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         self, state: AdaptiveDetectorState, peak: FloatArray, interval_s: float, new_bout: bool
     ) -> AdaptiveDetectorState | None:
         response, rms = peak.tolist()
-        rhythm = Rhythm(0.0, 0.0, 0) if new_bout else state.rhythm
+        rhythm = Rhythm(0.0, 0) if new_bout else state.rhythm
         share = self.rhythm_share if self._is_expected(rhythm, interval_s) else 1.0
-        if response < share * max(self.min_peak_mps2, self.relative_peak * rhythm.peak_level_mps2):
+        relative = self.relative_peak * rms if self._frequency_hz(rms) < self.running_hz else 0.0
+        if response < share * max(self.min_peak_mps2, relative):
             return None
         if interval_s < self._min_interval_s(rms):
             return None
-        return replace(state, rhythm=_with_step(rhythm, response, interval_s, new_bout))
+        return replace(state, rhythm=_with_step(rhythm, interval_s, new_bout))
 
     def _is_expected(self, rhythm: Rhythm, interval_s: float) -> bool:
         if rhythm.n_intervals < 2 or interval_s <= 0:
             return False
         return abs(math.log(interval_s / rhythm.period_s)) < self.rhythm_tolerance
 
-    def _min_interval_s(self, rms: float) -> float:
+    def _frequency_hz(self, rms: float) -> float:
+        """Frequency of the wavelet."""
         frequency_hz = self.frequency_at_1_mps2_hz * rms**self.frequency_exponent
-        frequency_hz = min(max(frequency_hz, _BANK_HZ[0]), _BANK_HZ[-1])
+        return min(max(frequency_hz, _BANK_HZ[0]), _BANK_HZ[-1])
+
+    def _min_interval_s(self, rms: float) -> float:
+        frequency_hz = self._frequency_hz(rms)
         periods = self.min_running_interval if frequency_hz >= self.running_hz else self.min_interval
         return periods / frequency_hz
 
 
-def _with_step(rhythm: Rhythm, peak_mps2: float, interval_s: float, new_bout: bool) -> Rhythm:
+def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
     if new_bout:
-        return Rhythm(peak_mps2, 0.0, 0)
+        return Rhythm(0.0, 0)
     period_s = 0.7 * rhythm.period_s + 0.3 * interval_s if rhythm.n_intervals else interval_s
-    return Rhythm(0.7 * rhythm.peak_level_mps2 + 0.3 * peak_mps2, period_s, rhythm.n_intervals + 1)
+    return Rhythm(period_s, rhythm.n_intervals + 1)
 
 
 def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, rate_hz: float) -> FloatArray:

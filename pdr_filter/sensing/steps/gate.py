@@ -4,7 +4,8 @@ The gate holds each step until its fate is known and lets it pass, with its own 
 needs the specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
 
 1. Evidence of each step, from the specific force around its contact and the contacts before it (`evidence_features`).
-   Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap.
+   Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap. The clock of
+   the evidence runs with the steps: `slowness` stretches its times for a slow walker.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
    (Rabiner, "A tutorial on hidden Markov models", Proc. IEEE 77, 1989, eqs. 20 and 25). A step is accepted if walking
    is more probable than not, from its own evidence and all before.
@@ -35,6 +36,13 @@ _EVIDENCE_HZ = 25.0
 _MAX_KNOWN_AFTER_S = 4.0
 # A window with fewer rows (1 s) is no evidence: it holds no two steps.
 _MIN_ROWS = 26
+# Longest interval of a usual walk, 1.67 steps a second: below that the times of the evidence are stretched.
+_USUAL_INTERVAL_S = 0.6
+# The slowest walk to which they follow, 0.76 steps a second: more of the past would have to be remembered.
+_MAX_SLOWNESS = 2.2
+# Longest lag at which a motion is looked for again; of slow walkers as many steps, a stride and a quarter.
+_MAX_LAG_S = 2.24
+_MAX_LAG_STEPS = 2.5
 # Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
 _LIMIT = 3.0
 
@@ -60,13 +68,12 @@ class WalkEvidence:
         return total
 
 
-# In the order of `evidence_features`; see the module's docstring. Walking and not walking had the same mass, and 0.7
-# was added to the intercept: to lose a step of a walk is worse than a false step now and then.
+# In the order of `evidence_features`; see the module's docstring. Walking and not walking had the same mass.
 EVIDENCE = WalkEvidence(
-    mean=np.array([0.41, 0.23, -0.37, 0.57]),
-    scale=np.array([0.37, 0.20, 1.03, 0.26]),
-    weight=np.array([2.81, -1.18, -1.95, 1.28]),
-    intercept=1.61,
+    mean=np.array([0.40, 0.25, -0.60, 0.55]),
+    scale=np.array([0.37, 0.21, 0.96, 0.27]),
+    weight=np.array([2.81, -1.92, -1.89, 2.04]),
+    intercept=1.42,
 )
 
 
@@ -77,6 +84,7 @@ class JudgedStep:
     step: Step
     walking_prob: float  # at its contact, from its evidence and all before
     ratio: float  # likelihood of its evidence while walking to that while not
+    slowness: float  # of the steps up to it
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -111,7 +119,8 @@ class StepGate:
     evidence : WalkEvidence
         Log odds of walking.
     before_s, after_s : float
-        Window of the evidence around a contact: three steps of a slow walker fit in, and the end of a walk is seen.
+        Window of the evidence around a contact: four steps of a usual walk fit in before it, by `slowness` times more
+        seconds for a slow one, and the end of a walk is seen.
     evidence_weight : float
         Power of the likelihood of one step. Smaller: fewer steps lost, more handling passes.
     max_log_ratio : float
@@ -125,11 +134,11 @@ class StepGate:
     min_edge_prob : float
         Probability of walking, with the evidence after it, with which a step before a bout belongs to it.
     max_edge_s : float
-        No step before a bout is that early.
+        No step before a bout is that early, times `slowness`.
     n_fill : int
         So many refused steps more may belong to the beginning of a bout.
     fill_interval_s : float
-        If they are this close.
+        If they are this close, times `slowness`.
     """
 
     rate_hz: float = 100.0
@@ -169,7 +178,7 @@ class StepGate:
 
     @property
     def _n_rows_kept(self) -> int:
-        return self._n_before + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
+        return round(_MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
 
     @property
     def latency_s(self) -> float:
@@ -233,10 +242,11 @@ class StepGate:
         """The evidence of the step that has waited longest, and the steps that pass with it."""
         step = state.waiting[0][1]
         contacts_s = (*state.contacts_s[-3:], step.time_s)
-        window = self._window(state, self._row(state, step), number)
+        intervals_s = [b - a for a, b in pairwise(contacts_s) if 0.0 < b - a < self.max_interval_s]
+        window = self._window(state, self._row(state, step), number, slowness(intervals_s))
         log_odds = 0.0
         if len(window) >= _MIN_ROWS:
-            log_odds = self.evidence.log_odds(evidence_features(window, contacts_s, self.max_interval_s))
+            log_odds = self.evidence.log_odds(evidence_features(window, intervals_s))
         log_ratio = min(max(self.evidence_weight * log_odds, -self.max_log_ratio), self.max_log_ratio)
         ratio = math.exp(log_ratio)
         before = self._prob_after(state.walking_prob, step.time_s - state.judged_s)
@@ -248,16 +258,16 @@ class StepGate:
             contacts_s=contacts_s,
             walking_prob=prob,
             judged_s=step.time_s,
-            held=(*state.held, JudgedStep(step, prob, ratio)),
+            held=(*state.held, JudgedStep(step, prob, ratio, slowness(intervals_s))),
         )
         state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
         return state, [(number, replace(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
 
-    def _window(self, state: StepGateState, row: int, number: int) -> FloatArray:
+    def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
         """Rows around a row; the same however many are remembered."""
         n_rows = (state.n_samples - len(state.rest)) // self._samples_per_row
         n_seen = (number + 1) // self._samples_per_row
-        first = max(row - self._n_before, n_seen - self._n_rows_kept, 0)
+        first = max(row - round(stretch * self._n_before), n_seen - self._n_rows_kept, 0)
         last = min(row + self._n_after + 1, n_seen)
         oldest = n_rows - len(state.rows)
         return np.ascontiguousarray(state.rows[max(first - oldest, 0) : max(last - oldest, 0)])
@@ -274,7 +284,7 @@ class StepGate:
             return self._without_old(state), []
         for _ in range(self.n_fill):
             interval_s = state.held[first].step.time_s - state.held[first - 1].step.time_s
-            first -= first > 0 and interval_s <= self.fill_interval_s
+            first -= first > 0 and interval_s <= self.fill_interval_s * state.held[-1].slowness
         return replace(state, held=(), is_bout=True), [judged.step for judged in state.held[first:]]
 
     def _run(self, state: StepGateState) -> tuple[int, int]:
@@ -296,7 +306,8 @@ class StepGate:
         begin_s = state.held[-1].step.time_s
         if not state.is_bout and begin_s - state.run_s[1] <= self.max_interval_s:
             begin_s = state.run_s[0]
-        return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= self.max_edge_s))
+        max_edge_s = self.max_edge_s * state.held[-1].slowness
+        return replace(state, held=tuple(j for j in state.held if begin_s - j.step.time_s <= max_edge_s))
 
     @property
     def _walking_share(self) -> float:
@@ -318,42 +329,53 @@ class StepGate:
         return ((1.0 - leave) * ratio + leave) / (enter * ratio + 1.0 - enter)
 
 
-def evidence_features(
-    force_mps2: FloatArray, contacts_s: Sequence[float], max_interval_s: float = 2.5
-) -> tuple[float, float, float, float]:
+def slowness(intervals_s: Sequence[float]) -> float:
+    """Median step interval in longest intervals of a usual walk, 1 to 2.2; 1 where none is known."""
+    if not intervals_s:
+        return 1.0
+    return min(max(sorted(intervals_s)[len(intervals_s) // 2] / _USUAL_INTERVAL_S, 1.0), _MAX_SLOWNESS)
+
+
+def evidence_features(force_mps2: FloatArray, intervals_s: Sequence[float]) -> tuple[float, float, float, float]:
     """The features of one step in which walking and handling differ.
 
-    From the specific force around the contact at 25 Hz, (N, 3), N >= 26, and the contact with up to three before it:
-    how much the force repeats with its direction (the autocorrelation's highest value after it was negative), how
-    uneven the rhythm is (standard deviation of the logarithm of three intervals; longer ones than `max_interval_s` are
-    pauses), how far the phone turns for how little it bounces (log of the rms of the force averaged over 0.76 s, over
-    that of its magnitude), and how much the magnitude repeats.
+    From the specific force around the contact at 25 Hz, (N, 3), N >= 26, and up to three step intervals before it: how
+    much the force repeats with its direction (the autocorrelation's highest value after it was negative), how uneven
+    the rhythm is (standard deviation of the logarithm of three intervals), how far the phone turns for how little it
+    bounces (log of the rms of the force averaged over 0.76 s, over that of its magnitude), and how much the magnitude
+    repeats.
+
+    A walk that is c times as slow, c the `slowness`, is averaged c times as long and looked for again at lags of a
+    stride. Its bounce counts c times as much: acceleration falls with c^2 while the tilt of the phone stays. With all
+    of c^2 a phone that is wagged slowly passes as a walk.
     """
+    stretch = slowness(intervals_s)
     x, y, z = force_mps2.T
     magnitude = np.sqrt(x * x + y * y + z * z)
-    bounce_mps2 = float(magnitude.std()) + 0.02
-    box = np.full(19, 1.0 / 19)
+    bounce_mps2 = (float(magnitude.std()) + 0.02) * stretch
+    n_box = min(2 * round(9 * stretch) + 1, len(x) - 1)
+    box = np.full(n_box, 1.0 / n_box)
     slow = sum(float(np.convolve(np.ascontiguousarray(c), box, mode="valid").var()) for c in (x, y, z))
-    intervals = [math.log(b - a) for a, b in pairwise(contacts_s) if 0.0 < b - a < max_interval_s]
     # fewer than three intervals keep no rhythm: as uneven as handling
-    unevenness = float(np.std(intervals)) if len(intervals) > 2 else 0.5
+    unevenness = float(np.std(np.log(intervals_s))) if len(intervals_s) > 2 else 0.5
+    max_lag_s = max(_MAX_LAG_S, _MAX_LAG_STEPS * _USUAL_INTERVAL_S * stretch)
     return (
-        repetition(force_mps2),
+        repetition(force_mps2, max_lag_s),
         unevenness,
         math.log((math.sqrt(slow) + 0.05) / bounce_mps2),
-        repetition(magnitude[:, None]),
+        repetition(magnitude[:, None], max_lag_s),
     )
 
 
-def repetition(signal: FloatArray) -> float:
+def repetition(signal: FloatArray, max_lag_s: float = _MAX_LAG_S) -> float:
     """Highest autocorrelation of (N, d) after it was negative, 0 to 1; 0 if it never was.
 
     r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples that both have, of the signal less
-    its mean, up to 2.24 s at 25 Hz: one step of the slowest walker, two or more of all others.
+    its mean, at 25 Hz and up to a lag: a stride of a usual walk and more.
     """
     centred = signal - signal.mean(axis=0)
     n = len(centred)
-    n_lags = min(57, n - 11)
+    n_lags = min(round(max_lag_s * _EVIDENCE_HZ) + 1, n - 11)
     columns = [np.ascontiguousarray(c) for c in centred.T]
     product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
     energy = np.concatenate([[0.0], np.cumsum((centred * centred).sum(axis=1))])

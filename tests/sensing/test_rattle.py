@@ -1,0 +1,85 @@
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import a_step, cut_uniform, uniform_block
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pdr_filter as pdr
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.rattle import Rattle, RattleState
+from pdr_filter.values import Step
+
+RATTLE = Rattle()
+
+
+def shaking(duration_s: int, jitter_mps2: float = 0.5, seed: int = 0) -> UniformBlock:
+    """|f| that trembles from sample to sample."""
+    noise = np.random.default_rng(seed).normal(0.0, jitter_mps2, 100 * duration_s)
+    return uniform_block(9.8 + noise)
+
+
+def after(block: UniformBlock, steps: list[tuple[int, Step]] | None = None) -> RattleState:
+    return RATTLE.step(RATTLE.init(), block, steps or [])
+
+
+def known_steps(times_s: Sequence[float], late_s: float = 1.0) -> list[tuple[int, Step]]:
+    return [(round(100 * (t + late_s)), a_step(t)) for t in times_s]
+
+
+def test_what_shakes_without_a_pause_and_without_steps_is_moving() -> None:
+    state = after(shaking(65))
+    assert (state.moving_s, state.seen_s) == (60, 60)
+
+
+def test_what_lies_still_or_shakes_for_a_moment_is_not() -> None:
+    assert after(shaking(65, jitter_mps2=0.05)).moving_s == 0
+    assert after(shaking(24)).moving_s == 0
+    force = np.concatenate([shaking(19).specific_force_mps2, np.tile([0.0, 0.0, 9.8], (200, 1))])
+    assert after(uniform_block(np.tile(force[:, 2], 4))).moving_s == 0
+
+
+@pytest.mark.parametrize("late_s", [0.9, 4.0])
+def test_somebody_who_walks_is_not_moving_without_steps(late_s: float) -> None:
+    times_s = np.arange(1.0, 58.0, 0.6).tolist()
+    assert after(shaking(65), known_steps(times_s, late_s)).moving_s == 0
+    # twenty seconds and more after the last step it is
+    assert after(shaking(65), known_steps(times_s[:20], late_s)).moving_s == pytest.approx(46, abs=2)
+
+
+def test_a_gap_ends_the_run_and_keeps_the_sum() -> None:
+    state = RATTLE.after_gap(after(shaking(65)))
+    assert RATTLE.step(state, shaking(20), []).moving_s == 60
+    assert RATTLE.step(state, shaking(30), []).moving_s == 85
+
+
+@settings(deadline=None, max_examples=30)
+@given(seed=st.integers(0, 99), edges=st.lists(st.integers(1, 6999), max_size=30))
+def test_the_state_is_the_same_however_the_samples_are_cut(seed: int, edges: list[int]) -> None:
+    rng = np.random.default_rng(seed)
+    block = shaking(70, seed=seed)
+    steps = known_steps(sorted(rng.uniform(5.0, 45.0, 3)), late_s=float(rng.uniform(0.9, 9.0)))
+    whole, cut, n = after(block, steps), RATTLE.init(), 0
+    for part in cut_uniform(block, sorted({*edges, *range(100, 7000, 100)})):
+        cut = RATTLE.step(cut, part, [s for s in steps if n <= s[0] < n + len(part.time_s)])
+        n += len(part.time_s)
+    assert (cut.moving_s, cut.seen_s, cut.run_s) == (whole.moving_s, whole.seen_s, whole.run_s)
+    assert len(cut.steps) <= 30
+
+
+@pytest.mark.recordings
+def test_a_trolley_is_said_to_move_and_somebody_who_sits_is_not(data_dir: Path) -> None:
+    trolley = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_trolley2_1.zip"))
+    assert any("moving without steps for" in note for note in trolley.notes)
+    sitting = pdr.track(pdr.read(data_dir / "motionsense" / "motionsense_s01_sit_5.zip"))
+    assert not any("moving without steps" in note for note in sitting.notes)
+
+
+@pytest.mark.parametrize("rate_hz", [0.0, 60.0])
+def test_a_rate_that_is_no_multiple_of_50_hz_is_refused(rate_hz: float) -> None:
+    with pytest.raises(ValueError, match="multiple of 50"):
+        Rattle(rate_hz)
