@@ -9,6 +9,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import chi2
 
 from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
+from pdr_filter.sensing.device import Device
 from pdr_filter.serialise import from_bytes, to_bytes
 
 READING = np.array([0.0, np.sin(0.7), np.cos(0.7)])
@@ -281,12 +282,16 @@ def test_a_phone_turned_in_the_hand_learns_the_same_bias_about_other_axes(seed: 
 
 
 def test_a_bias_known_from_before_is_where_the_estimate_begins() -> None:
-    known = (0.05, -0.1, 0.02)
-    estimator = GyroBias(prior_radps=known)
-    phone = Phone.of(np.array(known), estimator)
-    np.testing.assert_allclose(phone.state.bias_radps, known, rtol=1e-12)
+    known = np.array([0.05, -0.1, 0.02])
+    estimator = GyroBias(device=Device(known, 1e-8 * np.eye(3)), device_prob=0.999)
+    phone = Phone.of(known, estimator)
+    np.testing.assert_allclose(phone.state.bias_radps, 0.999 * known, rtol=1e-12)
     phone.rest(5)
     np.testing.assert_allclose(phone.state.bias_radps, known, atol=1e-6)
+    # another phone after all
+    phone = Phone.of(np.zeros(3), estimator)
+    phone.rest(30)
+    np.testing.assert_allclose(phone.state.bias_radps, 0.0, atol=0.002)
 
 
 def test_an_unknown_angular_rate_teaches_nothing() -> None:

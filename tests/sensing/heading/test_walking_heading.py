@@ -110,6 +110,7 @@ def believed(steps: list[Step], noise: MotionNoise = NOISE) -> tuple[FloatArray,
         elapsed_s = step.duration_s if last_s is None else step.time_s - last_s
         variance += noise.heading_drift.random_walk_rad_per_sqrt_s**2 * (elapsed_s - step.heading_unknown_s)
         variance += noise.heading_drift.unknown_rad_per_sqrt_s**2 * step.heading_unknown_s
+        variance += 2 * noise.heading_drift.bias_correlation_s * step.yaw_bias_std_radps**2 * elapsed_s
         variance = min(variance + step.offset_change_std_rad**2, np.pi**2 / 3)
         last_s = step.time_s
         if np.isfinite(step.walking_heading_std_rad):
@@ -335,10 +336,11 @@ def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> No
         heading_error_rad=np.where(np.arange(n) < n // 2, 0.0, 0.3),
         heading_error_var_rad2=np.where(np.arange(n) < n // 2, 0.04, 0.01),
     )
-    unsure = [(k, replace(s, yaw_bias_std_radps=0.02)) for k, s in steps]
-    _, result = STAGE.step(STAGE.init(), block, late, modes(n, "pocket"), unsure)
-    noise = MotionNoise(replace(NOISE.heading_drift, random_walk_rad_per_sqrt_s=np.hypot(0.008, 0.02 * 6**0.5)))
-    offset, variance = believed([s for _, s in result], noise)
+    _, result = STAGE.step(STAGE.init(), block, late, modes(n, "pocket"), steps)
+    offset, variance = believed([s for _, s in result])
+    half = len(result) // 2 - 3
+    assert abs(offset[half]) < 0.02
+    assert 0.035 < variance[half] < 0.05
     assert_allclose(offset[-1], -0.3, atol=0.02)
     assert 0.01 < variance[-1] < 0.015
 
