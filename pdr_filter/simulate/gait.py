@@ -14,8 +14,8 @@ STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
 STOREY_HEIGHT_M = 18 * STAIR_RISE_M
 TYPICAL_HEIGHT_M = 1.75
-# A person sets off and stops with shorter steps.
-END_STEP_FACTOR = 0.7
+# A person sets off and stops with shorter steps: the first is half a step, since the feet are together.
+END_STEP_FACTORS = (0.45, 0.8, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
@@ -233,14 +233,16 @@ def _leg_steps(
     if leg.duration_s is not None:
         n = max(1, round(leg.duration_s * frequency_hz))
     else:
-        n = max(1, round(float(leg.distance_m or 0.0) / mean_m + n_ends * (1.0 - END_STEP_FACTOR)))
+        missing = n_ends * sum(1.0 - factor for factor in END_STEP_FACTORS)
+        n = max(1, round(float(leg.distance_m or 0.0) / mean_m + missing))
     variation = np.clip(rng.standard_normal((2, n)), -2.5, 2.5)
     durations = (1.0 + gait.frequency_std * variation[0]) / frequency_hz
     lengths = np.full(n, mean_m)
     if not on_stairs:
         lengths *= 1.0 + gait.length_std * variation[1]
-        lengths[0] *= END_STEP_FACTOR if before is None else 1.0
-        lengths[-1] *= 1.0 if joins_next else END_STEP_FACTOR
+        for k, factor in enumerate(END_STEP_FACTORS[:n]):
+            lengths[k] *= factor if before is None else 1.0
+            lengths[-1 - k] *= 1.0 if joins_next else factor
     if before is not None:
         # The first step of a new pace is between the paces.
         before_hz, before_m = nominal_step(before, gait)

@@ -25,9 +25,10 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 GRID_HZ = 1000.0
 # The grid begins and ends this much outside the walk, so that every sensor's clock may.
 MARGIN_S = 0.25
-CONTEXT_BLEND_S = 0.5
+CONTEXT_BLEND_S = 1.0
 CARRYING_BLEND_S = 1.2
-STILL_HAND_RADPS, STILL_HAND_MPS = 0.045, 0.0025  # root mean square of a hand that holds a phone still
+# Root mean square of a hand that holds a phone still: it nods more than it tilts or turns.
+STILL_HAND_RADPS, STILL_HAND_MPS = (0.07, 0.025, 0.025), 0.0025
 TURN_RATE_RADPS = 1.3  # mean; the peak of a minimum-jerk turn is 1.9 times higher
 # Parts of a step from a contact to where the vertical force at step frequency is highest. Oxford: 0.02 to 0.11 before
 # the foot's switch was read, which is every 0.1 s and so 0.09 late on average.
@@ -57,8 +58,8 @@ class Carrying:
 
 
 CARRYING: dict[str, Carrying] = {
-    "texting": Carrying(place=(0.0, 0.19, 0.72)),
-    "pocket": Carrying(place=(0.08, 0.04, 0.4), strides="pocket", pitch_rad=-np.pi / 2, force=1.35),
+    "texting": Carrying(place=(0.0, 0.19, 0.72), force=1.15),
+    "pocket": Carrying(place=(0.08, 0.04, 0.4), strides="pocket", pitch_rad=-np.pi / 2, force=1.45),
     "swinging": Carrying(place=(0.12, 0.03, 0.42), strides="swinging", roll_rad=np.pi / 2),
     "calling": Carrying(place=(0.05, 0.03, 0.93), strides="calling", pitch_rad=1.2, roll_rad=-1.4),
 }
@@ -179,12 +180,25 @@ def heading_course(
     return facing, facing + np.array([leg.travel_offset_rad for leg in legs])[at_leg]
 
 
-def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> FloatArray:
-    """East, north and height of the ground under the person, (N, 3).
+def progress_m(time_s: FloatArray, plan: StepPlan) -> FloatArray:
+    """Way of the body, (N,), through the sum of the step lengths at every contact; smooth over a whole bout.
 
-    The progress passes through the sum of the step lengths at every contact.
+    Setting off takes some steps: pieces from contact to contact would push anew in each.
     """
-    progress = through_contacts(time_s, plan, plan.length_m)
+    way = np.zeros_like(time_s)
+    begins, ends = np.flatnonzero(plan.first), np.flatnonzero(plan.last) + 1
+    for i, j in zip(begins, ends, strict=True):
+        at_s = np.append(plan.start_s[i], plan.contact_s[i:j])
+        way_m = np.append(0.0, np.cumsum(plan.length_m[i:j]))
+        rest = [(1, 0.0), (2, 0.0)]
+        spline = make_interp_spline(at_s, way_m, k=5, bc_type=(rest, rest))
+        way += np.where(time_s < at_s[-1], spline(np.clip(time_s, at_s[0], at_s[-1])), way_m[-1])
+    return way
+
+
+def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> FloatArray:
+    """East, north and height of the ground under the person, (N, 3)."""
+    progress = progress_m(time_s, plan)
     middle = 0.5 * (travel_rad[1:] + travel_rad[:-1])
     east, north = (np.append(0.0, np.cumsum(np.diff(progress) * f(middle))) for f in (np.sin, np.cos))
     return np.stack([east, north, through_contacts(time_s, plan, plan.rise_m)], axis=1)
@@ -222,7 +236,7 @@ def build_motion(
     blend = leg_blend(time_s, plan, legs, CONTEXT_BLEND_S)
     tremor_size = blend([CONTEXT_GAITS[leg.context].tremor * c.tremor for leg, c in zip(legs, carrying, strict=True)])
     for k in range(3):
-        turned[:, k] += STILL_HAND_RADPS * gait.tremor_factor * tremor_size * tremor(time_s, rng)
+        turned[:, k] += STILL_HAND_RADPS[k] * gait.tremor_factor * tremor_size * tremor(time_s, rng)
         moved[:, k] += STILL_HAND_MPS * gait.tremor_factor * tremor_size * tremor(time_s, rng)
     turned[:, 2] -= facing
     slow = leg_blend(time_s, plan, legs, CARRYING_BLEND_S)
