@@ -18,7 +18,7 @@ import numpy as np
 from scipy.interpolate import BSpline, make_interp_spline
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.simulate.gait import CONTEXT_GAITS, Gait, Leg, StepPlan, nominal_step
+from pdr_filter.simulate.gait import CONTEXT_GAITS, FORCE_POWER, Gait, Leg, StepPlan, nominal_step
 from pdr_filter.simulate.strides import FORCE, N_HARMONICS, TURN, Strides, of_person, usual_force_mps2, waveform
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
@@ -60,8 +60,8 @@ class Carrying:
 CARRYING: dict[str, Carrying] = {
     "texting": Carrying(place=(0.0, 0.19, 0.72), force=1.15),
     "pocket": Carrying(place=(0.08, 0.04, 0.4), strides="pocket", pitch_rad=-np.pi / 2, force=1.45),
-    "swinging": Carrying(place=(0.12, 0.03, 0.42), strides="swinging", roll_rad=np.pi / 2),
-    "calling": Carrying(place=(0.05, 0.03, 0.93), strides="calling", pitch_rad=1.2, roll_rad=-1.4),
+    "swinging": Carrying(place=(0.12, 0.03, 0.42), strides="swinging", roll_rad=np.pi / 2, force=1.1),
+    "calling": Carrying(place=(0.05, 0.03, 0.93), strides="calling", pitch_rad=1.2, roll_rad=-1.4, force=1.1),
 }
 
 # Axes of the six angles, in the order of their rotations.
@@ -280,7 +280,8 @@ def leg_strides(leg: Leg, place: Carrying, gait: Gait) -> Strides:
     frequency_hz, length_m = nominal_step(leg, gait)
     usual_mps2 = usual_force_mps2(place.strides, leg.context)
     force = gait.vertical_force_mps2(leg.context, frequency_hz, length_m, usual_mps2)
-    force *= float(own.amplitude_mps2[0]) / usual_mps2 * (place.force if leg.context == "walking" else 1.0)
+    force *= float(own.amplitude_mps2[0] / usual_mps2) ** FORCE_POWER
+    force *= place.force if leg.context == "walking" else 1.0
     usual_m = gait.step_length_m(leg.context, gait.step_frequency_hz(leg.context))
     number = np.arange(1, N_HARMONICS + 1)
     blow = np.where(number >= IMPACT, gait.impact_factor, 1.0)

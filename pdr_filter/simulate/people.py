@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -99,6 +100,7 @@ def _calling(rng: np.random.Generator) -> Carrying:
         pitch_rad=rng.normal(EAR_PITCH_RAD, 0.2),
         roll_rad=-side * rng.normal(EAR_ROLL_RAD, 0.25),
         side=side,
+        force=1.1,
         **_grip(rng),
     )
 
@@ -114,6 +116,7 @@ def _swinging(rng: np.random.Generator) -> Carrying:
         roll_rad=side * (np.pi / 2 + rng.normal(0.0, 0.35)) if along else rng.uniform(-np.pi, np.pi),
         twist_rad=rng.normal(0.0, 0.15),
         side=side,
+        force=1.1,
         **_grip(rng),
     )
 
@@ -134,7 +137,7 @@ def _pocket(rng: np.random.Generator) -> Carrying:
     )
 
 
-def _grip(rng: np.random.Generator) -> dict[str, float]:
+def _grip(rng: np.random.Generator) -> dict[str, Any]:
     """How firmly a hand or pocket holds the phone."""
     return {"turn": _about(rng, 1.0, 0.1), "loose": _about(rng, 1.0, 0.15), "tremor": _about(rng, 1.0, 0.4)}
 

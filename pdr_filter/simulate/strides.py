@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, fields, replace
 from functools import cache
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -160,7 +161,7 @@ def waveform(stride: FloatArray, mean: ComplexArray, differences: ComplexArray, 
     """
     result = np.empty((len(stride), mean.shape[1]))
     begin = np.searchsorted(stride, first + np.arange(len(differences)))
-    for k, (a, b) in enumerate(zip(begin[:-1], begin[1:], strict=True)):
+    for k, (a, b) in enumerate(pairwise(begin)):
         if a == b:
             continue
         turns = np.exp(2j * np.pi * stride[a:b, None])

@@ -3,8 +3,8 @@
 usage: python -m tests.benchmarks.stride_harmonics [--data ../shared/data] [--print]
 
 Licensed recordings only: motionsense and difronzo (MIT, trouser pockets), humolire (CC BY 4.0) and ms_indoor (MIT, in
-the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). Writes pdr_filter/simulate/measured_strides.npz
-and docs/tables/measured_strides.md. Nothing of a recording is kept but means and scatter of Fourier coefficients.
+the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). The tables are measured_strides.npz in
+pdr_filter/simulate, and docs/tables/measured_strides.md for people. Nothing of a recording is kept but means and scatter of Fourier coefficients.
 
 A stride is two steps, from one maximum of the vertical specific force at step frequency to the maximum after the next.
 Attitudes are those of vqf run in both directions. The frame turns with the phone's mean heading; its forward is where
@@ -143,7 +143,7 @@ def _cut(force: FloatArray, rate: FloatArray, hz: float) -> tuple[ComplexArray, 
     attitude = Rotation.from_euler("z", smooth[:, None]) * attitude
     moved = attitude.apply(force) - [0.0, 0.0, STANDARD_GRAVITY_MPS2]
     band = butter(2, [0.75 * hz, 1.25 * hz], "bandpass", fs=RATE_HZ, output="sos")
-    analytic: ComplexArray = hilbert(sosfiltfilt(band, moved[:, 2]))
+    analytic = np.asarray(hilbert(sosfiltfilt(band, moved[:, 2])))
     size = np.abs(analytic)
     stride = np.maximum.accumulate(np.unwrap(np.angle(analytic))) / (4 * np.pi)
     sample, numbers = np.arange(len(stride)), np.arange(np.ceil(stride[0] + 0.5), np.floor(stride[-1] - 0.5))
@@ -293,7 +293,10 @@ def measured(group: Sequence[Stretch], max_level: FloatArray) -> Strides:
     ways, rest = _ways(group, level)
     force = np.array([s.force_mps2 * _to_usual_cadence(s) for s in group])
     if few:
-        force, level = np.exp(np.log(force).mean(keepdims=True)), np.minimum(level.mean(axis=0, keepdims=True), max_level)
+        force, level = (
+            np.exp(np.log(force).mean(keepdims=True)),
+            np.minimum(level.mean(axis=0, keepdims=True), max_level),
+        )
     return Strides(
         people=mean[order],
         amplitude_mps2=force[order],
@@ -358,8 +361,10 @@ def main() -> None:
         write(found)
 
 
-COLUMNS = ("place", "context", "people", "steps/s", "up 2, 1, 4", "forward 1, 2", "right 1, 2", "pitch 1, 2", "roll 1")
-COLUMNS = (*COLUMNS, "yaw 1", "scatter of strides: up 2, pitch 1")
+COLUMNS = (
+    *("place", "context", "people", "steps/s", "up 2, 1, 4", "forward 1, 2", "right 1, 2", "pitch 1, 2"),
+    *("roll 1", "yaw 1", "scatter of strides: up 2, pitch 1"),
+)
 ABOUT = (
     "Amplitudes at multiples of the stride frequency, forces in m/s2, turns in degrees: median over people (their "
     "standard deviation, relative)."
