@@ -3,8 +3,8 @@
 usage: python -m tests.benchmarks.stride_harmonics [--data ../shared/data] [--print]
 
 Licensed recordings only: motionsense and difronzo (MIT, trouser pockets), humolire (CC BY 4.0) and ms_indoor (MIT, in
-the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). The tables are measured_strides.npz in
-pdr_filter/simulate, and docs/tables/measured_strides.md for people. Nothing of a recording is kept but means and scatter of Fourier coefficients.
+the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). Written are measured_strides.npz of
+`pdr_filter.simulate` and docs/tables/measured_strides.md, for people. Nothing of a recording is kept but means and scatter of Fourier coefficients.
 
 A stride is two steps, from one maximum of the vertical specific force at step frequency to the maximum after the next.
 Attitudes are those of vqf run in both directions. The frame turns with the phone's mean heading; its forward is where
