@@ -93,7 +93,9 @@ def real_windows(data: Path) -> LabelledWindows:
 def left_out(windows: LabelledWindows) -> TextArray:
     """Context of each window by models that have not seen its person."""
     named = np.isin(windows.dataset, ("motionsense", "difronzo"))
-    folds = [np.isin(np.arange(len(named)), np.flatnonzero(named)[test]) for _, test in _folds(windows.person[named], 4)]
+    folds = [
+        np.isin(np.arange(len(named)), np.flatnonzero(named)[test]) for _, test in _folds(windows.person[named], 4)
+    ]
     folds += [windows.dataset == site for site in SETS if site not in ("motionsense", "difronzo")]
     trained = np.isin(windows.dataset, PLAN.datasets) & windows.has_gyroscope
     said = np.empty(len(windows.context), dtype=object)
@@ -132,14 +134,14 @@ def contexts(tables: Tables, data: Path, n_people: int) -> None:
     for place in PLACES:
         made = simulated_windows(place, n_people)
         made_said = np.array(PLAN.labels)[model.probabilities(made.features).argmax(axis=1)]
-        for context in ("stationary", *MOVING):
+        for context in MOVING:
             own = made.context == context
             there = of_place(real, place) & (real.context == context)
             people = np.unique(real.person[there])
             of_each = [np.mean(said[there & (real.person == p)] == context) for p in people]
             cells: list[object] = [f"{np.mean(made_said[own] == context):.2f}"]
             cells += [f"{np.mean(of_each):.2f}" if len(people) else "-", len(people) or "-"]
-            if len(people) and context != "stationary" and there.sum() > 300:
+            if len(people) and there.sum() > 300:
                 area, best = told_apart(real.part(there), made.part(own))
                 cells += [f"{area:.2f}", best]
             else:
@@ -190,7 +192,9 @@ def frame_rad(walk: pdr.Recording, motion: Motion, track: pdr.Track) -> float:
     true = motion.spline(block.time_s[early], 2)[:, :2]
     own = attitude.horizontal_mps2[early]
     north = np.angle(((true[:, 1] + 1j * true[:, 0]) * (own[:, 1] - 1j * own[:, 0])).sum())
-    learnt = [s.walking_heading_rad - s.device_heading_rad for s in track.steps if np.isfinite(s.walking_heading_std_rad)]
+    learnt = [
+        s.walking_heading_rad - s.device_heading_rad for s in track.steps if np.isfinite(s.walking_heading_std_rad)
+    ]
     return float(north + (learnt[0] if learnt else 0.0))
 
 

@@ -4,7 +4,8 @@ usage: python -m tests.benchmarks.stride_harmonics [--data ../shared/data] [--pr
 
 Licensed recordings only: motionsense and difronzo (MIT, trouser pockets), humolire (CC BY 4.0) and ms_indoor (MIT, in
 the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). Written are measured_strides.npz of
-`pdr_filter.simulate` and docs/tables/measured_strides.md, for people. Nothing of a recording is kept but means and scatter of Fourier coefficients.
+`pdr_filter.simulate` and, for people to read, docs/tables/measured_strides.md. Nothing of a recording is kept but means
+and scatter of Fourier coefficients.
 
 A stride is two steps, from one maximum of the vertical specific force at step frequency to the maximum after the next.
 Attitudes are those of vqf run in both directions. The frame turns with the phone's mean heading; its forward is where
@@ -38,7 +39,7 @@ RATE_HZ = 100.0
 N_PHASES = 64
 SETS = ("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor")
 N_WAYS = 30  # principal ways in which strides differ: two thirds to nine tenths of the variance
-MAX_HAND = 15  # recordings of ms_indoor, whose surveyors have no names: the longest
+OF_HANDS = 8  # recordings of humolire, all but one, and of ms_indoor
 ONE_PERSON_SPREAD = 0.25  # of a coefficient's size, assumed where only one person was measured
 MAX_LEVEL = 0.3  # of the forces: strides that differ more were not tracked, or are not one gait
 # Published under the wrong label, by cadence, force and swing of the thigh: each is like the person's others of the
@@ -224,11 +225,6 @@ def mirrored(harmonics: ComplexArray) -> ComplexArray:
     return harmonics * np.array([-1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 
 
-def reversed_(harmonics: ComplexArray) -> ComplexArray:
-    """Backward for forward."""
-    return harmonics * np.array([-1.0, -1.0, 1.0, -1.0, -1.0, 1.0])
-
-
 def alike(a: ComplexArray, b: ComplexArray) -> float:
     """Correlation of two mean strides."""
     a, b = a[:11] / _UNITS, b[:11] / _UNITS
@@ -248,13 +244,13 @@ def _one_foot_first(harmonics: ComplexArray, run: IntArray) -> ComplexArray:
     return harmonics
 
 
-def aligned(group: Sequence[Stretch], reference: ComplexArray, both_ways: bool) -> tuple[list[Stretch], ComplexArray]:
+def aligned(group: Sequence[Stretch], reference: ComplexArray) -> tuple[list[Stretch], ComplexArray]:
     """Stretches of one place and context with the same foot and side first, and their mean."""
     group = list(group)
     for _ in range(4):
         for i, stretch in enumerate(group):
             found = [stretch.harmonics]
-            for change in (other_foot, mirrored, *([reversed_] if both_ways else [])):
+            for change in (other_foot, mirrored):
                 found += [change(h) for h in found]
             best = max(found, key=lambda h: alike(h.mean(axis=0), reference))
             group[i] = replace(stretch, harmonics=best)
@@ -266,18 +262,22 @@ def aligned(group: Sequence[Stretch], reference: ComplexArray, both_ways: bool) 
 
 
 def of_people(group: Sequence[Stretch]) -> list[Stretch]:
-    """One stretch of each person: of those of a dozen strides, the one whose strides are most alike."""
+    """One stretch of each person: of those of a dozen strides, the one whose strides are most alike.
+
+    In the hand, where one site has one person and the other surveyors without names, the longest of each site.
+    """
+    if group[0].place == "texting":
+        sites = sorted({s.person for s in group})
+        own = [sorted((s for s in group if s.person == site), key=lambda s: -len(s.harmonics)) for site in sites]
+        return [stretch for stretches_ in own for stretch in stretches_[:OF_HANDS]]
     people: dict[str, list[Stretch]] = {}
     for stretch in group:
-        who = stretch.name if stretch.person.startswith("ms_indoor") else stretch.person
-        people.setdefault(who, []).append(stretch)
+        people.setdefault(stretch.person, []).append(stretch)
     chosen: list[Stretch] = []
-    for _, own in sorted(people.items()):
-        long = [s for s in own if len(s.harmonics) >= 12] or [max(own, key=lambda s: len(s.harmonics))]
+    for _, stretches_ in sorted(people.items()):
+        long = [s for s in stretches_ if len(s.harmonics) >= 12] or [max(stretches_, key=lambda s: len(s.harmonics))]
         chosen.append(min(long, key=lambda s: float(s.level[0])))
-    surveyors = [s for s in chosen if s.person.startswith("ms_indoor")]
-    short = sorted(surveyors, key=lambda s: -len(s.harmonics))[MAX_HAND:]
-    return [s for s in chosen if not any(s is other for other in short)]
+    return chosen
 
 
 def measured(group: Sequence[Stretch], max_level: FloatArray) -> Strides:
@@ -346,7 +346,7 @@ def main() -> None:
         group = groups[place, context]
         known = reference.get(place) if place == "pocket" else None
         start = group[0].harmonics.mean(axis=0) if known is None else known
-        group, mean = aligned(group, start, both_ways=known is not None)
+        group, mean = aligned(group, start)
         if context == "walking":
             if place == "pocket" and mean[0, 3].real < 0:  # the phone's own foot lands at phase 0: its thigh is ahead
                 group, mean = [replace(s, harmonics=other_foot(s.harmonics)) for s in group], other_foot(mean)
