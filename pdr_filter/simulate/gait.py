@@ -34,7 +34,7 @@ class ContextGait:
 
 CONTEXT_GAITS = {
     "stationary": ContextGait(),
-    "walking": ContextGait(1.9, 0.05, 0.2, tremor=1.5),
+    "walking": ContextGait(1.9, 0.05, 0.2, tremor=2.2),
     "upstairs": ContextGait(1.85, rise_m=STAIR_RISE_M, tremor=1.5),
     "downstairs": ContextGait(2.05, rise_m=-STAIR_RISE_M, tremor=1.5),
     "sideways": ContextGait(1.4, 0.089, 0.12, tremor=1.5),

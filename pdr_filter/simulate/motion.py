@@ -58,7 +58,7 @@ class Carrying:
 
 
 CARRYING: dict[str, Carrying] = {
-    "texting": Carrying(place=(0.0, 0.19, 0.72), force=1.15),
+    "texting": Carrying(place=(0.0, 0.19, 0.72), force=1.15, turn=1.15),
     "pocket": Carrying(place=(0.08, 0.04, 0.4), strides="pocket", pitch_rad=-np.pi / 2, force=1.45),
     "swinging": Carrying(place=(0.12, 0.03, 0.42), strides="swinging", roll_rad=np.pi / 2, force=1.1),
     "calling": Carrying(place=(0.05, 0.03, 0.93), strides="calling", pitch_rad=1.2, roll_rad=-1.4, force=1.1),

@@ -7,9 +7,10 @@ plan without them: a fourth of the people of motionsense and difronzo at a time,
 decision tree of depth 5 is trained on the features of the context model to tell simulated windows from real ones, and
 tested on people left out, real and simulated; 0.5 is no difference. Its best feature is the one it uses most.
 
-tracks: walks of nine legs, 80 to 270 m, with corners, by the default recipe. The truth is turned into the track's frame,
-whose north is the first heading learnt. NEES of the last position: 2 is right. "Direction known" and "length known" put the true walking direction or
-the true length in the place of each step's own and leave the rest; the ellipses stay.
+tracks: walks of nine legs, 80 to 270 m, with corners, by the default recipe. The truth is turned into the frame of the
+track, whose north is the first heading learnt. NEES of the last position: 2 is right. "Direction known" and "length
+known" put the true walking direction or the true length in the place of each step's own and leave the rest; the
+ellipses stay.
 """
 
 from __future__ import annotations
@@ -227,7 +228,10 @@ def tracks(tables: Tables, n_people: int) -> None:
     for place in PLACES:
         found = [outcome(*walk_of(place, number)) for number in range(n_people)]
         nees = np.array([o.nees for o in found])
-        both = [f"{mean:.1f} ({median:.1f})" for mean, median in zip(nees.mean(axis=0), np.median(nees, axis=0))]
+        both = [
+            f"{mean:.1f} ({median:.1f})"
+            for mean, median in zip(nees.mean(axis=0), np.median(nees, axis=0), strict=True)
+        ]
         sure = nees[np.array([o.walking > 0.9 and o.lost_steps < 0.02 for o in found]), 0]
         rest = f"{sure.mean():.1f} ({np.median(sure):.1f}), {len(sure)}" if len(sure) else "-"
         distance = np.array([o.distance for o in found])
