@@ -92,7 +92,7 @@ def assert_same_updates(actual: Sequence[pdr.StepUpdate], expected: Sequence[pdr
 @pytest.mark.parametrize("seed", [0, 1])
 def test_the_simulated_walk_gives_the_same_bits_however_it_arrives(demo: Recording, weighting: str, seed: int) -> None:
     track = tracked(demo, weighting=weighting)
-    assert track.n_steps > 200
+    assert track.n_steps > 190
     blocks = cut_randomly(pdr.merge_streams(demo), seed, mean_length=[40, 7][seed])
     online = online_filter(weighting)
     assert_updates_are_the_track(stream(online, blocks), track)
@@ -142,9 +142,11 @@ def test_a_fix_added_when_it_arrives_is_used_as_if_it_had_been_known(short_walk:
     track = tracked(short_walk, fixes=[fix])
     block = pdr.merge_streams(short_walk)
     online, updates = online_filter("imm"), []
+    waits = True
     for piece in cut_randomly(block, 8, mean_length=10):
-        if len(piece.time_s) and piece.time_s[0] <= 9.4 <= piece.time_s[-1]:
+        if waits and len(piece.time_s) and piece.time_s[-1] >= 9.4:
             online.add_fix(fix)
+            waits = False
         updates += push(online, piece)
     assert_updates_are_the_track([*updates, *online.finish()], track)
 
@@ -153,7 +155,7 @@ def test_a_fix_moves_the_steps_that_become_known_after_it_was_received_and_no_ea
     short_walk: Recording,
 ) -> None:
     known_s = tracked(short_walk).steps.detected_time_s
-    for received_s in (known_s[7] - 1e-4, known_s[7], known_s[7] + 1e-4):
+    for received_s in (known_s[5] - 1e-4, known_s[5], known_s[5] + 1e-4):
         fix = PositionFix(2.0, np.array([30.0, 30.0]), 400 * np.eye(2), received_time_s=received_s)
         moved = (tracked(short_walk, fixes=[fix]).position_m != tracked(short_walk).position_m).any(axis=1)
         np.testing.assert_array_equal(moved, known_s >= received_s)

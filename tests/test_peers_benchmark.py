@@ -137,4 +137,4 @@ def test_body_axes_of_a_simulated_walk_are_those_of_the_person() -> None:
     force = walk.body[0][use]
     np.testing.assert_allclose(force.mean(axis=0), exact.mean(axis=0), atol=0.3)  # a phone's own bias
     for axis in (1, 2):  # ahead, with its sign, and up
-        assert np.corrcoef(force[:, axis], exact[:, axis])[0, 1] > 0.95
+        assert np.corrcoef(force[:, axis], exact[:, axis])[0, 1] > 0.9

@@ -52,7 +52,7 @@ class Demo:
         console.print(_context_bars(result))
         console.print()
         if self.is_simulated:
-            console.print("note: the models know real people: simulated side steps and stairs pass for something else")
+            console.print("note: the models know nobody who walks sideways: side steps pass for something else")
         for note in result.notes:
             console.print(f"note: {escape(note)}")
         if result.notes:

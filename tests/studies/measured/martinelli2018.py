@@ -248,14 +248,7 @@ def _put_together(data: Path, person: str) -> Recording | None:
 
 # On a belt, in front of the hip and upright: it moves with the trunk.
 _WAIST = {
-    "waist": Carrying(
-        pivot=(0.1, 0.06, 0.06),
-        pitch_rad=np.pi / 2,
-        impact_sideways=0.3,
-        wobble_pitch_rad=0.03,
-        wobble_roll_rad=0.04,
-        wobble_yaw_rad=0.06,
-    )
+    "waist": Carrying(place=(0.1, 0.06, 0.59), strides="texting", pitch_rad=np.pi / 2),
 }
 _RIGHT = np.pi / 2
 _N_STAIRS = 71

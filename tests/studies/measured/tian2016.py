@@ -130,10 +130,6 @@ def _carried(events: Sequence[Event]) -> Carried:
 # --- Simulated walks -------------------------------------------------------------------------------------------------
 
 
-# The default's classifier takes walking with the simulator's loose pocket for stairs, which real pockets it does not.
-_TIGHT_POCKET = replace(CARRYING["pocket"], wobble_roll_rad=0.1, wobble_twist_rad=0.05)
-
-
 def _places(rng: np.random.Generator) -> dict[str, Carrying]:
     """Where a simulated person has the phone: in a pocket top up or down, screen in or out; in either swinging hand."""
 
@@ -142,7 +138,7 @@ def _places(rng: np.random.Generator) -> dict[str, Carrying]:
         return replace(place, roll_rad=float(roll_rad), twist_rad=float(twist_rad))
 
     side = float(rng.choice([-1.0, 1.0]))
-    pocket = turned(_TIGHT_POCKET, float(rng.choice([0.0, np.pi])), float(rng.choice([0.0, np.pi])))
+    pocket = turned(CARRYING["pocket"], float(rng.choice([0.0, np.pi])), float(rng.choice([0.0, np.pi])))
     return {**CARRYING, "swinging": turned(CARRYING["swinging"], (side - 1) * np.pi / 2, 0.0), "pocket": pocket}
 
 
