@@ -90,7 +90,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     power_low_pass_hz: float = 5.5
     low_pass_hz: float = 4.0
     min_peak_mps2: float = 0.15
-    relative_peak: float = 0.25
+    relative_peak: float = 0.3
     rhythm_share: float = 1 / 3
     rhythm_tolerance: float = 0.25
     min_interval: float = 0.6
