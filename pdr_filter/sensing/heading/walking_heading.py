@@ -155,7 +155,7 @@ class WalkingHeading:
     running_mps2: float = 8.5
     strides: StrideAgreement = field(default_factory=StrideAgreement)
     systematic_std_rad: float = math.radians(6.0)
-    held_systematic_std_rad: float = math.radians(12.0)
+    held_systematic_std_rad: float = math.radians(20.0)
     systematic_s: float = 300.0
     axis_std_rad: float = math.radians(7.0)
     guessed_axis_std_rad: float = math.radians(12.0)
