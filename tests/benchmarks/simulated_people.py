@@ -8,8 +8,8 @@ decision tree of depth 5 is trained on the features of the context model to tell
 tested on people left out, real and simulated; 0.5 is no difference. Its best feature is the one it uses most.
 
 tracks: walks of nine legs, 80 to 270 m, with corners, by the default recipe. The truth is turned into the frame of the
-track, whose north is where the person walks at first. NEES of the last position: 2 is right. "Direction known" and "length
-known" put the true walking direction or the true length in the place of each step's own and leave the rest; the
+track, whose north is where the person walks at first. NEES of the last position: 2 is right. "Direction known" and
+"length known" put the true walking direction or the true length in the place of each step's own and leave the rest; the
 ellipses stay.
 """
 
@@ -72,7 +72,7 @@ def simulated_windows(place: str, n_people: int) -> LabelledWindows:
         legs += [Leg(c, duration_s=14.0, turn_rad=turn_rad) for c in ("walking", "upstairs", "walking", "downstairs")]
         legs.append(Leg("running", duration_s=14.0))
         rate_hz = 50.0 if number % 2 else 100.0
-        return simulate(legs, gait, mode, rate_hz=rate_hz, seed=number, carrying={mode: carrying})
+        walk = simulate(legs, gait, mode, rate_hz=rate_hz, seed=number, carrying={mode: carrying})
         found = [
             (window.features, *label)
             for window in feature_windows(stage, [merge_streams(walk)])
@@ -175,7 +175,7 @@ def walk_of(place: str, number: int) -> pdr.Recording:
     for _ in range(8):
         turn_rad = float(rng.choice([-1.0, 1.0])) * np.pi / 2
         legs.append(Leg("walking", distance_m=float(rng.uniform(10, 30)), turn_rad=turn_rad))
-    walk = simulate(legs, gait, mode, seed=number, carrying={mode: carrying}, name=f"{mode}_{number}")
+    return simulate(legs, gait, mode, seed=number, carrying={mode: carrying}, name=f"{mode}_{number}")
 
 
 def frame_rad(track: pdr.Track, at: FloatArray) -> float:
