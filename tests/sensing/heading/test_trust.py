@@ -1,0 +1,58 @@
+"""What leads the heading is said: source and trust of each step, notes and report."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers import a_step
+
+import pdr_filter as pdr
+from pdr_filter.report.trust import doubts
+
+
+def test_the_source_of_a_heading_is_axes_then_strides_then_the_device() -> None:
+    step = a_step(1.0)
+    assert step.heading_source == "device"
+    assert replace(step, direction_trust=0.9).heading_source == "strides"
+    assert replace(step, direction_trust=0.1, on_axes=True).heading_source == "axes"
+
+
+def tracked(data_dir: Path, name: str) -> pdr.Track:
+    return pdr.track(pdr.read(data_dir / "oxiod" / f"oxiod_anon_floor1_{name}.zip"))
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("name", ["handbag7", "handbag8", "handbag10"])
+def test_in_a_handbag_the_turn_of_the_phone_leads_and_the_track_says_so(data_dir: Path, name: str) -> None:
+    track = tracked(data_dir, name)
+    assert np.median(track.direction_trust) < 0.25
+    assert sum(source == "device" for source in track.heading_source) > 0.7 * track.n_steps
+    assert any("strides do not agree" in note for note in track.notes)
+    assert any("strides do not agree" in doubt for doubt in doubts(track))
+    # a constant offset: the track is the turn of the device, and no more
+    device = np.unwrap(np.asarray(track.steps.device_heading_rad))
+    assert np.degrees(np.std(np.unwrap(track.walking_heading_rad) - device)) < 6.0
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("name", ["handheld1", "pocket4", "pocket6"])
+def test_in_hand_and_pocket_strides_agree_and_nothing_is_noted(data_dir: Path, name: str) -> None:
+    track = tracked(data_dir, name)
+    assert np.median(track.direction_trust) > 0.7
+    assert sum(source == "device" for source in track.heading_source) < 0.1 * track.n_steps
+    assert not any("strides do not agree" in note for note in track.notes)
+
+
+@pytest.mark.recordings
+@pytest.mark.parametrize("name", ["handbag7", "handbag8", "handbag9", "handbag10"])
+def test_a_handbag_costs_no_more_than_the_gyroscope_does(data_dir: Path, name: str) -> None:
+    recording = pdr.read(data_dir / "oxiod" / f"oxiod_anon_floor1_{name}.zip")
+    track, truth = pdr.track(recording), recording.truth.position
+    inside = (track.time_s >= truth.time_s[0]) & (track.time_s <= truth.time_s[-1])
+    true_m = np.column_stack(
+        [np.interp(track.time_s[inside], truth.time_s, truth[column]) for column in ("east_m", "north_m")]
+    )
+    assert pdr.evaluate.position_rmse_m(track.position_m[inside], true_m, "all") < 4.0
