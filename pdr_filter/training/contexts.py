@@ -82,7 +82,7 @@ class ContextPlan(Plan):
         of_left = windows.part(left.rows)
         y, person = of_left.context, of_left.person
         prob = cross_calibrated(left.prob, y, person, model)
-        temperature, slip = _calibration(left.prob, y, model)
+        temperature, slip = calibration(left.prob, y, model)
         stairs_limit = None
         if self.guards_stairs:
             stairs_limit = float(np.quantile(left.stairs_distance[np.isin(y, STAIRS)], _STAIRS_QUANTILE))
@@ -111,12 +111,12 @@ def cross_calibrated(prob: FloatArray, context: TextArray, person: TextArray, mo
     result = np.zeros_like(prob)
     for name in np.unique(person):
         own = person == name
-        result[own] = _calibrated(prob[own], model, *_calibration(prob[~own], context[~own], model))
+        result[own] = _calibrated(prob[own], model, *calibration(prob[~own], context[~own], model))
     return result
 
 
-def _calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
-    """Temperature and slip of windows (W, C) of people left out."""
+def calibration(prob: FloatArray, context: TextArray, model: ContextModel) -> tuple[float, float]:
+    """Temperature and slip of the probabilities of windows (W, C) of people left out; `model` has the classes."""
     if not len(context):
         return 1.0, 0.0
     label = np.array([model.classes.index(c) for c in context])
