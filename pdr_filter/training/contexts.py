@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.classifiers.model import ContextModel, not_told_apart
@@ -232,7 +233,8 @@ def model_without(
     if rest.all():
         return model
     others = windows.part(rest)
-    without = replace(plan.fit(others), card=model.card, temperature=model.temperature, slip=model.slip)
+    with threadpool_limits(1):
+        without = replace(plan.fit(others), card=model.card, temperature=model.temperature, slip=model.slip)
     if model.familiarity is None:
         return without
     return with_familiarity(without, others, model.familiarity.limit, model.stairs and model.stairs.limit)
