@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -55,6 +55,15 @@ class ContextPlan(Plan):
     """How one model of the context is made."""
 
     head: str = "context"
+    # How much windows count whose recording's name holds a word; what has none counts one.
+    recording_weight: Mapping[str, float] = field(default_factory=dict[str, float])
+
+    def weight(self, windows: LabelledWindows) -> FloatArray:
+        """How much each window counts, (W,)."""
+        result = np.ones(len(windows.recording))
+        for word, weight in self.recording_weight.items():
+            result[np.char.find(windows.recording, word) >= 0] = weight
+        return result
 
     def rows(self, windows: LabelledWindows) -> BoolArray:
         """Which windows the model learns from, (W,)."""
@@ -159,6 +168,9 @@ PLANS: tuple[ContextPlan, ...] = (
         datasets=("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor"),
         machine_fit=fit_blend,
         guards_stairs=True,
+        # One person stands for all back pockets, sixteen for front pockets. Counted five times, level walking of
+        # ubicomp13 in back pockets is called downstairs in 7 % of the steps and not in 12 %.
+        recording_weight={"backpocket": 5.0},
         description="Mean of logistic regression and boosted trees on all attitude-free features; the default recipe.",
         use="A phone in a trouser pocket or in the hand; bags and shirt pockets were not in training but come out "
         "well.",
