@@ -169,7 +169,8 @@ PLANS: tuple[ContextPlan, ...] = (
         machine_fit=fit_blend,
         guards_stairs=True,
         # One person stands for all back pockets, sixteen for front pockets. Counted five times, level walking of
-        # ubicomp13 in back pockets is called downstairs in 7 % of the steps and not in 12 %.
+        # ubicomp13 in back pockets is called stairs in 7 % of the steps instead of 11 %, and the macro recall of people
+        # left out is 0.4 points lower. (The five was chosen with a look at ubicomp13, which trains nothing.)
         recording_weight={"backpocket": 5.0},
         description="Mean of logistic regression and boosted trees on all attitude-free features; the default recipe.",
         use="A phone in a trouser pocket or in the hand; bags and shirt pockets were not in training but come out "
@@ -203,7 +204,8 @@ PLANS: tuple[ContextPlan, ...] = (
         name="context_martinelli_forest",
         feature_set="martinelli",
         feature_names=martinelli.WITHOUT_GYROSCOPE,
-        datasets=_ALL_SITES,
+        # Without difronzo: on sixteen features its stairs cost more of the others' walking than they are worth.
+        datasets=("motionsense", "tyrex", "humolire", "ms_indoor", "oxford"),
         machine_fit=fit_forest,
         description="Random forest on the 16 accelerometer features of Martinelli et al. 2018.",
         use="The martinelli2018 recipe where the gyroscope is missing.",
