@@ -9,6 +9,8 @@ a step says, what the filter and the smoother say, and the same without the stre
 `sites`: level walking that is called stairs, at the steps and by how the phone is carried. Models of the training sets
 are trained without the whole set; the others are never trained on. With and without the guard of stairs.
 
+`corridors`: distances of the recipe martinelli2018, its machine trained without the site.
+
 `barometer`: ipin2023 goes up and down stairs with the phone in the hand, ipin21 stays on one storey. Truth is the climb
 rate of the barometer about each step (4 s, not causal): above 0.1 m/s it is on stairs.
 """
@@ -26,10 +28,10 @@ from pdr_filter.config import Config
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.hindsight import in_hindsight
-from pdr_filter.recipes import context_transitions, default, with_context_model
+from pdr_filter.recipes import context_transitions, default, martinelli2018, with_context_model
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.features.barometric import ClimbRate
-from pdr_filter.training.contexts import PLANS, SCORED_DATASETS, model_without
+from pdr_filter.training.contexts import PLANS, SCORED_DATASETS, labelled_windows, model_without
 from pdr_filter.training.evidence import contexts_at
 from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, recordings_of
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, TrackRows
@@ -175,9 +177,44 @@ def barometer(tables: Tables, data: Path, cache: Path | None, windows: LabelledW
     tables.write("context_barometer", columns, rows, "Climb rates above 0.1 m/s, of the barometer about each step.")
 
 
+def corridors(tables: Tables, data: Path, cache: Path | None, _: LabelledWindows) -> None:
+    """Distance of the recipe martinelli2018 on level legs, its machine trained without the site."""
+    plan = next(plan for plan in PLANS if plan.name == "context_martinelli_rvm")
+    paths = recordings_of(data, plan.datasets)
+    windows = cached(cache, "martinelli", lambda: plan.of(labelled_windows(paths, feature_set=plan.feature_set)))
+    rows = []
+    for site in ("humolire", "ms_indoor"):
+        known = sorted({p for p in windows.person if p.startswith(f"{site}/")})
+        model = model_without(shipped_model(plan.name), plan, windows, known)
+        error, is_level = [], []
+        for recording in recordings(data, site):
+            track = pdr.track(recording, config=with_context_model(martinelli2018(recording.subject), model))
+            walked_m = np.concatenate([[0.0], np.cumsum(track.step_length_m)])
+            time_s = np.concatenate([[track.start_time_s], track.time_s])
+            legs = legs_of(recording)
+            found_m = sum(np.diff(np.interp(leg[:2], time_s, walked_m))[0] for leg in legs)
+            error.append(100 * (found_m / sum(leg[2] for leg in legs) - 1))
+            is_level.append(track.context_prob.argmax(axis=1) == WALKING)
+        e = np.array(error)
+        cells = [f"{e.mean():+.1f}", f"{np.median(np.abs(e)):.1f}", f"{np.abs(e).max():.1f}"]
+        rows.append([f"{site} ({len(e)} walks)", *cells, f"{100 * np.concatenate(is_level).mean():.1f}"])
+    columns = ["", "distance: bias %", "median of its size %", "largest %", "steps called walking %"]
+    tables.write("martinelli2018_corridors", columns, rows, "Each site left out of the machine's training.")
+
+
+def legs_of(recording: Recording) -> list[tuple[float, float, float]]:
+    """Begin, end and length of what was walked: the legs of known length, else from the first waypoint to the last."""
+    segments, points = recording.truth.segments, recording.truth.waypoints
+    if segments is not None and len(segments):
+        return [(float(s["start_s"]), float(s["end_s"]), float(s["distance_m"])) for s in segments]
+    assert points is not None
+    length_m = float(np.hypot(np.diff(points["east_m"]), np.diff(points["north_m"])).sum())
+    return [(float(points["time_s"][0]), float(points["time_s"][-1]), length_m)]
+
+
 def main() -> None:
-    parts = {"people": people, "sites": sites, "barometer": barometer}
-    parser = options(__doc__, *parts)
+    parts = {"people": people, "sites": sites, "barometer": barometer, "corridors": corridors}
+    parser = options(str(__doc__), *parts)
     parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models")
     args = parser.parse_args()
     tables = Tables.of(__spec__.name, args)
