@@ -21,7 +21,6 @@ from pdr_filter.classifiers.model import (
     ContextModel,
     available_models,
     load_model,
-    not_told_apart,
     to_be_told_apart,
 )
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
@@ -105,8 +104,9 @@ def test_what_is_unlike_all_stairs_shares_walking_and_stairs_as_a_day_does_and_l
 
 
 def test_where_another_sensor_decides_walking_and_stairs_start_alike() -> None:
-    prob = not_told_apart(np.array([0.1, 0.5, 0.3, 0.0, 0.0, 0.1]), 1.0)
+    prob = np.array([0.1, 0.5, 0.3, 0.0, 0.0, 0.1])
     np.testing.assert_allclose(to_be_told_apart(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
+    np.testing.assert_allclose(to_be_told_apart(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1])
     np.testing.assert_array_equal(to_be_told_apart(prob, 0.0), prob)
 
 

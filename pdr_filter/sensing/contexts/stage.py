@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_filter.classifiers.model import ContextModel, not_told_apart, to_be_told_apart
+from pdr_filter.classifiers.model import ContextModel, to_be_told_apart
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
@@ -38,7 +38,7 @@ class WindowContext:
     training_prior: FloatArray  # (C,) of the classifier that gave them
     carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
     unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
-    stairs_unknown_share: float = 0.0  # how unlike the training windows on stairs it is, 0 to 1
+    stairs_unknown_share: float = 0.0  # how unlike stairs in training window and place are, 0 to 1
     irregular_prob: float = 0.0  # that its motion moves nobody
     model: str = ""  # name of the context model
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
@@ -161,8 +161,9 @@ def known_context(
 class ContextModels:
     """The models of a filter: which ones classify a window depends on the sensors that it has.
 
-    Stairs are known from trouser pockets. As far as a phone seems to be elsewhere, a model that guards them
-    (`ContextModel.stairs`) does not tell them from walking, however like or unlike the windows are.
+    Stairs are known from trouser pockets. As far as a phone seems to be elsewhere, what a model that guards them
+    (`ContextModel.stairs`) says of stairs is not known, however like the windows are: a barometer decides, if there is
+    one.
 
     Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
     of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
@@ -199,14 +200,11 @@ class ContextModels:
         """New carrying-mode probabilities (5,), and the result for the window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         prob, unknown, unlike_stairs = model.assess(_features(model, window))
-        # whether the person moves does not depend on what of walking and stairs it is
-        moving = 1.0 - (1 - unknown) * float(prob[_STATIONARY]) - unknown * float(model.training_prior[_STATIONARY])
-        carrying_prob = self._follow(carrying_prob, window, moving)
-        if model.stairs is not None and self.carrying_with_gyroscope is not None:
-            elsewhere = 1.0 - float(carrying_prob[_POCKET])
-            prob, unlike_stairs = not_told_apart(prob, elsewhere), 1 - (1 - unlike_stairs) * (1 - elsewhere)
         prob = (1 - unknown) * prob + unknown * model.training_prior
         irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
+        carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
+        if model.stairs is not None and self.carrying_with_gyroscope is not None:
+            unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
         return carrying_prob, WindowContext(
             window.time_s,
             prob,
