@@ -157,8 +157,8 @@ _ALL_SITES = ("motionsense", "difronzo", "tyrex", "humolire", "ms_indoor", "oxfo
 _NO_SIDEWAYS = "No sideways walking in the data: its probability is zero."
 _FROM_POCKETS = (
     "Stairs, standing and sitting are known from the trouser pockets of sixteen people in two places, running from "
-    "pockets and one person's hand. Where a window is unlike all stairs in training, or the phone is not in a pocket, "
-    "stairs are not told from level walking and count as on a usual day (0.03 each)."
+    "pockets and one person's hand. Where a window is unlike all stairs in training, they are not told from level "
+    "walking and count as on a usual day (0.03 each)."
 )
 PLANS: tuple[ContextPlan, ...] = (
     ContextPlan(
