@@ -35,7 +35,7 @@ MAX_FIX_AGE_S = 60.0
 # A fix of the moment at which the sensors were switched on is one of their first sample.
 FIX_TOLERANCE_S = 1.0
 
-_STATIONARY = CONTEXTS.index("stationary")
+_STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,15 +45,18 @@ class WindowCounts:
     n: int = 0
     without_gyroscope: int = 0
     unknown: int = 0
+    stairs_unknown: int = 0  # of windows without climb rate in which somebody walks
     irregular: int = 0
 
     def plus(self, window: WindowContext) -> WindowCounts:
         """With one window more."""
         irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
+        blind = window.stairs_unknown_share > 0.5 and window.prob[_WALKING] > 0.5 and np.isnan(window.climb_rate_mps)
         return WindowCounts(
             self.n + 1,
             self.without_gyroscope + (not window.has_gyroscope),
             self.unknown + (window.unknown_share > 0.5),
+            self.stairs_unknown + int(blind),
             self.irregular + int(irregular),
         )
 
@@ -169,6 +172,9 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if seen.unknown > notable:
         words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
         notes.append(Note("contexts", words + "contexts are unsure there"))
+    if seen.stairs_unknown > notable:
+        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
+        notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
     if seen.irregular > notable:
         words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
         notes.append(Note("steps", words + "steps there may be false"))

@@ -187,6 +187,7 @@ def _windows(found: Sequence[WindowContext]) -> Windows:
         carrying_prob=read_only(np.array([w.carrying_prob for w in found]).reshape(-1, len(CARRYING_MODES))),
         carrying_modes=CARRYING_MODES,
         unknown_share=read_only(np.array([w.unknown_share for w in found])),
+        stairs_unknown_share=read_only(np.array([w.stairs_unknown_share for w in found])),
         irregular_prob=read_only(np.array([w.irregular_prob for w in found])),
         climb_rate_mps=read_only(np.array([w.climb_rate_mps for w in found])),
         model=tuple(w.model for w in found),

@@ -170,7 +170,7 @@ def windows_of(time_s: np.ndarray, context_prob: np.ndarray, contexts: tuple[str
     n = len(time_s)
     none = np.full(n, np.nan)
     return Windows(
-        time_s, context_prob, contexts, np.full((n, 5), 0.2), CARRYING_MODES, np.zeros(n), np.zeros(n), none, ("",) * n
+        time_s, context_prob, contexts, np.full((n, 5), 0.2), CARRYING_MODES, *np.zeros((3, n)), none, ("",) * n
     )
 
 

@@ -26,7 +26,8 @@ class Familiarity(Stored):
 
     axes: FloatArray  # (K, F) principal axes of the standardised features with a variance above 0.05
     variance: FloatArray  # (K,) along them
-    limit: float  # distance that one in a hundred windows of people left out of training exceeds
+    limit: float  # distance that one or two in a hundred windows of people left out of training exceed
+    sharpness: float = 2.0  # how fast the unknown share grows beyond the limit
 
     def __post_init__(self) -> None:
         self._make_read_only("axes", "variance")
@@ -34,25 +35,36 @@ class Familiarity(Stored):
             raise ValueError(f"axes must be (K, F) and variance (K,), got {self.axes.shape}, {self.variance.shape}")
         if not (np.isfinite(self.axes).all() and (self.variance >= _LEAST_VARIANCE).all()):
             raise ValueError(f"axes must be finite and variances at least {_LEAST_VARIANCE}")
-        if not (np.isfinite(self.limit) and self.limit > 0):
-            raise ValueError(f"limit must be positive, got {self.limit}")
+        for name in ("limit", "sharpness"):
+            if not (np.isfinite(getattr(self, name)) and getattr(self, name) > 0):
+                raise ValueError(f"{name} must be positive, got {getattr(self, name)}")
 
-    def distance(self, standardised: FloatArray) -> float:
-        """Distance of one window's standardised features (F,)."""
+    def distance(self, standardised: FloatArray) -> FloatArray:
+        """Distances (...) of windows' standardised features (..., F)."""
         z = np.clip(standardised, -_CUT, _CUT)
-        along = self.axes @ z
-        squared = float(z @ z) / _LEAST_VARIANCE + float(along**2 @ (1 / self.variance - 1 / _LEAST_VARIANCE))
-        return float(np.sqrt(max(squared, 0.0) / len(z)))
+        along = z @ self.axes.T
+        narrow, wide = (z * z).sum(axis=-1) / _LEAST_VARIANCE, along**2 @ (1 / self.variance - 1 / _LEAST_VARIANCE)
+        return np.sqrt(np.maximum(narrow + wide, 0.0) / z.shape[-1])
 
-    def unknown_share(self, standardised: FloatArray) -> float:
-        """1 - (limit / d)^2 beyond the limit, else zero: 0.56 at one and a half times the limit, 0.75 at twice."""
-        distance = self.distance(standardised)
-        return 1.0 - (self.limit / distance) ** 2 if distance > self.limit else 0.0
+    def unknown_share(self, standardised: FloatArray) -> FloatArray:
+        """Shares (...): 1 - (limit / d)^sharpness beyond the limit, for 2 three quarters at twice of it; else zero."""
+        return unknown_share(self.distance(standardised), self.limit, self.sharpness)
 
 
-def fit_familiarity(standardised: FloatArray, limit: float) -> Familiarity:
-    """Principal axes and variances of standardised features (N, F), cut at 8; the limit comes from people left out."""
+def unknown_share(distance: FloatArray, limit: float, sharpness: float) -> FloatArray:
+    """What `Familiarity.unknown_share` is at distances (...)."""
+    return 1.0 - (limit / np.maximum(distance, limit)) ** sharpness
+
+
+def fit_familiarity(standardised: FloatArray, limit: float, sharpness: float = 2.0) -> Familiarity:
+    """Principal axes and variances of standardised features (N, F), cut at 8; the limit comes from people left out.
+
+    Variances are about zero, the mean of all training windows. Of a part of these (stairs) that of the part is not
+    zero, and windows are then familiar as far out on the line through both as the part is.
+    """
     cut = np.clip(standardised, -_CUT, _CUT)
-    variance, axes = np.linalg.eigh(np.cov(cut.T))
+    variance, axes = np.linalg.eigh(cut.T @ cut / len(cut))
     wide = variance > _LEAST_VARIANCE
-    return Familiarity(axes[:, wide].T, variance[wide], limit)
+    # eleven binary digits: the distances differ by a thousandth, the file is a third
+    short = axes[:, wide].T.astype(np.float16)
+    return Familiarity(short.astype(np.float64), variance[wide], limit, sharpness)

@@ -10,7 +10,7 @@ import re
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 
@@ -39,11 +39,25 @@ MACHINES: dict[str, type[Machine]] = {
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
 _NUMBERS = ("temperature", "slip", "feature_limit")  # stored as arrays of their own names, as are these:
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
-_MACHINE, _FAMILIARITY = "machine_", "familiarity_"  # prefixes of the arrays of parts
+# prefixes of the arrays of parts
+_MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
+
+_LEVEL_AND_STAIRS = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]
+# Of the steps of a day: of 6,000 are ten flights of 16 up stairs, and as many down.
+_OF_A_DAY = read_only(np.array([0.94, 0.03, 0.03]))
+_THIRDS = read_only(np.full(3, 1 / 3))
 
 # In a wheel the models are inside the package, in a checkout at the top level.
 _PACKAGE = Path(__file__).resolve().parents[1]
 _SHIPPED = (_PACKAGE / "models", _PACKAGE.parent / "models")
+
+
+class Assessment(NamedTuple):
+    """What a model says of one window, and what of it is not known."""
+
+    prob: FloatArray  # (L,) of the labels
+    unknown_share: float  # how unlike all training windows it is, 0 to 1
+    stairs_unknown_share: float  # how unlike all stairs in training; by that share stairs are not told from walking
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,6 +92,9 @@ class ContextModel:
         everything that it has.
     familiarity : Familiarity, optional
         Knows how far from the training windows a window is; without it nothing is ever unknown.
+    stairs : Familiarity, optional
+        The same of the training windows on stairs: where a window is like none of them, whatever tells stairs from
+        level walking was learnt of other places for the phone, and `not_told_apart` takes its place.
     """
 
     name: str
@@ -93,6 +110,7 @@ class ContextModel:
     slip: float = 0.0
     feature_limit: float = np.inf
     familiarity: Familiarity | None = None
+    stairs: Familiarity | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feature_names", tuple(self.feature_names))
@@ -113,8 +131,8 @@ class ContextModel:
         """
         return self.assess(features)[0]
 
-    def assess(self, features: FloatArray) -> tuple[FloatArray, float]:
-        """Probabilities as `predict` gives them, and the share of them that is unknown, 0 to 1 (`Familiarity`)."""
+    def assess(self, features: FloatArray) -> Assessment:
+        """Probabilities as `predict` gives them, and how much is unknown (`Familiarity`)."""
         values = np.asarray(features, dtype=np.float64)
         if values.shape != (len(self.feature_names),):
             raise ValueError(
@@ -128,9 +146,12 @@ class ContextModel:
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
-        unknown = 0.0 if self.familiarity is None else self.familiarity.unknown_share(standardised)
-        prob = self._of_standardised(standardised[None])[0]
-        return prob / prob.sum(), unknown
+        unknown, unlike_stairs = (
+            0.0 if known is None else float(known.unknown_share(standardised))
+            for known in (self.familiarity, self.stairs)
+        )
+        prob = not_told_apart(self._of_standardised(standardised[None])[0], unlike_stairs)
+        return Assessment(prob / prob.sum(), unknown, unlike_stairs)
 
     def standardised(self, features: FloatArray) -> FloatArray:
         """Features (..., F) as shares of the training windows' spread, not yet cut at the limit."""
@@ -138,7 +159,9 @@ class ContextModel:
 
     def probabilities(self, features: FloatArray) -> FloatArray:
         """Probabilities (W, L) of many windows at once, from their features (W, F)."""
-        return self._of_standardised(self.standardised(features))
+        standardised = self.standardised(features)
+        prob = self._of_standardised(standardised)
+        return prob if self.stairs is None else not_told_apart(prob, self.stairs.unknown_share(standardised))
 
     def _of_standardised(self, rows: FloatArray) -> FloatArray:
         cut = np.clip(rows, -self.feature_limit, self.feature_limit)
@@ -152,6 +175,8 @@ class ContextModel:
         arrays: Arrays = {name: np.asarray(getattr(self, name)) for name in (*_ARRAYS, *_NUMBERS)}
         if self.familiarity is not None:
             arrays |= prefixed(_FAMILIARITY, self.familiarity.to_arrays())
+        if self.stairs is not None:
+            arrays |= prefixed(_STAIRS, self.stairs.to_arrays())
         arrays |= prefixed(_MACHINE, self.machine.to_arrays())
         description = {
             "name": self.name,
@@ -163,6 +188,24 @@ class ContextModel:
         }
         FORMAT.write(Path(folder) / self.name, description, arrays)
         return Path(folder) / f"{self.name}.npz"
+
+
+def not_told_apart(prob: FloatArray, share: FloatArray | float, division: FloatArray = _OF_A_DAY) -> FloatArray:
+    """Context probabilities (..., C), a share (...) of those of walking and stairs being divided as a day is."""
+    if not np.any(share):
+        return prob
+    share, gait = np.asarray(share)[..., None], prob[..., _LEVEL_AND_STAIRS]
+    result = prob.copy()
+    result[..., _LEVEL_AND_STAIRS] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * division
+    return result
+
+
+def to_be_told_apart(prob: FloatArray, share: float) -> FloatArray:
+    """Probabilities (C,) where another sensor decides what motion does not tell: that share divided into thirds.
+
+    A day's division is a prior. As evidence, window after window, it would outvote what the other sensor measures.
+    """
+    return not_told_apart(prob, share, _THIRDS)
 
 
 def load_model(name_or_path: str | Path) -> ContextModel:
@@ -196,7 +239,7 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
     kind = description["machine"]
     if kind not in MACHINES:
         raise ValueError(f"machine is {kind!r}, not one of {tuple(MACHINES)}")
-    familiarity = of_prefix(_FAMILIARITY, arrays)
+    familiarity, stairs = of_prefix(_FAMILIARITY, arrays), of_prefix(_STAIRS, arrays)
     return ContextModel(
         name=description["name"],
         feature_names=tuple(description["feature_names"]),
@@ -206,6 +249,7 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> ContextModel:
         card=dict(description["card"]),
         head=description["head"],
         familiarity=Familiarity.from_arrays(familiarity) if familiarity else None,
+        stairs=Familiarity.from_arrays(stairs) if stairs else None,
     )
 
 
@@ -238,8 +282,11 @@ def _check(model: ContextModel) -> None:
         )
     if not 0 <= model.slip <= 1:
         raise ValueError(f"slip must be a probability, got {model.slip}")
-    if model.familiarity is not None and model.familiarity.axes.shape[1] != n_features:
-        raise ValueError(f"familiarity is of {model.familiarity.axes.shape[1]} features, the names say {n_features}")
+    for name, known in (("familiarity", model.familiarity), ("stairs", model.stairs)):
+        if known is not None and known.axes.shape[1] != n_features:
+            raise ValueError(f"{name} is of {known.axes.shape[1]} features, the names say {n_features}")
+    if model.stairs is not None and model.head != "context":
+        raise ValueError(f"stairs are a context, the model classifies the {model.head}")
     prior = model.training_prior
     if prior.shape != (len(model.labels),) or not (prior >= 0).all() or not np.isclose(prior.sum(), 1.0, atol=1e-9):
         raise ValueError(f"training_prior must be {len(model.labels)} probabilities that sum to one, got {prior}")

@@ -143,7 +143,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
     table.add_column("contexts")
     for result in tracks:
         summary = result.summary()
-        seconds: dict[str, float] = summary["contexts"]
+        seconds: dict[str, float] = {**summary["contexts"], "moving without steps": summary["moving_without_steps_s"]}
         table.add_row(
             escape(result.name),
             str(result.n_steps),

@@ -158,8 +158,8 @@ def _key(colour: str) -> str:
 
 
 def _context_table(track: TrackRows) -> str:
-    seconds = track.context_seconds()
-    total_s = sum(seconds.values())
+    seconds, without_steps_s = track.context_seconds(), track.seconds_without_steps
+    total_s = sum(seconds.values()) + without_steps_s
     if total_s <= 0:
         return ""
     items = [
@@ -167,6 +167,8 @@ def _context_table(track: TrackRows) -> str:
         for i, (name, colour) in enumerate(palette.context_colours(track.contexts).items())
         if seconds[name] >= 0.5 or (track.windows.context_prob[:, i] > _VISIBLE_PROB).any()
     ]
+    if without_steps_s >= 0.5:
+        items.append(f"<li>moving without steps {without_steps_s:.0f} s ({100 * without_steps_s / total_s:.0f} %)</li>")
     return f"<ul class='legend'>{''.join(items)}</ul>" + _words("The height of a colour is the context's probability.")
 
 

@@ -74,7 +74,8 @@ def report(track: TrackRows) -> str:
     ]
     if track.n_steps:
         lines.append(f"end: {end(track)}")
-    seconds = {name: s for name, s in track.context_seconds().items() if s >= 0.5}
+    every = {**track.context_seconds(), "moving without steps": track.seconds_without_steps}
+    seconds = {name: s for name, s in every.items() if s >= 0.5}
     if seconds:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]

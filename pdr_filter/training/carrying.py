@@ -81,7 +81,8 @@ class CarryingPlan(Plan):
 
     def finished(self, model: ContextModel, windows: LabelledWindows, left_out: Mapping[str, LeftOut]) -> ContextModel:
         """The model with a temperature and the limit of what it knows, both of people left out, and its card."""
-        rows, prob, distance = in_order(left_out.values())
+        left = in_order(left_out.values())
+        rows, prob, distance = left.rows, left.prob, left.distance
         real = windows.part(rows)
         even = _even_rows(real)
         label = np.array([CARRYING_MODES.index(mode) for mode in real.carrying_mode])

@@ -8,10 +8,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values.arrays import FloatArray, Table, read_only
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.windows import Windows
+
+_WINDOW_S = 2.0  # of the context windows
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -97,16 +99,31 @@ class TrackRows:
         return np.where(walking, self.step_length_m[inside] / duration, 0.0)
 
     def context_seconds(self) -> dict[str, float]:
-        """Seconds spent in each context: every window votes for its most probable one."""
-        if len(self.windows) == 0:
-            return dict.fromkeys(self.contexts, 0.0)
-        starts = np.concatenate([[self.start_time_s], self.windows.time_s[:-1]])
-        seconds = np.minimum(self.windows.time_s - starts, 2.0)  # the first window, or the first after a gap, is 2 s
+        """Seconds spent in each context: every window votes for its most probable one.
+
+        A window with motion but without a step is none of them: see `seconds_without_steps`.
+        """
+        seconds, best, walked = self._of_windows()
+        return {name: float(seconds[walked & (best == c)].sum()) for c, name in enumerate(self.contexts)}
+
+    @property
+    def seconds_without_steps(self) -> float:
+        """Seconds that the classifier takes for a way of walking though nobody stepped: a vehicle, a busy hand."""
+        seconds, _, walked = self._of_windows()
+        return float(seconds[~walked].sum())
+
+    def _of_windows(self) -> tuple[FloatArray, IntArray, BoolArray]:
+        """Seconds (W,) that each window stands for, its most probable context, and whether that agrees with steps."""
+        end_s = self.windows.time_s
+        starts = np.concatenate([[self.start_time_s], end_s[:-1]])
+        seconds = np.minimum(end_s - starts, _WINDOW_S)  # the first window, or the first after a gap, is as long
         best = self.windows.context_prob.argmax(axis=1)
-        return {name: float(seconds[best == c].sum()) for c, name in enumerate(self.contexts)}
+        # half a step more on each side: contacts of slow steps are a second apart
+        first, last = (np.searchsorted(self.time_s, t) for t in (end_s - _WINDOW_S - 0.5, end_s + 0.5))
+        return seconds[: len(end_s)], best, (last > first) | (best == self.contexts.index("stationary"))
 
     def summary(self) -> dict[str, Any]:
-        """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts."""
+        """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts and more."""
         end = self.position_m[-1] if self.n_steps else np.zeros(2)
         return {
             "name": self.name,
@@ -116,4 +133,5 @@ class TrackRows:
             "end_east_m": round(float(end[0]), 3),
             "end_north_m": round(float(end[1]), 3),
             "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
+            "moving_without_steps_s": round(self.seconds_without_steps, 1),
         }

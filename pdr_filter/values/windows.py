@@ -17,6 +17,7 @@ class Windows:
     carrying_prob: FloatArray  # (W, D) after each window, of all windows so far
     carrying_modes: tuple[str, ...]
     unknown_share: FloatArray  # (W,) how unlike the classifier's training windows, 0 to 1; `context_prob` has it in
+    stairs_unknown_share: FloatArray  # (W,) how unlike stairs in training window and place of the phone are, 0 to 1
     irregular_prob: FloatArray  # (W,) that the motion moves nobody: the phone taken out, turned, put away
     climb_rate_mps: FloatArray  # (W,) from the barometer, up positive; NaN without
     model: tuple[str, ...]  # (W,) name of the model that classified the context

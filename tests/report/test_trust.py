@@ -63,6 +63,15 @@ def test_a_ride_without_steps_is_told_with_its_times(track: Track) -> None:
     assert end == pytest.approx(float(windows.time_s[-1]), abs=1.0)
 
 
+def test_time_with_motion_and_no_step_is_not_called_walking(track: Track) -> None:
+    nobody = replace(track, time_s=track.time_s[:0])
+    moving_s = sum(s for name, s in track.context_seconds().items() if name != "stationary")
+    assert moving_s > 30 and track.seconds_without_steps < 3
+    assert sum(s for name, s in nobody.context_seconds().items() if name != "stationary") == 0.0
+    assert nobody.seconds_without_steps == pytest.approx(moving_s + track.seconds_without_steps)
+    assert nobody.context_seconds()["stationary"] == track.context_seconds()["stationary"]
+
+
 @pytest.mark.parametrize(
     ("field", "words"), [("irregular_prob", "handled, not carried"), ("unknown_share", "unlike all")]
 )

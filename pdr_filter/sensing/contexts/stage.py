@@ -10,7 +10,7 @@ from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_filter.classifiers.model import ContextModel
+from pdr_filter.classifiers.model import ContextModel, to_be_told_apart
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
@@ -19,13 +19,13 @@ from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, read_only
 
-# A window of the barometer is twice as long as one of features, at the same hop: its seconds would vote twice as often.
-CLIMB_EXPONENT = 0.5
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
 # Hop over window: overlapping windows repeat the same second of data.
 CARRYING_EXPONENT = 0.5
 _STATIONARY = CONTEXTS.index("stationary")
+# Where the phone is in all recordings of stairs that the models learn from.
+_POCKET = CARRYING_MODES.index("pocket")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 
@@ -38,6 +38,7 @@ class WindowContext:
     training_prior: FloatArray  # (C,) of the classifier that gave them
     carrying_prob: FloatArray = field(default_factory=lambda: _EVEN)  # (5,) after this window
     unknown_share: float = 0.0  # how unlike the training windows it is, 0 to 1
+    stairs_unknown_share: float = 0.0  # how unlike stairs in training window and place are, 0 to 1
     irregular_prob: float = 0.0  # that its motion moves nobody
     model: str = ""  # name of the context model
     climb_rate_mps: float = np.nan  # from the barometer, up positive; NaN without
@@ -160,6 +161,10 @@ def known_context(
 class ContextModels:
     """The models of a filter: which ones classify a window depends on the sensors that it has.
 
+    Stairs are known from trouser pockets. As far as a phone seems to be elsewhere, what a model that guards them
+    (`ContextModel.stairs`) says of stairs is not known, however like the windows are: a barometer decides, if there is
+    one.
+
     Context probabilities are of each window alone. A carrying mode lasts, and a phone that nobody moves shows nothing
     of it, so its probabilities are those of all windows so far: a forward filter over the modes that the model knows,
     in which a window counts by how much of it is motion. Without a model of it all modes stay equally probable.
@@ -194,16 +199,19 @@ class ContextModels:
     def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities (5,), and the result for the window."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
-        prob, unknown = model.assess(_features(model, window))
+        prob, unknown, unlike_stairs = model.assess(_features(model, window))
         prob = (1 - unknown) * prob + unknown * model.training_prior
         irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
         carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
+        if model.stairs is not None and self.carrying_with_gyroscope is not None:
+            unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
         return carrying_prob, WindowContext(
             window.time_s,
             prob,
             model.training_prior,
             carrying_prob,
             unknown,
+            unlike_stairs,
             irregular,
             model.name,
             has_gyroscope=window.has_gyroscope,
@@ -214,7 +222,7 @@ class ContextModels:
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
         if model is None:
             return carrying_prob
-        prob, unknown = model.assess(_features(model, window))
+        prob, unknown, _ = model.assess(_features(model, window))
         exponent = self.carrying_exponent * moving * (1 - unknown)
         return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
 
@@ -234,11 +242,15 @@ def follow_mode(
 
 
 def with_climb(window: WindowContext, climb: Climb | None) -> WindowContext:
-    """The window with the climb rate of a barometer, if there is one, as evidence for stairs."""
+    """The window with the climb rate of a barometer, if there is one, as evidence for stairs.
+
+    Motion and pressure are independent, so that their likelihoods multiply. Windows of the barometer overlap: the most
+    that one can say is bounded, and draughts, which last for seconds, are in its standard deviation.
+    """
     if climb is None:
         return window
     evidence = climb_log_evidence(climb.climb_rate_mps, climb.std_mps)
-    prob = update_prob(window.prob, CLIMB_EXPONENT * evidence)
+    prob = update_prob(to_be_told_apart(window.prob, window.stairs_unknown_share), evidence)
     return replace(window, prob=prob, climb_rate_mps=climb.climb_rate_mps)
 
 

@@ -14,6 +14,7 @@ clearly it does (docs/methods/contexts.md). Amplitudes and powers enter as logar
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from functools import cache
 
 import numpy as np
@@ -278,6 +279,34 @@ _SQUARED_FLOORS = np.array([_FLOOR_MPS2**2, _FLOOR_MPS2**2])
 _SWING_FLOORS = np.array([_FLOOR_RADPS**2, _FLOOR_RADPS**2, _FLOOR_RADPS, _FLOOR_MPS2, _FLOOR_MPS2])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class SwingLines:
+    """The limb's swing about its main horizontal axis, whose sign is arbitrary, and the force beside it."""
+
+    mean_up: FloatArray  # (W, 3)
+    rate: FloatArray  # (W, N) about the axis
+    roll_rate: FloatArray  # (W, N) about the horizontal axis across it
+    across: FloatArray  # (W, N) force across the axis: the direction in which the limb swings
+    along: FloatArray  # (W, N) force along it
+
+
+def swing_lines(rate: FloatArray, up: FloatArray, sensor_force: FloatArray) -> SwingLines:
+    """Of angular rate, up and specific force of windows, (W, 3, N) each."""
+    mean_up = up.mean(axis=2)
+    mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
+    level_rate = about_mean(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
+    axis = _principal(level_rate)[0][:, :, 2]
+    centred_force = about_mean(sensor_force)
+    across = np.asarray(np.cross(mean_up, axis), dtype=np.float64)
+    return SwingLines(
+        mean_up=mean_up,
+        rate=_along(axis, level_rate),
+        roll_rate=_along(across, level_rate),
+        across=_along(across, centred_force),
+        along=_along(axis, centred_force),
+    )
+
+
 def _swing_timing(
     rate: FloatArray,
     up: FloatArray,
@@ -289,14 +318,8 @@ def _swing_timing(
 ) -> list[FloatArray]:
     """How the limb's swing, and the force along and across its axis, follow the vertical within a step."""
     n = rate.shape[2]
-    mean_up = up.mean(axis=2)
-    mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
-    level_rate = about_mean(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
-    axis = _principal(level_rate)[0][:, :, 2]
-    swing_rate = _along(axis, level_rate)
-    centred_force = about_mean(sensor_force)
-    across = np.asarray(np.cross(mean_up, axis), dtype=np.float64)
-    across_force, along_force = _along(across, centred_force), _along(axis, centred_force)
+    swing = swing_lines(rate, up, sensor_force)
+    swing_rate, across_force, along_force = swing.rate, swing.across, swing.along
     angle = np.cumsum(swing_rate, axis=1) / rate_hz
     # from its first to its last value a straight line is taken away: a window cannot show whether it is drift
     angle = about_mean(angle - (angle[:, -1:] - angle[:, :1]) * np.linspace(0.0, 1.0, n))

@@ -14,7 +14,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.features import carrying, invariant
+from pdr_filter.sensing.features import carrying, invariant, stride
 from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
@@ -46,15 +46,16 @@ class FeatureSet(Protocol):
 
 @dataclass(frozen=True)
 class AttitudeFreeFeatures:
-    """Features that do not change with the phone's attitude: for the context, then for the carrying mode."""
+    """Features that do not change with the phone's attitude, then those of the carrying mode, then of the stride."""
 
     name: str = "invariant"
-    names: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES)
+    names: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES, *stride.NAMES)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
         signals = windows[:, N_MAGNITUDES:]
-        return np.hstack([invariant.invariant_features(signals, rate_hz), carrying.carrying_features(signals, rate_hz)])
+        parts = invariant.invariant_features, carrying.carrying_features, stride.stride_features
+        return np.hstack([part(signals, rate_hz) for part in parts])
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()

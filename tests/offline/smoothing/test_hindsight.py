@@ -60,6 +60,7 @@ def test_without_fixes_the_end_of_the_track_is_that_of_the_filter() -> None:
 
 def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
     walk = simulate([Leg("walking", distance_m=25.0), Leg("running", distance_m=40.0)], carrying_mode="pocket", seed=3)
+    walk = replace(walk, gyroscope=None)  # the model with gyroscope knows that nobody's limbs swing like that
     change_s = float(walk.truth.labels.start_s[1])
     running = pdr.CONTEXTS.index("running")
     delay_s = []

@@ -10,7 +10,8 @@ from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.papers.martinelli2018.features import TABLE_II
-from pdr_filter.sensing.contexts.stage import ContextModels
+from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_climb
+from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
@@ -121,3 +122,47 @@ def test_a_model_of_the_wrong_head_is_refused() -> None:
         ContextModels(CARRYING, CONTEXT)
     with pytest.raises(ValueError, match="classifies the context, not the carrying_mode"):
         ContextModels(CONTEXT, CONTEXT, CONTEXT)
+
+
+# The first feature tells upstairs (high) from walking (low), the second where the phone is: texting, or in the pocket.
+CLIMBING = linear("context", CONTEXTS, np.array([[-9.0, 0, 0], [-3.0, 0, 0], [3.0, 0, 0], [-9.0, 0, 0]]))
+PLACES = linear("carrying_mode", CARRYING_MODES, np.array([[0, -4.0, 0], [0, -9.0, 0], [0, -9.0, 0], [0, 4.0, 0]]))
+LIKE_ALL = Familiarity(np.eye(3), np.ones(3), limit=50.0, sharpness=8.0)
+GUARDED = replace(CLIMBING, stairs=LIKE_ALL)
+POCKET, HAND = 2.0, -2.0
+
+
+def in_place(model: ContextModel, place: float, first: float = 3.0) -> WindowContext:
+    """What is said of the last of some windows that look like stairs."""
+    models, each = ContextModels(model, model, PLACES, PLACES), window(first, place)
+    return models.step(after(models, [each] * 10), each)[1]
+
+
+def test_stairs_are_known_where_the_phone_is_in_a_pocket_and_not_where_it_is_elsewhere() -> None:
+    assert in_place(GUARDED, POCKET).stairs_unknown_share < 0.1
+    assert in_place(GUARDED, HAND).stairs_unknown_share > 0.9
+    assert in_place(CLIMBING, HAND).stairs_unknown_share == 0.0  # a model that does not guard them
+
+
+def test_a_window_unlike_all_stairs_in_training_is_walking_even_in_a_pocket() -> None:
+    far = replace(CLIMBING, stairs=Familiarity(np.eye(3), np.ones(3), limit=0.5, sharpness=8.0))
+    context = in_place(far, POCKET)
+    assert context.stairs_unknown_share > 0.99
+    assert CONTEXTS[context.prob.argmax()] == "walking"
+
+
+@pytest.mark.parametrize(
+    ("rate_mps", "context"), [(0.3, "upstairs"), (-0.3, "downstairs"), (0.0, "walking"), (0.06, "walking")]
+)
+def test_a_barometer_decides_where_motion_cannot_tell_stairs(rate_mps: float, context: str) -> None:
+    told = with_climb(in_place(GUARDED, HAND), Climb(2.0, rate_mps, 0.013, 40))
+    assert CONTEXTS[told.prob.argmax()] == context
+    assert told.prob.max() > 0.6
+    assert told.prob.sum() == pytest.approx(1.0)
+
+
+def test_a_barometer_that_is_sure_of_level_ground_outvotes_motion_that_is_not_sure_of_stairs() -> None:
+    context = in_place(GUARDED, POCKET, first=0.3)
+    assert CONTEXTS[context.prob.argmax()] == "upstairs"
+    assert CONTEXTS[with_climb(context, Climb(2.0, 0.0, 0.013, 40)).prob.argmax()] == "walking"
+    assert with_climb(context, None) is context

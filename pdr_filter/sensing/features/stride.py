@@ -1,0 +1,145 @@
+"""Features in step with the gait: how force and rotation divide over the harmonics of the stride.
+
+A window holds two strides or three, so that the bins of its spectrum are wider than what distinguishes people's stairs
+from their walking. So the frequency f of the stride is found first, and then each line is the sum of `N_HARMONICS`
+harmonics of f that fits it best; even ones repeat every step, odd ones tell left from right. Shares of harmonics do not
+change with the cadence or the pace, and no feature depends on the device's attitude or handedness.
+
+The frequency is the one of `STRIDES_HZ` at which the vertical force is explained best by even harmonics and the swing
+of the limb by odd ones: at half of the true frequency all harmonics would be even, at twice none would fit.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+
+import numpy as np
+
+from pdr_filter.sensing.features.invariant import about_mean, hann_taper, in_groups, swing_lines
+from pdr_filter.values import FloatArray
+
+# Slow walkers make 0.5 strides a second, sprinters 1.6; 5 % apart, less than the tenth of a cycle that a window of
+# two seconds resolves.
+STRIDES_HZ: FloatArray = np.geomspace(0.5, 1.6, 24)
+N_HARMONICS = 6  # up to three times the frequency of the steps, where phones in pockets and hands still move together
+LINES: tuple[str, ...] = ("vertical", "forward", "lateral", "swing_rate", "yaw_rate", "roll_rate")
+VERTICAL, FORWARD, LATERAL, SWING, YAW, ROLL = range(len(LINES))
+# Phases that depend neither on when the window starts nor on the sign of the swing's axis, with which `FORWARD`,
+# `LATERAL`, `SWING` and `ROLL` turn over: products of powers of harmonics, (line, harmonic, power), negative ones of
+# the conjugate. The harmonics add up to zero, and the lines with a sign to an even power.
+PHASES: dict[str, tuple[tuple[int, int, int], ...]] = {
+    "swing": ((SWING, 1, 2), (VERTICAL, 2, -1)),
+    "yaw": ((YAW, 1, 2), (VERTICAL, 2, -1)),
+    "lateral": ((LATERAL, 1, 2), (VERTICAL, 2, -1)),
+    "forward": ((FORWARD, 1, 2), (VERTICAL, 2, -1)),
+    "vertical_1": ((VERTICAL, 1, 2), (VERTICAL, 2, -1)),
+    "vertical_4": ((VERTICAL, 4, 1), (VERTICAL, 2, -2)),
+    "vertical_6": ((VERTICAL, 6, 1), (VERTICAL, 2, -3)),
+    "forward_against_swing": ((FORWARD, 1, 1), (SWING, 1, -1)),
+    "forward_2_against_swing_2": ((FORWARD, 2, 1), (SWING, 2, -1)),
+    "forward_2": ((FORWARD, 2, 2), (VERTICAL, 2, -2)),
+    "lateral_2": ((LATERAL, 2, 2), (VERTICAL, 2, -2)),
+    "swing_2": ((SWING, 2, 2), (VERTICAL, 2, -2)),
+    "swing_3": ((SWING, 3, 1), (SWING, 1, -1), (VERTICAL, 2, -1)),
+    "yaw_against_swing": ((YAW, 1, 2), (SWING, 1, -2)),
+}
+NAMES: tuple[str, ...] = (
+    "stride_hz",
+    "stride_fit",
+    *(f"periodic_share_{line}" for line in LINES),
+    *(f"share_of_harmonic_{k}_{line}" for line in LINES for k in range(1, N_HARMONICS + 1)),
+    *(f"log_periodic_{line}_to_vertical" for line in LINES[1:]),
+    "log_bounce_m",
+    "log_swing_rad",
+    "log_forward_to_vertical_step",
+    *(f"{part}_of_phase_{name}" for name in PHASES for part in ("cosine", "sine")),
+)
+# The noise of a phone's accelerometer, m/s2, and gyroscope, rad/s; of its angle, rad, and of the bounce, m.
+_FLOOR = np.array([0.02, 0.02, 0.02, 0.005, 0.005, 0.005])
+_FLOOR_RAD, _FLOOR_M = 0.01, 0.001
+_LEAST_SHARE_OF = 0.05, 0.05, 0.05, 0.02, 0.02, 0.02  # amplitudes below which shares fade out: nobody walks
+
+
+def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
+    """Features (W, F) of windows of `invariant.SIGNALS`, (W, 12, N), in the order of `NAMES`; zeros are no gyroscope.
+
+    A window has the same bits alone and among others.
+    """
+    return in_groups(_of_group, windows, rate_hz, len(NAMES))
+
+
+@cache
+def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """Matrices (S, N, K) of n samples to orthonormal parts of a tapered line, and (S, K, K) of those to coefficients.
+
+    For each stride frequency, K = 1 + 2H. The squares of the parts sum to the power that the harmonics explain;
+    coefficients are those of one, and of cosine and sine of each harmonic.
+    """
+    t = (np.arange(n) - (n - 1) / 2) / rate_hz
+    root = hann_taper(n) ** 0.5
+    phase = 2 * np.pi * STRIDES_HZ[:, None, None] * t[:, None] * np.arange(1, N_HARMONICS + 1)
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=-1).reshape(len(STRIDES_HZ), n, -1)
+    design = np.concatenate([np.ones((len(STRIDES_HZ), n, 1)), waves], axis=2) * root[:, None]
+    basis, triangle = np.linalg.qr(design)
+    scale = np.sqrt(root @ root)
+    to_coefficients = np.linalg.inv(triangle).transpose(0, 2, 1) * scale
+    return np.ascontiguousarray(basis * root[:, None] / scale), np.ascontiguousarray(to_coefficients)
+
+
+def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+    n_windows, n = len(windows), windows.shape[2]
+    rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
+    swing = swing_lines(rate, up, sensor_force)
+    yaw_rate = about_mean((rate * swing.mean_up[:, :, None]).sum(axis=1))
+    vertical = about_mean(windows[:, 0])
+    lines = np.stack([vertical, swing.across, swing.along, swing.rate, yaw_rate, swing.roll_rate], axis=1)
+    taper = hann_taper(n)
+    scale = np.sqrt((lines * lines * taper).sum(axis=2) / taper.sum()) + _FLOOR
+    to_parts, to_coefficients = _harmonics(n, rate_hz)
+
+    both = np.ascontiguousarray((lines / scale[:, :, None])[:, [VERTICAL, SWING]])
+    parts = both[:, None] @ to_parts  # (W, S, 2, K)
+    explained = (parts * parts).sum(axis=3)
+    power = _power(parts @ to_coefficients)
+    in_step = np.stack([power[:, :, 0, 1::2].sum(axis=2), power[:, :, 1, 0::2].sum(axis=2)], axis=2)
+    fit = (explained * in_step / np.maximum(power.sum(axis=3), 1e-9)).sum(axis=2)
+    best = fit.argmax(axis=1)
+    stride_hz = STRIDES_HZ[best]
+    parts = lines @ to_parts[best]
+    explained = (parts * parts).sum(axis=2) / scale**2
+    coefficients = parts @ to_coefficients[best]
+    amplitude = np.sqrt(2 * _power(coefficients))
+    total = np.sqrt((amplitude * amplitude).sum(axis=2)) + _LEAST_SHARE_OF
+    share = amplitude / total[:, :, None]
+    log_total, step = np.log(total), amplitude[:, :, 1] + _LEAST_SHARE_OF
+    return np.column_stack(
+        [
+            stride_hz,
+            fit.max(axis=1),
+            explained,
+            share.reshape(n_windows, -1),
+            log_total[:, 1:] - log_total[:, :1],
+            np.log(amplitude[:, 0, 1] / (4 * np.pi * stride_hz) ** 2 + _FLOOR_M),
+            np.log(amplitude[:, 3, 0] / (2 * np.pi * stride_hz) + _FLOOR_RAD),
+            np.log(step[:, 1] / step[:, 0]),
+            _phases(coefficients, amplitude, share),
+        ]
+    )
+
+
+def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) -> FloatArray:
+    """Cosine and sine (W, 2P) of the phases, each times the shares of its harmonics, so that noise has none."""
+    unit = (coefficients[..., 1::2] - 1j * coefficients[..., 2::2]) / np.maximum(amplitude, 1e-12)
+    columns: list[FloatArray] = []
+    for factors in PHASES.values():
+        product = np.ones(len(unit), dtype=np.complex128)
+        for line, harmonic, power in factors:
+            of_one = unit[:, line, harmonic - 1] if power > 0 else unit[:, line, harmonic - 1].conj()
+            product = product * of_one ** abs(power) * share[:, line, harmonic - 1]
+        columns += [product.real, product.imag]
+    return np.column_stack(columns)
+
+
+def _power(coefficients: FloatArray) -> FloatArray:
+    """Mean power (..., H) of each harmonic."""
+    return 0.5 * (coefficients[..., 1::2] ** 2 + coefficients[..., 2::2] ** 2)
