@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import pdr_filter as pdr
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
+from pdr_filter.offline.smoothing.hindsight import in_hindsight, knowing_the_device
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.values import PositionFix
 
@@ -100,7 +100,8 @@ def test_with_a_weighted_step_length_hindsight_is_that_of_one_filter() -> None:
 
 def test_smooth_without_observations_is_hindsight() -> None:
     walk = demo_walk()
-    smoothed, found = pdr.smooth(walk), in_hindsight(walk)
+    config = knowing_the_device(walk, pdr.recipes.default(walk.subject))
+    smoothed, found = pdr.smooth(walk), in_hindsight(walk, config)
     np.testing.assert_array_equal(smoothed.track.position_m, found.track.position_m)
     np.testing.assert_array_equal(smoothed.log_scale, found.mean[:, 3])
     assert len(smoothed.observations) == 0

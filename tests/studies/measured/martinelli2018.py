@@ -32,7 +32,6 @@ from pdr_filter.recipes import with_context_model
 from pdr_filter.recording_run import detect_steps, track
 from pdr_filter.sensing.attitude import AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.features import invariant
 from pdr_filter.sensing.features.windows import FeatureWindows
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
 from pdr_filter.simulate.gait import STAIR_TREAD_M
@@ -158,10 +157,10 @@ def default_machine(examples: Examples) -> ContextModel:
     # not calibrated, which would take four times as long again
     unknown = np.full(len(examples.person), "")
     has_gyroscope = np.ones(len(examples.person), dtype=bool)
-    windows = LabelledWindows(
-        examples.of(invariant.NAMES), examples.context, unknown, unknown, unknown, unknown, has_gyroscope
-    )
     plan, shipped = next(plan for plan in PLANS if plan.name == "context"), load_model("context")
+    windows = LabelledWindows(
+        examples.of(plan.feature_names), examples.context, unknown, unknown, unknown, unknown, has_gyroscope
+    )
     return replace(plan.fit_machine(windows), name="left_out", temperature=shipped.temperature, slip=shipped.slip)
 
 
