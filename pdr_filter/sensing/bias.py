@@ -95,16 +95,17 @@ class GyroBiasState:
 
 @dataclass(frozen=True)
 class GyroBias:
-    """Gyroscope bias from still windows, straight walking, right angles and the drift of the magnetic field.
+    """Gyroscope bias from still windows, straight walking and the drift of the magnetic field.
 
     Parameters
     ----------
     window_s : float
         Length of the windows. One second averages a step or two, and the turning that each brings.
     prior_std_radps, prior_prob : tuple of float
-        The mixture the bias comes from: phones that calibrate themselves well (the drifts of known walks here are 0.001
-        to 0.003 rad/s), less well (0.01), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
-        seen elsewhere).
+        The mixture the bias comes from: phones that calibrate themselves (the drifts of known walks here are 0.002 to
+        0.006 rad/s), less well (0.02), and not (0.03 to 0.04 on the phones of 4 of 13 people of ubicomp13; 0.1 was
+        seen elsewhere). With more weight on the wild ones the ellipses of walks that teach little grow far too large
+        (humolire, ms_indoor).
     device, device_prob : Device or None, float
         What an earlier recording of the phone knew, and with which probability it is this one still.
     walk_radps_per_sqrt_s : float
@@ -149,7 +150,7 @@ class GyroBias:
 
     window_s: float = 1.0
     prior_std_radps: tuple[float, ...] = (0.004, 0.02, 0.05)
-    prior_prob: tuple[float, ...] = (0.8, 0.1, 0.1)
+    prior_prob: tuple[float, ...] = (0.9, 0.07, 0.03)
     device: Device | None = None
     device_prob: float = 0.9
     walk_radps_per_sqrt_s: float = 1e-4
