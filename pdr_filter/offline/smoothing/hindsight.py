@@ -30,14 +30,17 @@ class Hindsight:
 
 
 def knowing_the_device(recording: Recording, config: Config) -> Config:
-    """The configuration with what the whole recording teaches of the phone's gyroscope, for its first seconds too.
+    """The configuration with what the axes of a building teach of the phone's gyroscope, for its first seconds too.
 
-    Its covariance counts double: the second pass sees the same samples.
+    Its covariance counts double: the second pass sees the same samples. Without axes a second pass costs as often as it
+    gains, because straight walking, seen twice, is taken for straighter than it is.
     """
     if "gyroscope" not in recording.streams or config.sensing.attitude.bias.device is not None:
         return config
-    device = track(recording, config).device
-    return config if device is None else config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2))
+    found = track(recording, config)
+    if found.device is None or not (found.n_steps and found.steps.on_axes[-1]):
+        return config
+    return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))
 
 
 def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Hindsight:
