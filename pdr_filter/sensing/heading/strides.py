@@ -28,6 +28,7 @@ class Stride:
     axis_heading_rad: float  # its mean direction in the attitude's frame, clockwise from north
     device_heading_rad: float  # mean
     pointing_rad: float  # where the phone points, from the axis
+    runs: bool
     vectors: FloatArray  # (3, 2) as in `Place`
     powers: FloatArray  # (3,) squared amplitudes: horizontal once and twice a stride, vertical once
 

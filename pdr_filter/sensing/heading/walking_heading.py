@@ -130,7 +130,7 @@ class WalkingHeading:
     systematic_std_rad : float
         How far the push forward is from the walking heading after any number of strides.
     held_systematic_std_rad : float
-        The same for texting and calling: the arm that holds the phone gives way to one side.
+        The same for a phone with its screen up, where the arm that holds it gives way to one side, and for running.
     systematic_s : float
         How long such an error lasts.
     axis_std_rad : float
@@ -375,6 +375,7 @@ class WalkingHeading:
             axis_heading_rad=axis_heading_rad,
             device_heading_rad=float(samples[_HEADING].mean()),
             pointing_rad=pointing_rad,
+            runs=runs,
             vectors=np.stack(
                 [in_phase(once, 0.0), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
             ),
@@ -428,7 +429,8 @@ class WalkingHeading:
         return math.atan2(float(direction @ right), float(direction @ stride.axis))
 
     def _systematic_rad2(self, stride: Stride) -> float:
-        return (self.held_systematic_std_rad if stride.up[2] > 0.5 else self.systematic_std_rad) ** 2
+        is_vague = stride.runs or stride.up[2] > 0.5
+        return (self.held_systematic_std_rad if is_vague else self.systematic_std_rad) ** 2
 
     def _with_axis(self, place: Place, offset: Offset, stride: Stride) -> Offset:
         """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
