@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import TypeVar
 
 import numpy as np
@@ -19,20 +19,15 @@ class HeadingDrift:
     # While the angular rate is measured: what the bias does not explain, and the body's turning against the phone.
     random_walk_rad_per_sqrt_s: float = 0.008
     unknown_rad_per_sqrt_s: float = 1.0  # while no angular rate is measured: after a few seconds nothing is known
-    # How long an error of the gyroscope's bias lasts, which enters the heading as a random walk with this memory. Short
-    # because the bias at the start is a mixture: few phones are off by 0.05 rad/s, most by less than 0.002. With these
-    # values the errors of real hand-held walks are about as large as predicted (docs/benchmarks.md).
+    # How long an error of the gyroscope's bias lasts, which enters the heading as a random walk with this memory, for
+    # recipes that learn no walking heading. The default's stage sets `Step.yaw_bias_std_radps` so that the walk is what
+    # its bank of biases has lost, whatever this is.
     bias_correlation_s: float = 3.0
 
     def __post_init__(self) -> None:
         for name, value in vars(self).items():
             if not 0 <= value < np.inf:
                 raise ValueError(f"{name} must be 0 or more and finite, got {value}")
-
-    @property
-    def of_device(self) -> HeadingDrift:
-        """The same of the device's own heading, which the body's turning against the phone does not touch."""
-        return replace(self, random_walk_rad_per_sqrt_s=0.0)
 
     def variances_rad2(
         self,

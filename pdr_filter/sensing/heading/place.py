@@ -54,6 +54,8 @@ class StrideAgreement:
 
     Parameters
     ----------
+    memory_s : float
+        How long a stride counts, in time of walking.
     max_phase_rad : float
         How far the phase of a person may be from these.
     phase_strides : float
@@ -64,8 +66,6 @@ class StrideAgreement:
         has more), and its vectors from step frequency agree no better than the fourth, the squared length of their
         mean over their mean squared length: 0.1 in two swinging hands, 0.5 to 0.97 in trouser pockets. Of a hand
         that is said to swing less is asked.
-    memory_s : float
-        How long a stride counts, in time of walking.
     """
 
     memory_s: float = 30.0
@@ -106,10 +106,6 @@ class StrideAgreement:
         shared2 = max(n * (forward * forward + right * right - leak2) - length2, 0.0) / max(n - 1.0, 1.0)
         share = min(shared2 / length2, 1.0) if length2 > 0 else 0.0
         return length2, (n * share + _PRIOR_STRIDES * _PRIOR_SHARE) / (n + _PRIOR_STRIDES)
-
-    def share(self, place: Place) -> float:
-        """How well the strides agree on where walking leads, 0 to 1."""
-        return self.agreement(place, self.mix(place))[1]
 
     def _swings(self, place: Place) -> bool:
         """Whether the phone is in a hand that swings."""

@@ -3,7 +3,7 @@
 Errors of successive headings are alike, and a Kalman filter would take them for independent. So each step reports only
 what is new: the measurement and the variance which, by the Kalman update, take a filter that lets the offset wander as
 `HeadingDrift` says from what all measurements before have taught it to what is known now (docs/methods/heading.md).
-Where the device's heading itself was lost, by the gyroscope's bias, a time without it or a gap, that variance stays.
+Where the device's heading itself was lost, by a time without angular rate or a gap, that variance stays.
 """
 
 from __future__ import annotations
@@ -40,8 +40,7 @@ class Reported:
         """What the filter still knows at a step, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
         times_s = (elapsed_s, step.heading_unknown_s)
-        lost_var = float(drift.of_device.variances_rad2(*times_s, step.yaw_bias_std_radps)[1])
-        wandered_var = float(drift.variances_rad2(*times_s, step.yaw_bias_std_radps)[0])
+        wandered_var, lost_var = (float(v) for v in drift.variances_rad2(*times_s, step.yaw_bias_std_radps))
         wandered = replace(self, var_rad2=self.var_rad2 + wandered_var)
         return replace(wandered.after_loss(lost_var), time_s=step.time_s)
 

@@ -5,10 +5,10 @@ vertical velocity), points where the person walks, sign included. Running has an
 stride frequency, and its horizontal force in phase with its vertical one points forward (docs/methods/heading.md).
 
 What is learnt is the angle from the device to the walking heading, which stays while the phone stays in its place.
-Vectors of single strides, turned with the device, are summed with a memory of `memory_s`: each is a von Mises
-likelihood, and the product of such is the sum of their vectors (Mardia and Jupp, "Directional Statistics", 2000). The
-phone's own axis joins the sum where somebody reads on it; after the phone was moved to another place, the last walking
-direction does, and what was learnt in a former place that this looks like.
+Strides count by how well they agree with each other (`place`); the phone's own axis counts where somebody reads on it,
+and after the phone was moved to another place the last walking direction does, and what was learnt in a former place
+that this looks like. A track needs only how the angle differs from that of the first place (`offset`), less what the
+gyroscope's bias and the axes of a building say of the device's own heading (`corridors`).
 
 The angle is learnt in the attitude's own frame (`AttitudeBlock.horizontal_mps2`) and said against `device_heading_rad`,
 both averaged over a stride: how the two relate does not matter, and swings cancel. What is reported to the filter of
@@ -61,7 +61,7 @@ _MAX_SHARE = 0.68
 _YOUNG_STRIDES = 30
 # Strides that agree so well speak for themselves, against a phone's axis that is this far off: people walk where they
 # read, but do not hold the phone upright always.
-_TRUSTED, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
+_OVERRULES_AXIS, _AGAINST_AXIS_RAD = 0.6, math.radians(50.0)
 # Strides after which a direction is good enough to be kept when the phone is moved.
 _SETTLED_STRIDES = 4
 # Former places that are remembered: a look at the phone may be two.
@@ -97,6 +97,7 @@ class WalkingHeadingState:
     place: Place | None
     offset: Offset  # without what is believed for the moment only
     shown: Offset  # with that
+    trust: float  # how well the strides of the place agree
     corridors: CorridorState
     error_rad: float  # of the device's heading when axes were looked for anew
     error_of_bias_rad: float  # what biases found late said of it then
@@ -178,6 +179,7 @@ class WalkingHeading:
             place=None,
             offset=Offset(),
             shown=Offset(),
+            trust=0.0,
             corridors=self.corridors.init(),
             error_rad=0.0,
             error_of_bias_rad=0.0,
@@ -259,12 +261,13 @@ class WalkingHeading:
         state = replace(state, contacts_s=contacts_s[-2:], reported=state.reported.at_step(step, self.drift))
         # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
         if samples is None or context == _SIDEWAYS:
-            return state, step if state.place is None else self._with_shown(state, state.place, step)
+            return state, step if state.place is None else _with_shown(state, step)
         stride = self._describe(state, samples, context)
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         place = self.strides.learn(place, stride, step.duration_s)
-        offset, shown = self._believe(place, state.offset, stride, step.duration_s)
-        shown = self._with_axis(place, shown, stride)
+        elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
+        offset, shown, trust = self._believe(place, state.offset, stride, elapsed_s)
+        shown = self._with_axis(place, shown, stride, trust)
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = float(shown.mean[OFFSET])
         state = replace(
@@ -272,6 +275,7 @@ class WalkingHeading:
             place=place,
             offset=offset,
             shown=shown,
+            trust=trust,
             walking_rad=stride.device_heading_rad + offset_rad,
             walking_s=step.time_s,
             direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * cross(stride.axis, stride.up),
@@ -285,8 +289,7 @@ class WalkingHeading:
         # axes show the walking heading itself, biases only that of the device
         var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + float(samples[_ERROR_VAR, -1])
         reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
-        step = self._with_shown(state, place, step)
-        step = replace(step, on_axes=math.isfinite(error_var))
+        step = replace(_with_shown(state, step), on_axes=math.isfinite(error_var))
         return replace(state, reported=reported), step
 
     def _with_loss(
@@ -300,14 +303,6 @@ class WalkingHeading:
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
         std = math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))
         return replace(state, of_bias_var_rad2=var_rad2), replace(step, yaw_bias_std_radps=std)
-
-    def _with_shown(self, state: WalkingHeadingState, place: Place, step: Step) -> Step:
-        return replace(
-            step,
-            shown_offset_rad=state.shown.shown_rad,
-            shown_offset_std_rad=math.sqrt(state.shown.shown_var_rad2),
-            direction_trust=self.strides.share(place),
-        )
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
         """What time has added to the device's heading, rad, and its variance: infinite unless axes show it."""
@@ -409,7 +404,7 @@ class WalkingHeading:
         if former_rad is not None:
             shown_rad = stride.axis_offset_rad + former_rad
             offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
-        if state.walking_s >= before.start_s:
+        if before.n_strides >= _SETTLED_STRIDES:
             former = Former(time_s, before.n_strides, state.direction_up, state.direction)
             state = replace(state, formers=(*state.formers, former)[-_N_FORMERS:])
         return replace(state, offset=offset), place, UNKNOWN_STD_RAD
@@ -432,22 +427,19 @@ class WalkingHeading:
         is_vague = stride.runs or stride.up[2] > 0.5
         return (self.held_systematic_std_rad if is_vague else self.systematic_std_rad) ** 2
 
-    def _with_axis(self, place: Place, offset: Offset, stride: Stride) -> Offset:
+    def _with_axis(self, place: Place, offset: Offset, stride: Stride, trust: float) -> Offset:
         """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
         is_reading = place.carrying_mode == _TEXTING
         if not (is_reading or (place.carrying_mode < 0 and stride.up[2] > 0.5)):
             return offset
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
-        if (
-            self.strides.share(place) > _TRUSTED
-            and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD
-        ):
+        if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
             return offset
         axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
         return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), axis_rad**2)
 
-    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> tuple[Offset, Offset]:
-        """The offset after a stride, which counts by how well strides agree, and what is believed for the moment.
+    def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> tuple[Offset, Offset, float]:
+        """The offset after a stride, what is believed for the moment, and how well strides agree: so much they count.
 
         The first strides of a place count as their sum, which later ones may show in another light: that it is a hand
         which swings, or another phase. From then on each has its say.
@@ -458,11 +450,20 @@ class WalkingHeading:
         mix = self.strides.mix(place)
         length2, share = self.strides.agreement(place, mix)
         if length2 == 0:
-            return offset, offset
+            return offset, offset, share
         # half of what is not shared is across the direction, and two overlapping strides count as one
         is_young = place.n_strides <= _YOUNG_STRIDES
         vectors, weight = (place.vectors, place.weight) if is_young else (stride.vectors, 1.0)
         forward, right = (float(v) for v in mix @ vectors / weight)
         toward = complex(forward, right) / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.seen(OF_STRIDES, toward, (1.0 - share) / share / weight)
-        return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown
+        return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
+
+
+def _with_shown(state: WalkingHeadingState, step: Step) -> Step:
+    return replace(
+        step,
+        shown_offset_rad=state.shown.shown_rad,
+        shown_offset_std_rad=math.sqrt(state.shown.shown_var_rad2),
+        direction_trust=state.trust,
+    )

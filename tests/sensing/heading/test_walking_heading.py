@@ -328,6 +328,13 @@ def test_what_strides_show_in_the_first_place_does_not_bend_the_track() -> None:
         assert np.degrees(np.sqrt(variance[-1])) < 5.0
 
 
+def test_nothing_is_said_to_be_known_of_the_hand_that_rested_for_a_while() -> None:
+    block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=240.0)
+    walked = [(k, s) for k, s in steps if not 20.0 < s.time_s < 225.0]
+    _, variance = believed(annotated((block, attitude, walked), "pocket"))
+    assert variance[-1] > 0.8 * NOISE.heading_drift.random_walk_rad_per_sqrt_s**2 * 205.0
+
+
 def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> None:
     block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0)
     n = len(block.time_s)
