@@ -142,8 +142,10 @@ class GyroBias:
     field_walk_rad_per_sqrt_s : float
         Random walk of the field's direction from place to place: in buildings it was seen to turn by 0.7 rad along
         a corridor of a minute, smoothly and with hardly a change of its size.
-    field_jump_rad : float
-        After a larger change since the last window the direction starts again: no bias does that.
+    field_jump_rad, field_jump_scatter : float
+        After a larger change since the last window the direction starts again: no bias does that. Nor is it a jump
+        within so many standard deviations of the field's scatter: who circles among iron furniture sees the same
+        field again, and it tells the drift from lap to lap.
     field_outlier_prob : float
         How often the direction is anything.
     """
@@ -175,6 +177,7 @@ class GyroBias:
     field_std_rad: float = 0.05
     field_walk_rad_per_sqrt_s: float = 0.03
     field_jump_rad: float = 0.5
+    field_jump_scatter: float = 2.0
     field_outlier_prob: float = 0.1
 
     def __post_init__(self) -> None:
@@ -310,7 +313,8 @@ class GyroBias:
         variance = independent * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
         change_rad = 0.0 if before is None else float(_wrapped(direction_rad - before.direction_rad, 2 * math.pi))
-        if state.field_tracked and abs(change_rad) < self.field_jump_rad:
+        jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
+        if state.field_tracked and abs(change_rad) < jump_rad:
             seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)[:, None]
             rows, otherwise = np.eye(1, _N_STATES, _FIELD), _uniform_log_density(2 * math.pi)
             bank, inlier_prob = _update(bank, rows, seen, variance, self.field_outlier_prob, otherwise)

@@ -215,6 +215,15 @@ def test_iron_all_along_the_way_leaves_a_good_phone_alone() -> None:
     assert worst < 0.003
 
 
+def test_iron_that_is_passed_on_every_lap_does_not_hide_the_drift() -> None:
+    # sixteen seconds a lap: near the iron the field turns by more than 30 degrees from a second to the next
+    phone = Phone.of(-0.013 * READING)
+    angle = 2 * np.pi * np.arange(240) / 16
+    for disturbance in 16.0 * np.column_stack([np.sin(angle), np.cos(angle), np.zeros(240)]):
+        phone.in_field(1, 0.6, disturbance[None, :])
+    assert phone.about_up_radps == pytest.approx(-0.013, abs=0.004)
+
+
 def test_a_field_that_points_elsewhere_from_now_on_is_no_drift() -> None:
     rng = np.random.default_rng(10)
     phone = Phone.of(np.zeros(3))
