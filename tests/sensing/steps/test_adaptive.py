@@ -88,7 +88,7 @@ def test_between_two_hats_of_the_bank_a_sinusoid_of_the_expected_frequency_keeps
     for rms_mps2 in np.geomspace(0.3, 8.0, 9):
         frequency_hz = DETECTOR.frequency_at_1_mps2_hz * rms_mps2**DETECTOR.frequency_exponent
         line = np.sqrt(2) * rms_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
-        response = DETECTOR._transform(line, DETECTOR._rms(line))
+        response, *_ = DETECTOR._response(line[None])
         assert response.max() == pytest.approx(np.sqrt(2) * rms_mps2, rel=0.15)
 
 
@@ -96,7 +96,29 @@ def test_the_power_is_the_deviation_of_the_low_passed_magnitude_around_a_sample(
     line = np.random.default_rng(0).normal(size=700)
     smooth = np.convolve(line, low_pass_kernel(5.5, 100.0), mode="same")
     expected = [np.std(smooth[i - 100 : i + 76]) for i in range(112, 612)]
-    np.testing.assert_allclose(DETECTOR._rms(line)[:500], expected, rtol=1e-9)
+    _, rms, _ = DETECTOR._response(line[None])
+    np.testing.assert_allclose(rms[:500], expected, rtol=1e-9)
+
+
+def test_a_sine_tells_its_own_frequency_and_heel_strikes_do_not() -> None:
+    time_s = (np.arange(1000) + 0.5) / 100
+    for frequency_hz, amplitude_mps2 in ((2.3, 1.5), (2.6, 2.0), (3.0, 2.0)):
+        sine = amplitude_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
+        np.testing.assert_allclose(DETECTOR._sine_hz(sine), 0.8 * frequency_hz, rtol=0.05)
+    heel_strikes = 1.5 * np.cos(2 * np.pi * 1.4 * time_s) + 0.8 * np.cos(2 * np.pi * 2.8 * time_s)
+    assert not DETECTOR._sine_hz(heel_strikes).any()
+    twice_a_step = 3.0 * np.cos(2 * np.pi * 3.6 * time_s)
+    assert not DETECTOR._sine_hz(twice_a_step).any()
+
+
+@pytest.mark.parametrize("uneven", [0.0, 0.25])
+def test_soft_running_has_every_step_though_its_power_is_that_of_walking(uneven: float) -> None:
+    # 2.6 steps a second at the 2 m/s2 of strolling, as jogging in place or in a small room has it
+    time_s = (np.arange(4000) + 0.5) / 100
+    blow = 2.3 * np.cos(2 * np.pi * 2.6 * time_s) * (1.0 + uneven * np.cos(2 * np.pi * 1.3 * time_s))
+    magnitude = STANDARD_GRAVITY_MPS2 + blow * ((time_s > 5) & (time_s < 35))
+    _, found = detect([uniform_block(magnitude)])
+    assert abs(len(found) - 78) <= 2
 
 
 # --- synthetic steps ------------------------------------------------------------------------------------------------
