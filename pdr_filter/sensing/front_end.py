@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeEstimator, AttitudeState
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock
-from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext
+from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
 from pdr_filter.sensing.heading.stage import HeadingStage
@@ -32,6 +32,10 @@ class Gap:
 
 Event = Step | WindowContext | Gap
 
+# The step frequency that a window knows of is the median of the last three steps, if they are recent: the last one is
+# known 0.9 s after its contact, and three of the slowest steps take 4 s.
+_CADENCE_STEPS, _CADENCE_S = 3, 5.0
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class SensingState:
@@ -45,6 +49,7 @@ class SensingState:
     gate: Any
     even: Any
     rattle: RattleState
+    cadence: tuple[tuple[float, float], ...]  # time and frequency of the last steps of this segment
     n_samples: int  # of this segment
     context: int  # of the last window: index into `CONTEXTS`, -1 where none has half of the probability
     carrying_mode: int  # likewise into `CARRYING_MODES`
@@ -113,6 +118,7 @@ class Sensing:
             gate=self.gate.init() if self.gate else None,
             even=self.even.init() if self.even else None,
             rattle=self._rattle.init(),
+            cadence=(),
             n_samples=0,
             context=-1,
             carrying_mode=-1,
@@ -163,7 +169,7 @@ class Sensing:
         if self.even:
             even_state, steps = self.even.step(state.even, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
-        in_order = sorted([*windows, *steps], key=lambda e: e[0])
+        in_order, cadence = _with_cadences(state.cadence, sorted([*windows, *steps], key=lambda e: e[0]))
         state = SensingState(
             conditioner=state.conditioner,
             attitude=attitude_state,
@@ -173,6 +179,7 @@ class Sensing:
             gate=gate_state,
             even=even_state,
             rattle=self._rattle.step(state.rattle, part, steps),
+            cadence=cadence,
             n_samples=n_before + n,
             context=int(context[-1]),
             carrying_mode=int(carrying_mode[-1]),
@@ -202,6 +209,7 @@ class Sensing:
             steps=self.steps.init(),
             rattle=self._rattle.after_gap(state.rattle),
             heading=self.heading.after_gap(state.heading) if self.heading else None,
+            cadence=(),
             n_samples=0,
         )
 
@@ -218,6 +226,20 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
             attitude_state, attitude = attitude_estimator.step(attitude_state, part)
             state, found = stage.step(state, part, attitude)
             yield from (window for _, window in found)
+
+
+def _with_cadences(
+    cadence: tuple[tuple[float, float], ...], events: Sequence[tuple[int, WindowContext | Step]]
+) -> tuple[list[tuple[int, WindowContext | Step]], tuple[tuple[float, float], ...]]:
+    """Events whose windows know the frequency of the steps before their end, and those of the last steps."""
+    result: list[tuple[int, WindowContext | Step]] = []
+    for number, event in events:
+        if isinstance(event, Step):
+            cadence = (*cadence, (event.time_s, event.frequency_hz))[-_CADENCE_STEPS:]
+        elif len(cadence) == _CADENCE_STEPS and event.time_s - cadence[0][0] < _CADENCE_S:
+            event = with_cadence(event, sorted(frequency_hz for _, frequency_hz in cadence)[_CADENCE_STEPS // 2])
+        result.append((number, event))
+    return result, cadence
 
 
 def _likely(prob: FloatArray) -> int:

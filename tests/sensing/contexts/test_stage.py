@@ -10,7 +10,7 @@ from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.papers.martinelli2018.features import TABLE_II
-from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_climb
+from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_cadence, with_climb
 from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
@@ -102,6 +102,25 @@ def test_what_is_unlike_the_training_windows_gets_the_prior_of_the_model() -> No
         expected = (1 - unknown) * CONTEXT.predict(each.features[:3]) + unknown * CONTEXT.training_prior
         np.testing.assert_allclose(context.prob, expected)
         assert context.prob.sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("frequency_hz", "most_likely"), [(1.3, "walking"), (1.9, "walking"), (2.7, "running")])
+def test_the_step_frequency_divides_what_the_classifier_does_not_know_and_nothing_else(
+    frequency_hz: float, most_likely: str
+) -> None:
+    prior = np.array([0.2, 0.4, 0.1, 0.1, 0.0, 0.2])
+    known = np.array([0.0, 0.0, 0.7, 0.3, 0.0, 0.0])
+    for unknown in (0.0, 0.4, 1.0):
+        before = WindowContext(2.0, (1 - unknown) * known + unknown * prior, prior, unknown_share=unknown)
+        prob = with_cadence(before, frequency_hz).prob
+        assert prob.sum() == pytest.approx(1.0)
+        guess = prob - (1 - unknown) * known
+        if unknown == 0.0:
+            np.testing.assert_array_equal(prob, before.prob)
+        else:
+            assert CONTEXTS[guess.argmax()] == most_likely
+            assert guess.max() > 0.5 * unknown
+            assert guess[CONTEXTS.index("sideways")] == pytest.approx(0.0)
 
 
 def test_without_a_carrying_model_all_modes_stay_equally_probable() -> None:
