@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.filter.alignment import Alignment
+from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filtering import Output, State, climb_at, due_s, finish, init, notes_of, parts, step
 from pdr_filter.io.recording import MissingSensorError, Recording
@@ -60,8 +60,8 @@ def track(
         recipe's own if not given; that of the default recipe is "imm".
     fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
         What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
-        track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, its
-        steps from before that was found out included.
+        track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, all
+        of it, from the first position fix on (`Track.frame`).
     progress : callable, optional
         Called with the fraction done, 0 to 1.
     calibration : Calibration or path, optional
@@ -119,17 +119,20 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     misplaced = ("worn on the foot: this recipe is for a carried phone, its steps and lengths do not fit",)
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
-    track = _track(recording.name, config, [u for u in whole.updates if u.is_final], _windows(whole.windows))
-    track = replace(
+    frame = state.tracker.pedestrian.frame
+    updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
+    track = _track(recording.name, config, updates, _windows(whole.windows))
+    origin = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
+    return replace(
         track,
         start_time_s=start_s,
+        start_position_m=read_only(origin.position_m),
+        frame="fixes" if frame.is_known else "start",
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
         device=config.sensing.device(state.sensing),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
-    alignment = state.tracker.pedestrian.frame.alignment
-    return track if alignment is None else _in_world(track, alignment)
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
@@ -222,17 +225,14 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
     )
 
 
-def _in_world(track: Track, alignment: Alignment) -> Track:
-    """The track with the steps from before the alignment in the frame of the others."""
-    first = np.arange(track.n_steps) < alignment.n_steps
-    R = alignment.rotation
-    turned = track.walking_heading_rad + np.where(first, alignment.angle_rad, 0.0)
+def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:
+    """A step that was reported before the turn was settled, by what is known in the end."""
+    if update.of_start is None or not frame.is_known:
+        return update
+    place = frame.world(update.of_start)
     return replace(
-        track,
-        start_position_m=read_only(alignment.positions(np.zeros(2))),
-        position_m=read_only(np.where(first[:, None], alignment.positions(track.position_m), track.position_m)),
-        position_cov_m2=read_only(
-            np.where(first[:, None, None], R @ track.position_cov_m2 @ R.T, track.position_cov_m2)
-        ),
-        walking_heading_rad=read_only(wrap_angle(turned)),
+        update,
+        position_m=read_only(place.position_m),
+        position_cov_m2=read_only(place.cov_m2),
+        walking_heading_rad=place.heading_rad,
     )

@@ -1,26 +1,36 @@
-"""From the frame in which a track starts to the frame of its position fixes: a rotation and a shift, found once.
+"""From the frame in which a track starts to the frame of its position fixes: a shift and a turn.
 
-Dead reckoning knows neither where it starts nor which way is north. Fixes show both as soon as the walk between them is
-long against their errors: the rotation and shift that bring the track to the fixes best (W. Kabsch, "A solution for the
-best rotation to relate two sets of vectors", Acta Cryst. A32, 1976, in the plane).
+Dead reckoning knows neither where it starts nor which way is north. The first fix shows where it is. The turn is
+anything then, and a density over all turns, which the fixes that follow narrow: the likelihood of a turn is that of
+what it leaves between the fixes and the track, whose errors grow as the filter says. Positions are the mean and the
+covariance over that density, so that they are in the frame of the fixes from the first one on. A density that has
+become narrow is a rotation with a standard deviation, in which the filter is linear: the track goes over into the frame
+of the fixes for good (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors",
+Acta Cryst. A32, 1976, in the plane).
 """
 
 from __future__ import annotations
 
+import cmath
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
+from scipy.stats import chi2
 
 from pdr_filter.filter.motion import HEADING_OFFSET
 from pdr_filter.values import FloatArray, read_only
 
-# The rotation is taken when it is known to 15 degrees (one standard deviation): the filter refines it linearly.
+# A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
 # Fixes that are remembered for it; of more, the first and the last ones.
 MAX_PAIRS = 24
-# Errors of dead reckoning itself, as a part of the distance between two fixes.
-_DRIFT = 0.1
+_ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
+# One in so many good sets of fixes loses one of them.
+_DISAGREE_PROB = 1e-3
+_APART = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -30,6 +40,17 @@ class PairedPoint:
     track_m: FloatArray  # (2,)
     world_m: FloatArray  # (2,)
     var_m2: float  # of the fix, mean of both axes
+    walked_var_m2: float = 0.0  # of the track since its start, but for its heading: it only grows
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Place:
+    """Where somebody is and which way he walks, in some frame."""
+
+    position_m: FloatArray  # (2,)
+    cov_m2: FloatArray  # (2, 2)
+    heading_rad: float
+    n_steps: int  # number of the step that led there
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,58 +67,185 @@ class Alignment:
     @property
     def rotation(self) -> FloatArray:
         """R, (2, 2), for columns east, north: headings grow by the angle."""
-        c, s = np.cos(self.angle_rad), np.sin(self.angle_rad)
-        return np.array([[c, s], [-s, c]])
+        return _rotations(np.array([self.angle_rad]))[0]
 
     def positions(self, track_m: FloatArray) -> FloatArray:
         """Positions (..., 2) in the world."""
         return (track_m - self.track_centre_m) @ self.rotation.T + self.world_centre_m
 
+    def world(self, place: Place) -> Place:
+        """A place in the world."""
+        position_m = self.positions(place.position_m)
+        east_m, north_m = position_m - self.world_centre_m
+        lever_m = np.array([north_m, -east_m])
+        cov = self.rotation @ place.cov_m2 @ self.rotation.T + self.centre_var_m2 * np.eye(2)
+        cov = cov + self.angle_var_rad2 * lever_m[:, None] * lever_m
+        return replace(place, position_m=position_m, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
-def align(pairs: Sequence[PairedPoint], n_steps: int) -> Alignment | None:
-    """The alignment that the pairs show, or None while they leave the angle open.
 
-    With weights w and centred places l in the track and d in the world, a = atan2(sum w (d_e l_n - d_n l_e),
-    sum w d . l), and var a = 1 / sum w l . l.
-    """
-    if len(pairs) < 2:
-        return None
-    track, world = np.stack([a.track_m for a in pairs]), np.stack([a.world_m for a in pairs])
-    reach = np.linalg.norm(track - track.mean(axis=0), axis=1)
-    weight = 1.0 / (np.array([a.var_m2 for a in pairs]) + (_DRIFT * reach) ** 2)
-    track_centre, world_centre = weight @ track / weight.sum(), weight @ world / weight.sum()
-    l, d = track - track_centre, world - world_centre
-    spread = float(weight @ (l * l).sum(axis=1))
-    if spread * MAX_ANGLE_STD_RAD**2 < 1.0:
-        return None
-    cross = weight @ (d[:, 0] * l[:, 1] - d[:, 1] * l[:, 0])
-    along = weight @ (d * l).sum(axis=1)
-    angle_rad = float(np.arctan2(cross, along))
-    return Alignment(angle_rad, 1.0 / spread, track_centre, world_centre, float(1.0 / weight.sum()), n_steps)
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenTurn:
+    """What is known of a turn that is not settled: a probability for each angle, and where the track's origin is."""
+
+    prob: FloatArray  # (A,) of `_ANGLES_RAD`
+    origin_m: FloatArray  # (A, 2) in the world
+    origin_var_m2: float
+
+    @property
+    def direction(self) -> complex:
+        """Mean of e^(i angle): as long as the turn is sure."""
+        return complex(self.prob @ np.exp(1j * _ANGLES_RAD))
+
+    def world(self, place: Place) -> Place:
+        """A place in the world: mean and covariance over all turns."""
+        R = _rotations(_ANGLES_RAD)
+        each = R @ place.position_m + self.origin_m
+        mean = self.prob @ each
+        away = each - mean
+        cov = np.einsum("a,aij,jk,alk->il", self.prob, R, place.cov_m2, R)
+        cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
+        heading_rad = place.heading_rad + cmath.phase(self.direction)
+        return replace(place, position_m=mean, cov_m2=cov, heading_rad=heading_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Frame:
-    """Whether positions are in the frame of the fixes, and what is known of how to bring them there."""
+    """Whether the track is in the frame of the fixes, and what is known of how to bring it there."""
 
     is_joined: bool
-    pairs: tuple[PairedPoint, ...] = ()  # fixes that wait for the alignment
+    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
+    turn: OpenTurn | None = None  # from the first of them on
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
-    knows_north: bool = False  # a heading fix has turned the frame
+    north: Alignment | None = None  # how a heading fix had turned the frame of the start before
+
+    @property
+    def north_var_rad2(self) -> float:
+        """Variance of the turn before any position fix: infinite if it may be anything."""
+        return math.inf if self.north is None else self.north.angle_var_rad2
+
+    @property
+    def is_known(self) -> bool:
+        """Whether positions are in the frame of fixes, be the turn settled or not."""
+        return self.turn is not None or self.alignment is not None
+
+    def world(self, place: Place) -> Place:
+        """A place that was reported in the frame of the start, by what is known now."""
+        if self.north is not None and place.n_steps < self.north.n_steps:
+            place = self.north.world(place)
+        if self.alignment is not None:
+            return self.alignment.world(place)
+        return place if self.turn is None else self.turn.world(place)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
         """With one more pair: the first of them and the latest are kept."""
         pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
-        return replace(self, pairs=pairs)
+        return replace(self, pairs=pairs)._turned()
+
+    @property
+    def agreeing(self) -> tuple[PairedPoint, ...]:
+        """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
+
+        Of two or three none is in the minority: they must be ten standard deviations apart.
+        """
+        pairs = self.pairs
+        while len(pairs) > 1 and self._best(pairs) > (
+            chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
+        ):
+            pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=self._best)
+        return pairs
+
+    def _best(self, pairs: tuple[PairedPoint, ...]) -> float:
+        return float(_squares(pairs, _least_squares(pairs), self.north_var_rad2).min())
+
+    def _turned(self) -> Frame:
+        return replace(self, turn=open_turn(self.agreeing, self.north_var_rad2)) if self.pairs else self
+
+    def with_north(self, north: Alignment) -> Frame:
+        """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
+        return replace(self, north=north)._turned()
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
         pairs = tuple(replace(p, track_m=read_only(alignment.positions(p.track_m))) for p in self.pairs)
-        return replace(self, pairs=pairs)
+        return replace(self, pairs=pairs)._turned()
 
 
 START_FRAME = Frame(is_joined=True)
 UNKNOWN_FRAME = Frame(is_joined=False)
+
+
+class _LeastSquares(NamedTuple):
+    """Pairs in the frame of the start, less the shift that fits each turn best."""
+
+    weight: FloatArray  # (2 N, 2 N) inverse covariance of the errors
+    projected: FloatArray  # (2 N, 2 N) the same with the best shift taken off
+    shift_weight: FloatArray  # (2, 2) inverse covariance of the shift
+    track: FloatArray  # (2 N,)
+
+
+def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
+    """Errors of the fixes are independent; those of the track are shared by all that came after them."""
+    walked = np.array([p.walked_var_m2 for p in pairs])
+    shared = np.minimum(walked[:, None], walked) - walked.min()
+    weight = np.kron(np.linalg.inv(np.diag([p.var_m2 for p in pairs]) + shared), np.eye(2))
+    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
+    shift_weight = ones.T @ weight @ ones
+    projected = weight - weight @ ones @ np.linalg.solve(shift_weight, ones.T @ weight)
+    return _LeastSquares(weight, projected, shift_weight, np.concatenate([p.track_m for p in pairs]))
+
+
+def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
+    """Sum of squared errors over their covariance for each turn (A,), what is known of the north among them."""
+    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
+    return np.einsum("ai,ij,aj->a", away, fit.projected, away) + _ANGLES_RAD**2 / north_var_rad2
+
+
+def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
+    """The density of the turn that some pairs show, one at least."""
+    fit = _least_squares(pairs)
+    square = _squares(pairs, fit, north_var_rad2)
+    prob = np.exp(-0.5 * (square - square.min()))
+    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
+    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
+    shift = np.linalg.solve(fit.shift_weight, ones.T @ fit.weight @ away.T).T
+    origin_m = np.einsum("aij,aj->ai", _rotations(_ANGLES_RAD), shift)
+    return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
+
+
+def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf) -> Alignment | None:
+    """The alignment that the pairs show, or None while they leave the turn open.
+
+    From the most probable turn of the density by Gauss-Newton; with e_i the fixes turned back into the frame of the
+    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre.
+    """
+    turn = open_turn(pairs, north_var_rad2)
+    length = min(max(abs(turn.direction), 1e-12), 1.0)
+    if -2.0 * math.log(length) > MAX_ANGLE_STD_RAD**2:
+        return None
+    fit = _least_squares(pairs)
+    angle_rad, information = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0
+    for _ in range(5):
+        back = _turned_back(pairs, np.array([angle_rad]))[0]
+        slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
+        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2
+        angle_rad -= (float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2) / information
+    of_each = fit.weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
+    of_each = of_each / of_each.sum()
+    track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
+    centre_var = 2.0 / float(np.trace(fit.shift_weight))
+    return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
+
+
+def _rotations(angle_rad: FloatArray) -> FloatArray:
+    """R (A, 2, 2) for columns east, north, clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+
+
+def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatArray:
+    """The fixes turned back by each angle, (A, 2 N)."""
+    world = np.stack([p.world_m for p in pairs])
+    return np.einsum("aij,ni->anj", _rotations(angle_rad), world).reshape(len(angle_rad), -1)
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:

@@ -6,7 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from pdr_filter.filter.alignment import Alignment, PairedPoint, align
+from pdr_filter.filter import imm
+from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
@@ -17,7 +18,7 @@ from pdr_filter.filter.pedestrian import (
     TRAIL_TIME,
     PedestrianState,
     in_other_frame,
-    present_position,
+    own_place,
     shared_cov,
 )
 from pdr_filter.values import (
@@ -42,7 +43,7 @@ def use_fix(
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
     A fix that no filter can explain, or that is older than the remembered steps, is rejected. Where the frame of the
-    fixes is not known, the first position fixes wait until they show where the track is and which way is north.
+    fixes is not known, the first position fix places the track in it, and those that follow turn it.
     `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
     """
     if isinstance(fix, Standstill):
@@ -56,7 +57,7 @@ def use_fix(
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
     if not state.frame.is_joined:
-        return _on_first_positions(state, fix, then[:2])
+        return _on_first_positions(model, arithmetic, state, fix, then[:2])
     return _on_position(model, arithmetic, state, fix, then[:2])
 
 
@@ -89,11 +90,11 @@ def _on_heading(
         return state, "nothing to compare", np.nan
     innovation = fix.walking_heading_rad - device_heading_rad - state.mean[:, HEADING_OFFSET]
     innovation = wrap_angle(innovation - offset_rad)
-    if not (state.frame.is_joined or state.frame.knows_north):
+    if not state.frame.is_joined and state.frame.north is None:
         angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
         turn = Alignment(angle_rad, fix.std_rad**2, np.zeros(2), np.zeros(2), 0.0, state.n_final)
         state = in_other_frame(state, turn)
-        return replace(state, frame=replace(state.frame, knows_north=True)), "used", np.nan
+        return replace(state, frame=state.frame.with_north(turn)), "used", np.nan
     return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, fix.std_rad**2)
 
 
@@ -134,23 +135,41 @@ def _gated(
     best_nis = float(nis.min())
     if not best_nis <= gate_nis:
         return state, "rejected", best_nis
-    before_m, _ = present_position(state)
+    before_m = own_place(state).position_m
     prob = arithmetic.update_mode_prob(state.prob, log_likelihood)
     state = replace(state, mean=mean, cov=cov, prob=prob)
     trail = state.trail.copy()
-    trail[:, TRAIL_POSITION] += present_position(state)[0] - before_m
+    trail[:, TRAIL_POSITION] += own_place(state).position_m - before_m
     return replace(state, trail=trail), "used", best_nis
 
 
-def _on_first_positions(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> _Result:
-    """State with one more fix to align with, or aligned."""
-    pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)))
+def _on_first_positions(
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+) -> _Result:
+    """State that is placed or turned by one fix more, in the frame of the fixes once the turn is settled.
+
+    The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
+    it knows.
+    """
+    _, P = imm.combine(state.mean, state.cov, state.prob)
+    cov = P.copy()
+    cov[:2, :2] += shared_cov(state)
+    of_heading = cov[:2, HEADING_OFFSET]
+    walked_var = 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / cov[HEADING_OFFSET, HEADING_OFFSET])
+    pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)), walked_var)
     frame = state.frame.with_pair(pair)
-    alignment = align(frame.pairs, state.n_final)
+    agreeing = frame.agreeing
+    if agreeing[-1] is not pair:
+        return replace(state, frame=frame), "rejected", np.inf
+    half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
+    alignment = align(half, state.n_final, frame.north_var_rad2)
     if alignment is None:
-        return replace(state, frame=frame), "waiting", np.nan
-    state = in_other_frame(state, alignment)
-    return replace(state, frame=replace(frame, is_joined=True, pairs=(), alignment=alignment)), "used", np.nan
+        return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
+    joined = Frame(is_joined=True, alignment=alignment, north=frame.north)
+    state = replace(in_other_frame(state, alignment), frame=joined)
+    now_m = alignment.positions(then_m)
+    state, _, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
+    return state, "turned", nis
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:

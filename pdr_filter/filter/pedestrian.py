@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, moved
+from pdr_filter.filter.alignment import Alignment, Frame, Place, moved
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -49,6 +49,8 @@ class StepUpdate:
     speed: WalkingSpeed
     context_prob: FloatArray  # (C,)
     mode_prob: FloatArray  # (M,)
+    # The same in the frame of the start, while the turn to the frame of the fixes is not settled; None afterwards.
+    of_start: Place | None
     gap_before_s: float  # time without samples since the step before
 
 
@@ -192,14 +194,17 @@ def step_update(
     """What is reported of a step that led from one state to the next, see `with_step`."""
     x, P = combined
     assert after.speed is not None
+    own = Place(x[:2], position_cov(P, after), walked.heading_rad, before.n_final)
+    place = own if after.frame.is_joined else after.frame.world(own)
     return StepUpdate(
         index=before.n_final,
         step=step,
         is_final=is_final,
-        position_m=read_only(x[:2]),
-        position_cov_m2=position_cov(P, after),
+        position_m=read_only(place.position_m),
+        position_cov_m2=read_only(place.cov_m2),
+        of_start=None if after.frame.is_joined else own,
         step_length_m=walked.length_m,
-        walking_heading_rad=walked.heading_rad,
+        walking_heading_rad=place.heading_rad,
         speed=after.speed,
         context_prob=read_only(context_prob),
         mode_prob=read_only(mode_prob),
@@ -208,9 +213,16 @@ def step_update(
 
 
 def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
-    """Position (2,) and covariance (2, 2) of the final estimate."""
+    """Position (2,) and covariance (2, 2) of the final estimate, in the frame of the fixes as far as it is known."""
+    own = own_place(state)
+    place = own if state.frame.is_joined else state.frame.world(own)
+    return read_only(place.position_m), read_only(place.cov_m2)
+
+
+def own_place(state: PedestrianState) -> Place:
+    """The place of the final estimate in the frame of the filter's states, without its heading."""
     x, P = imm.combine(state.mean, state.cov, state.prob)
-    return x[[EAST, NORTH]], position_cov(P, state)
+    return Place(x[[EAST, NORTH]], position_cov(P, state), 0.0, state.n_final)
 
 
 def position_cov(P: FloatArray, state: PedestrianState) -> FloatArray:

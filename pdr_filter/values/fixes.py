@@ -101,7 +101,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "rejected", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -111,8 +111,9 @@ class FixResult:
     kind: str  # "position", "heading", "speed", "standstill"
     time_s: float  # when it was true
     used_s: float  # when the filter took it
-    # "used"; "rejected": it does not fit, or is of another time; "waiting": for more fixes that show how the frame of
-    # the track lies in theirs, or for samples of its time; "nothing to compare": no step yet that it says something of.
+    # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
+    # those that show which way the track lies there; "rejected": it does not fit, or is of another time; "waiting": for
+    # samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
@@ -126,4 +127,4 @@ class FixResult:
     @property
     def accepted(self) -> bool:
         """Whether the filter used it."""
-        return self.outcome == "used"
+        return self.outcome in ("used", "placed", "turned")

@@ -20,8 +20,9 @@ _WINDOW_S = 2.0  # of the context windows
 class TrackRows:
     """Where the pedestrian walked: one row for each step, positions in metres with covariance.
 
-    East and north are relative to the start; "north" is true north only where an absolute heading was available,
-    otherwise the direction of the device's heading at the start.
+    Positions are in one frame, which `frame` names: that of the "start", whose origin is where the track begins and
+    whose north is where the device's heading was zero, or that of the "fixes". Where few fixes leave open how the track
+    is turned in their frame, a position is the mean over all turns, and its covariance says how far they differ.
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
     lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
@@ -52,6 +53,7 @@ class TrackRows:
     notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
     fixes: tuple[FixResult, ...] = field(default=())
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
+    frame: str = "start"  # of positions and headings: "start" or "fixes"
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"

@@ -7,10 +7,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers import cut_randomly
+from scipy.stats import chi2, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align
+from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align, open_turn
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
@@ -59,10 +60,10 @@ def test_fixes_that_are_close_together_leave_the_angle_open() -> None:
     assert align([*near, PairedPoint(np.array([0.0, 60.0]), np.array([5.0, 60.0]), 25.0)], 0) is not None
 
 
-def test_the_first_fix_that_waits_is_never_forgotten() -> None:
+def test_the_first_fix_is_not_forgotten_while_the_turn_is_open() -> None:
     frame = UNKNOWN_FRAME
     for k in range(100):
-        frame = frame.with_pair(PairedPoint(np.array([0.0, k]), np.zeros(2), 1.0))
+        frame = frame.with_pair(PairedPoint(np.array([0.0, k]), np.array([k, 0.0]), 1.0))
     assert frame.pairs[0].track_m[1] == 0.0
     assert frame.pairs[-1].track_m[1] == 99.0
     assert len(frame.pairs) <= 24
@@ -77,11 +78,66 @@ def test_a_track_finds_the_place_and_the_north_of_its_fixes(walk: Recording, wei
     error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
     assert np.median(error) < 2.0
     assert error.max() < 6.0  # also of the steps before anything was known
-    n_waiting = [f.outcome for f in track.fixes].count("waiting")
-    assert 1 <= n_waiting <= 3  # until they showed the frame
-    assert all(f.accepted for f in track.fixes[n_waiting:])
+    outcomes = [f.outcome for f in track.fixes]
+    n_turned = outcomes.count("turned")
+    assert 1 <= n_turned <= 3
+    assert outcomes == ["placed", *["turned"] * n_turned, *["used"] * (len(outcomes) - 1 - n_turned)]
+    assert track.frame == "fixes"
     first = wrap_angle(track.walking_heading_rad[5:20] - angle_rad)
     assert np.abs(first).max() < 0.4
+
+
+def test_the_density_of_the_turn_is_that_of_normal_errors_of_fixes_and_track() -> None:
+    rng = np.random.default_rng(3)
+    track, fix_var, walked_var = rng.normal(scale=6.0, size=(4, 2)), [1.0, 4.0, 2.0, 1.0], [3.0, 3.5, 5.0, 9.0]
+    world = track @ clockwise(1.1).T + [30.0, 8.0] + rng.normal(scale=1.5, size=(4, 2))
+    pairs = [PairedPoint(t, w, v, s) for t, w, v, s in zip(track, world, fix_var, walked_var, strict=True)]
+    walked = np.array(walked_var) - walked_var[0]
+    # the shift may be anything: a wide normal distribution of it
+    cov = np.diag(fix_var) + np.minimum(walked[:, None], walked) + 1e6
+    angles = np.linspace(-np.pi, np.pi, 120, endpoint=False)
+    log_density = [
+        sum(multivariate_normal.logpdf((world - track @ clockwise(a).T)[:, k], cov=cov) for k in (0, 1)) for a in angles
+    ]
+    expected = np.exp(np.array(log_density) - max(log_density))
+    np.testing.assert_allclose(open_turn(pairs).prob, expected / expected.sum(), atol=1e-4)
+
+
+def test_after_one_fix_the_pedestrian_is_on_a_circle_around_it(walk: Recording) -> None:
+    fix = PositionFix(6.0, np.array([70.0, 20.0]), np.eye(2))
+    track = pdr.track(walk, recipes.for_recording("default", walk).in_world_frame(), fixes=[fix])
+    alone = pdr.track(walk, recipes.for_recording("default", walk))
+    assert [f.outcome for f in track.fixes] == ["placed"]
+    assert track.frame == "fixes" and alone.frame == "start"
+    np.testing.assert_allclose(track.position_m, np.tile(fix.position_m, (track.n_steps, 1)), atol=1e-6)
+    at_fix = np.array([np.interp(6.0, alone.time_s, alone.position_m[:, k]) for k in (0, 1)])
+    squared_m2 = ((alone.position_m - at_fix) ** 2).sum(axis=1) + np.trace(alone.position_cov_m2, axis1=1, axis2=2)
+    np.testing.assert_allclose(np.trace(track.position_cov_m2, axis1=1, axis2=2), squared_m2 + 2.0, rtol=1e-6)
+
+
+def test_two_fixes_two_metres_apart_leave_the_track_inside_of_its_ellipse(walk: Recording) -> None:
+    rng = np.random.default_rng(5)
+    times = np.array([5.0, 6.6])
+    inside = []
+    for angle_rad in np.linspace(-3.0, 3.0, 12):
+        places = truth_at(walk, times) @ clockwise(angle_rad).T + [140.0, 93.0] + rng.normal(scale=0.5, size=(2, 2))
+        fixes = [PositionFix(float(t), p, 0.25 * np.eye(2)) for t, p in zip(times, places, strict=True)]
+        track = pdr.track(walk, recipes.for_recording("default", walk).in_world_frame(), fixes=fixes)
+        error = track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + [140.0, 93.0])
+        nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+        assert nees.max() < chi2.isf(1e-3, 2)
+        inside.append(np.mean(nees < chi2.ppf(0.95, 2)))
+        assert all(f.accepted for f in track.fixes)
+    assert np.mean(inside) > 0.85
+
+
+def test_wrong_first_fixes_are_outvoted(walk: Recording) -> None:
+    shift, angle_rad = np.array([50.0, 80.0]), 1.9
+    fixes = fixes_in(walk, angle_rad, shift, every_s=6.0)
+    wrong = [PositionFix(1.0, np.array([400.0, 0.0]), np.eye(2)), PositionFix(2.5, np.array([10.0, -300.0]), np.eye(2))]
+    track = pdr.track(walk, recipes.for_recording("default", walk).in_world_frame(), fixes=[*wrong, *fixes])
+    error = np.linalg.norm(track.position_m - (truth_at(walk, track.time_s) @ clockwise(angle_rad).T + shift), axis=1)
+    assert np.median(error) < 2.0
 
 
 def test_the_same_fixes_without_that_are_rejected_as_they_fit_nothing(walk: Recording) -> None:
@@ -120,13 +176,12 @@ def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk
         )
         online = pdr.OnlineFilter.load(online.save())
     updates += online.finish()
-    alignment = online.state.tracker.pedestrian.frame.alignment
-    assert alignment is not None
-    told = np.array([u.position_m for u in updates])
-    # offline the steps from before the alignment are brought along
-    told[: alignment.n_steps] = alignment.positions(told[: alignment.n_steps])
-    np.testing.assert_allclose(told[: alignment.n_steps], whole.position_m[: alignment.n_steps], atol=1e-9)
-    np.testing.assert_array_equal(told[alignment.n_steps :], whole.position_m[alignment.n_steps :])
+    frame = online.state.tracker.pedestrian.frame
+    assert frame.alignment is not None
+    # offline the steps from before the turn was settled are brought along
+    told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
+    np.testing.assert_array_equal(told, whole.position_m)
+    assert sum(u.of_start is not None for u in updates) == frame.alignment.n_steps
     assert [f.kind for f in whole.fixes].count("position") == len(fixes) - 3
 
 
