@@ -39,6 +39,7 @@ def small_track(n: int = 3) -> Track:
         position_m=np.array([[0.7, 0.0], [0.7, 0.8], [0.0, 0.8]])[:n],
         position_cov_m2=covariance,
         step_length_m=np.array([0.7, 0.8, 0.7])[:n],
+        walked_m=np.array([0.7, 1.5, 2.2])[:n],
         walking_heading_rad=np.array([np.pi / 2, 0.0, -np.pi / 2])[:n],
         step_speed_mps=np.array([1.4, 1.6, 1.4])[:n],
         step_speed_std_mps=np.full(n, 0.2),
