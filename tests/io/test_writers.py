@@ -103,6 +103,7 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "cov_en_m2": 0.04,
             "cov_nn_m2": 0.4,
             "step_length_m": 0.8,
+            "walked_m": 1.5,
             "walking_heading_rad": 0.0,
             "smoothed_speed_mps": 1.5,
             "smoothed_speed_std_mps": 0.1,
