@@ -44,6 +44,7 @@ from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step
 from tests.benchmarks.common import Tables, options, paths
 from tests.benchmarks.contexts_left_out import N_FOLDS as N_LEFT_OUT_FOLDS
 from tests.benchmarks.contexts_left_out import on_the_level, without
+from tests.benchmarks.kinds_of_people import ONE_KIND, Kinds, chain, kinds_that_are_wrong, kinds_that_say_nothing
 from tests.benchmarks.mixed_contexts import (
     LAG_STEPS,
     N_FOLDS,
@@ -58,7 +59,7 @@ from tests.benchmarks.mixed_contexts import (
     windows_of,
 )
 
-STATIONARY, WALKING, UP, DOWN = (CONTEXTS.index(c) for c in ("stationary", "walking", "upstairs", "downstairs"))
+WALKING = CONTEXTS.index("walking")
 MIN_STEPS = 20  # a recording with fewer says little in per cent
 EVERY = 3
 WC_THRESHOLD = 0.8  # of Algorithm 2
@@ -267,59 +268,6 @@ def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
 
 # --- Other evidence --------------------------------------------------------------------------------------------------
 
-
-@dataclass(frozen=True, eq=False)
-class Kinds:
-    """Kinds of people for a classifier: what it takes each context for, and how many there are of each kind."""
-
-    taken_for: FloatArray  # (H, C, C) rows sum to one
-    share: FloatArray  # (H,)
-
-
-def kinds_that_are_wrong(share: float, confused: float) -> Kinds:
-    """The classifier may take some people's walking for stairs up, and others' for stairs down, that often."""
-    right = np.eye(len(CONTEXTS))
-    wrong = [right.copy(), right.copy()]
-    for taken, stairs in zip(wrong, (UP, DOWN), strict=True):
-        taken[WALKING, [WALKING, stairs]] = 1 - confused, confused
-    return Kinds(np.stack([right, *wrong]), np.array([1 - 2 * share, share, share]))
-
-
-def kinds_that_say_nothing(share: float) -> Kinds:
-    """What the classifier says of some people has nothing to do with their contexts."""
-    n = len(CONTEXTS)
-    return Kinds(np.stack([np.eye(n), np.full((n, n), 1 / n)]), np.array([1 - share, share]))
-
-
-ONE_KIND = Kinds(np.eye(len(CONTEXTS))[None], np.ones(1))
-
-
-def chain(walk: Walk, exponent: float, floor: float, kinds: Kinds) -> tuple[FloatArray, FloatArray]:
-    """Filtered and smoothed context probabilities (K, C): a hidden Markov chain over context and kind of person.
-
-    With one kind these are the mode probabilities of the IMM. The likelihood of a window in a context is that of all
-    contexts that the classifier takes it for; the kind stays for a recording.
-    """
-    model = walk.config.model
-    n_steps, transition_prob = len(walk.label), model.transition_prob
-    standing = np.exp(model.step_log_odds_stationary * model.stands)[:, None]
-    p = model.long_run_mode_prob[:, None] * kinds.share
-    filtered, predicted = np.empty((2, n_steps, *p.shape))
-    for k, window in enumerate(walk.evidence):
-        predicted[k] = transition_prob.T @ p
-        p = predicted[k] * standing
-        if window is not None:
-            prior = np.where(window.training_prior > 0, window.training_prior, 1 / len(CONTEXTS))
-            likelihood = np.maximum(window.prob, floor) / prior**model.prior_exponent
-            p = p * (kinds.taken_for @ likelihood).T ** exponent
-        filtered[k] = p = p / p.sum()
-    smoothed = filtered.copy()
-    for k in range(n_steps - 2, -1, -1):
-        smoothed[k] = filtered[k] * (transition_prob @ (smoothed[k + 1] / np.maximum(predicted[k + 1], 1e-300)))
-        smoothed[k] /= smoothed[k].sum()
-    return filtered.sum(axis=2), smoothed.sum(axis=2)
-
-
 CHOICES: dict[str, tuple[float, float, Kinds]] = {
     "online: exponent 1, floor 0.01": (1.0, 0.01, ONE_KIND),
     "floor 0.05": (1.0, 0.05, ONE_KIND),
@@ -339,7 +287,7 @@ def evidence(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
     for choice, (exponent, floor, kinds) in CHOICES.items():
         cells = []
         for walks in sets.values():
-            of_steps = [(w, *chain(w, exponent, floor, kinds)) for w in walks]
+            of_steps = [(w, *chain(w.config.model, w.evidence, exponent, floor, kinds)) for w in walks]
             losses = [np.concatenate([log_loss(s[i], s[0].label) for s in of_steps]).mean() for i in (1, 2)]
             moved = [(w, smoothed) for w, _, smoothed in of_steps if w.known_m > 0]
             errors = [100 * ((p * w.length_m).sum() / w.known_m - 1) for w, p in moved]
