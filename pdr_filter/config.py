@@ -61,6 +61,10 @@ class Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
         return self.with_model(frame=UNKNOWN_FRAME)
 
+    def in_hindsight(self) -> Config:
+        """The same where later windows are known, too: a window says no more than its share of the time."""
+        return self.with_model(evidence_exponent=self.model.hindsight_exponent)
+
     def with_weighting(self, weighting: str) -> Config:
         """The same with another weighting: "imm", "wc" or "hc"."""
         if weighting not in WEIGHTINGS:

@@ -206,6 +206,7 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         position_m=read_only(np.array([u.position_m for u in updates]).reshape(n, 2)),
         position_cov_m2=read_only(np.array([u.position_cov_m2 for u in updates]).reshape(n, 2, 2)),
         step_length_m=read_only(np.array([u.step_length_m for u in updates])),
+        walked_m=read_only(np.array([u.walked_m for u in updates])),
         walking_heading_rad=read_only(wrap_angle(np.array([u.walking_heading_rad for u in updates]))),
         step_speed_mps=read_only(np.array([u.speed.step_mps for u in updates])),
         step_speed_std_mps=read_only(np.array([u.speed.step_std_mps for u in updates])),

@@ -29,6 +29,7 @@ from pdr_filter.evaluate.distance import percent_error as percent_error
 from pdr_filter.evaluate.distance import walked_m as walked_m
 from pdr_filter.evaluate.runs import epoch_distances as epoch_distances
 from pdr_filter.evaluate.runs import threshold_sweep as threshold_sweep
+from pdr_filter.evaluate.runs import weighting_errors as weighting_errors
 from pdr_filter.evaluate.runs import weighting_tracks as weighting_tracks
 from pdr_filter.evaluate.steps import StepScores as StepScores
 from pdr_filter.evaluate.steps import best_offset_s as best_offset_s

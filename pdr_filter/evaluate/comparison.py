@@ -74,7 +74,9 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
     if segments is not None:
         known = segments[segments.distance_m > 0]
         if len(known):
-            walked = walked_m(track.time_s, track.step_length_m, known["start_s"], known["end_s"])
+            # by the walked distance, which knows better than the steps did when they were made
+            of_step_m = np.diff(track.walked_m, prepend=0.0)
+            walked = walked_m(track.time_s, of_step_m, known["start_s"], known["end_s"])
             legs = float(percent_error(walked.sum(), known["distance_m"].sum()))
     if points is not None and len(points) > 2:
         reference = np.column_stack([points.east_m, points.north_m])

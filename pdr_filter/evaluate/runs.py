@@ -8,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.evaluate.distance import walked_m
+from pdr_filter.evaluate.distance import percent_error, walked_m
+from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import Mode
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.recording import Recording
-from pdr_filter.recording_run import track
+from pdr_filter.recording_run import default_config, track
 from pdr_filter.tracks import Track
-from pdr_filter.values import FloatArray, Table, TrackRows, steps_of, table
+from pdr_filter.values import CONTEXTS, FloatArray, Table, TrackRows, steps_of, table
 
 
 def weighting_tracks(
@@ -34,6 +35,51 @@ def weighting_tracks(
 
         tracks[name] = track(recording, config, name, progress=show)
     return tracks
+
+
+def weighting_errors(recording: Recording, config: Config | None = None, lag_steps: int = 4) -> Table:
+    """What contexts cost: a row for each weighting, columns `weighting, distance_m, error_percent`.
+
+    All take the same steps and lengths; the errors are against these lengths in the true contexts of the recording's
+    labels. Steps outside of the labels do not count. WC has the threshold 0.8, and 0, which always weights. The IMM is
+    as its steps were made; as walked distance, which knows of each step what was known in the end; with the evidence
+    of `lag_steps` more steps, two seconds of walking; and in hindsight. ValueError without labels, or if the modes of
+    the configuration are not the contexts, each once.
+    """
+    labels = recording.truth.labels
+    config = config or default_config(recording)
+    model = config.model
+    model.check_one_mode_for_each_context()
+    weighted = {name: track(recording, config, name) for name in ("hc", "wc", "imm")}
+    weighted["wc, always"] = track(recording, replace(config, tracker=WeightedTracker(model, 0.0)))
+    imm = weighted.pop("imm")
+    label = np.full(imm.n_steps, -1)
+    for row in () if labels is None else labels:
+        if row["context"] in CONTEXTS:
+            inside = (imm.time_s >= row["start_s"]) & (imm.time_s < row["end_s"])
+            label[inside] = model.context_index.index(CONTEXTS.index(str(row["context"])))
+    use = label >= 0
+    if not use.any():
+        raise ValueError(f"no step of {recording.name} is inside a truth label with a known context: label it first")
+    length_m = np.array([model.lengths(step)[0] for step in steps_of(imm.steps)]).reshape(-1, len(model.modes))[use]
+    known_m = length_m[np.arange(len(length_m)), label[use]].sum()
+    in_hindsight = track(recording, config.in_hindsight().with_weighting("imm")).mode_prob
+    prob = {
+        "imm": smoothed_mode_prob(imm.mode_prob, model.transition_prob),
+        "imm, lagged": smoothed_mode_prob(imm.mode_prob, model.transition_prob, lag_steps),
+        "imm, smoothed": smoothed_mode_prob(in_hindsight, model.transition_prob),
+    }
+    distance_m = {name: t.step_length_m[use].sum() for name, t in weighted.items()}
+    distance_m["imm, as the steps were made"] = imm.step_length_m[use].sum()
+    distance_m |= {name: (p[use] * length_m).sum() for name, p in prob.items()}
+    found_m = np.array([*distance_m.values(), known_m])
+    return table(
+        {
+            "weighting": np.array([*distance_m, "contexts known"]),
+            "distance_m": found_m,
+            "error_percent": percent_error(found_m, np.full(len(found_m), known_m)),
+        }
+    )
 
 
 def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[float]) -> Table:

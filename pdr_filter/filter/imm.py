@@ -48,16 +48,30 @@ def mix(
     A mode that cannot be reached (c_j = 0) keeps its own estimate.
     """
     *batch, n_modes, n = mean.shape
-    joint = transition_prob * mode_prob[..., :, None]
-    predicted = joint.sum(axis=-2)
-    reachable = (predicted > 0)[..., None, :]
-    weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(n_modes))
-    from_source = weights.swapaxes(-1, -2)  # (..., j, i)
+    from_source, predicted = _mixing_weights(mode_prob, transition_prob)
     mixed_mean = from_source @ mean
     spread = mean[..., None, :, :] - mixed_mean[..., :, None, :]  # (..., j, i, n)
     mixed_cov = (from_source @ cov.reshape(*batch, n_modes, n * n)).reshape(cov.shape)
     mixed_cov += (spread * from_source[..., None]).swapaxes(-1, -2) @ spread
     return mixed_mean, mixed_cov, predicted
+
+
+def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray) -> FloatArray:
+    """Expected values (..., M) given the mode of the next step, of expected values (..., M) given that of the last one.
+
+    v_0j = sum_i mu_i|j v_i. What is summed in each mode over steps and mixed before each is, weighted with the mode
+    probabilities, the sum that a smoother would make of them, exactly: E[sum_k l_k(mode at k) | all evidence so far].
+    """
+    return np.matmul(_mixing_weights(mode_prob, transition_prob)[0], values[..., None])[..., 0]
+
+
+def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Probabilities mu_i|j (..., j, i) of the last mode given the next one, and predicted ones c_j (..., M)."""
+    joint = transition_prob * mode_prob[..., :, None]
+    predicted = joint.sum(axis=-2)
+    reachable = (predicted > 0)[..., None, :]
+    weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(joint.shape[-1]))
+    return weights.swapaxes(-1, -2), predicted
 
 
 def predict(mean: FloatArray, cov: FloatArray, F: FloatArray, Q: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition, mixed_values
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
@@ -72,6 +72,7 @@ class ImmTracker:
         pedestrian = with_first_heading(state.pedestrian, step)
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
+        walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
         since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2
         ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
@@ -95,7 +96,9 @@ class ImmTracker:
             parameter_std_m=prob * parameter_std_m * scale,
             own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
         )
-        after = with_step(replace(pedestrian, mean=mean, cov=cov, prob=prob), step, walked, (x, P))
+        walked_m = walked_m + length_m * scale
+        after = replace(pedestrian, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
+        after = with_step(after, step, walked, (x, P))
         latest = window or (state.windows[-1] if state.windows else None)
         context_prob = latest.prob if latest else model.context_prob(prob)
         update = step_update(pedestrian, after, step, walked, (x, P), context_prob, prob)

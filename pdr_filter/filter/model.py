@@ -18,10 +18,11 @@ from pdr_filter.values import CONTEXTS, FloatArray, Step, check_transition_prob
 class PedestrianModel:
     """Modes with their transitions, noise and evidence; what both trackers filter with.
 
-    The evidence of one window is tempered by an exponent. Hop over window length (0.5) would let no second of
-    overlapping windows count twice; with 1 the mode probabilities of people left out are nearer to the truth. The
-    exponent of the prior is how far the classifier's training prior is divided out: with all of it other people's flat
-    walking is classified as stairs, with none of it their stairs as walking (docs/benchmarks.md for both).
+    The evidence of one window is tempered by an exponent. Hop over window length (0.5) lets no second of overlapping
+    windows count twice, and that is the exponent in hindsight. Online it is 1: a filter that knows no later windows is
+    late at every change, and doubts cost it more than being too sure (docs/benchmarks.md for both). The exponent of the
+    prior is how far the classifier's training prior is divided out: with all of it other people's flat
+    walking is classified as stairs, with none of it their stairs as walking.
 
     Fixes with a larger normalised innovation squared than the gate in every mode are rejected: chi-square keeps 99.9 %
     of good positions below 13.8, of good headings and speeds below 10.8.
@@ -30,6 +31,7 @@ class PedestrianModel:
     modes: tuple[Mode, ...]  # `WeightedTracker` needs exactly one for each context
     transition_prob: FloatArray  # (M, M) from mode i to mode j between two steps; rows sum to one
     evidence_exponent: float = 1.0
+    hindsight_exponent: float = 0.5  # the same where later windows are known, too
     prior_exponent: float = 0.4
     evidence_floor: float = 0.01  # probability below which a context is not pushed by one window
     # Log evidence of a detected step for a mode that stands still against one that moves: handling a phone makes about
@@ -43,7 +45,7 @@ class PedestrianModel:
     def __post_init__(self) -> None:
         if not self.modes:
             raise ValueError("modes must hold one mode at least, got none")
-        for name in ("evidence_exponent", "prior_exponent", "fix_gate_nis", "scalar_gate_nis"):
+        for name in ("evidence_exponent", "hindsight_exponent", "prior_exponent", "fix_gate_nis", "scalar_gate_nis"):
             if not getattr(self, name) >= 0:
                 raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
         if not 0 <= self.evidence_floor < 1:

@@ -45,6 +45,7 @@ class StepUpdate:
     position_m: FloatArray  # (2,) east, north
     position_cov_m2: FloatArray  # (2, 2)
     step_length_m: float
+    walked_m: float  # of all steps so far, this one among them
     walking_heading_rad: float  # clockwise, not wrapped
     speed: WalkingSpeed
     context_prob: FloatArray  # (C,)
@@ -61,6 +62,7 @@ class PedestrianState:
     mean: FloatArray  # (F, 4)
     cov: FloatArray  # (F, 4, 4)
     prob: FloatArray  # (F,) of each filter
+    walked_m: FloatArray  # (F,) expected distance of all steps so far, if each filter is right about the last of them
     shared_m: FloatArray  # (2 + M, 2) sums of the errors that steps share and no state has, see `with_step`
     last_step_s: float  # contact of the last final step; NaN before the first
     gap_s: float  # time without samples since then
@@ -80,6 +82,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         mean=np.tile(mean, (len(prob), 1)),
         cov=np.tile(cov, (len(prob), 1, 1)),
         prob=prob,
+        walked_m=np.zeros(len(prob)),
         shared_m=np.zeros((2 + len(model.modes), 2)),
         last_step_s=np.nan,
         gap_s=0.0,
@@ -204,6 +207,7 @@ def step_update(
         position_cov_m2=read_only(place.cov_m2),
         of_start=None if after.frame.is_joined else own,
         step_length_m=walked.length_m,
+        walked_m=float(after.prob @ after.walked_m),
         walking_heading_rad=place.heading_rad,
         speed=after.speed,
         context_prob=read_only(context_prob),

@@ -144,7 +144,8 @@ class WeightedTracker:
             parameter_std_m=weights * parameter_std_m * scale,
             own_heading_rad=np.full(len(model.modes), heading_rad),
         )
-        after = with_step(replace(before, mean=mean, cov=cov), step, walked, (mean[0], cov[0]))
+        after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
+        after = with_step(after, step, walked, (mean[0], cov[0]))
         context_prob = 0.5 * (provisional + final)
         update = step_update(before, after, step, walked, (mean[0], cov[0]), context_prob, weights, is_final)
         passage = Passage(

@@ -80,6 +80,7 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "cov_en_m2": covariance[:, 1],
         "cov_nn_m2": covariance[:, 3],
         "step_length_m": track.step_length_m,
+        "walked_m": track.walked_m,
         "walking_heading_rad": track.walking_heading_rad,
         "smoothed_speed_mps": track.smoothed_speed_mps,
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,

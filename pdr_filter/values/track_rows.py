@@ -25,8 +25,9 @@ class TrackRows:
     is turned in their frame, a position is the mean over all turns, and its covariance says how far they differ.
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
-    lengths come from the latter. With `imm` a position is the best estimate at its step: when the evidence changes
-    from one context to another, earlier steps count differently and a position may move by more or less than its step.
+    lengths come from the latter. With `imm` position and walked distance are the best estimates at their step: when the
+    evidence changes from one context to another, earlier steps count differently, and both may change by more or less
+    than the length of the step, which stays what was thought of it when it was made.
     """
 
     name: str
@@ -34,6 +35,7 @@ class TrackRows:
     position_m: FloatArray  # (K, 2) east, north
     position_cov_m2: FloatArray  # (K, 2, 2)
     step_length_m: FloatArray  # (K,)
+    walked_m: FloatArray  # (K,) distance of all steps up to each
     walking_heading_rad: FloatArray  # (K,) clockwise from north (or from the first heading)
     step_speed_mps: FloatArray  # (K,) length over duration of each step
     step_speed_std_mps: FloatArray  # (K,)
@@ -65,8 +67,8 @@ class TrackRows:
 
     @property
     def distance_m(self) -> float:
-        """Walked distance: the sum of the step lengths."""
-        return float(self.step_length_m.sum())
+        """Walked distance after the last step; with `imm` not quite the sum of the step lengths, see `walked_m`."""
+        return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
     def direction_trust(self) -> FloatArray:

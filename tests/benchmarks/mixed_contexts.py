@@ -1,18 +1,13 @@
-"""Walks through several contexts: the classifier's arg-max, the IMM's mode probabilities, and distances side by side.
+"""Walks through several contexts: the classifier's arg-max and the IMM's mode probabilities side by side.
 
 usage: python -m tests.benchmarks.mixed_contexts [--data ../shared/data] [--cache FOLDER]
 
-Real: the changes of Di Fronzo's recordings are not labelled to the second, so recordings of one person of MotionSense
+The changes of Di Fronzo's recordings are not labelled to the second, so recordings of one person of MotionSense
 (trouser pocket) are put one after the other: sitting, walking, upstairs, walking, downstairs, walking, running,
 standing. Each is turned so that its mean gravity agrees with the first's, and between two of them is a second of the
 same person's standing; nothing is cross-faded. Two such walks of each of 12 people. The model is the default's, trained
 in three folds without the four people that it is scored on; it runs in the default recipe, in blocks of a tenth of a
-second. Their distance is not known: distances are compared with that of the same steps and lengths in the true
-contexts.
-
-Simulated: walks with exact distances, phone in the hand. The shipped model takes all that a simulated hand does for
-walking, which says nothing about weightings. So each walk gets the windows of one of the people above: for every
-stretch of a context, what the model that had not seen them said of theirs, in order from its start.
+second. Distances are in `weightings.py`.
 """
 
 from __future__ import annotations
@@ -31,6 +26,7 @@ from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.config import Config
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.offline.smoothing.hindsight import in_hindsight
@@ -39,10 +35,9 @@ from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event, Gap
-from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.training import contexts
 from pdr_filter.training.contexts import PLANS, labelled_windows
-from pdr_filter.training.protocol import LabelledWindows, label_of, recordings_of
+from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, label_of, recordings_of
 from pdr_filter.training.sequences import (
     UNKNOWN,
     LabelledProbabilities,
@@ -110,10 +105,14 @@ def mixed_walk(data: Path, person: str, number: int) -> Recording:
     def trial(name: str) -> Recording:
         return pdr.read(data / "motionsense" / f"motionsense_{person}_{name}.zip")
 
+    def labelled_right(names: tuple[str, str]) -> str:
+        other = (names[number], *names)
+        return next(name for name in other if f"motionsense_{person}_{name}" not in DOUBTFUL)
+
     standing = trial("std_6")
     force, rate, rows, clock = [], [], [], 0
     for k, (names, length_s) in enumerate(PARTS):
-        recording = trial(names[number])
+        recording = trial(labelled_right(names))
         pieces = [] if k == 0 else [(*clip(standing, 10.0 + k, STILL_S), "stationary")]
         # 4 s in: the phone has been put away by then
         context = str(recording.truth.labels["context"][0])
@@ -378,6 +377,26 @@ def labelled(all_said: list[Said]) -> LabelledProbabilities:
     )
 
 
+def tracked(events: list[Event], config: Config, weighting: str) -> list[StepUpdate]:
+    """Final steps of the events of a walk."""
+    tracker = config.with_weighting(weighting).tracker
+    return updates_of(tracker, events)
+
+
+def updates_of(tracker: Tracker, events: list[Event]) -> list[StepUpdate]:
+    """Final steps that a tracker makes of the events of a walk."""
+    state, updates = tracker.init(), list[StepUpdate]()
+    for event in events:
+        if isinstance(event, WindowContext):
+            state, new = tracker.on_window(state, event)
+        elif isinstance(event, Gap):
+            state, new = tracker.on_gap(state, event.duration_s)
+        else:
+            state, new = tracker.on_step(state, event)
+        updates += [u for u in new.updates if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1].updates if u.is_final]
+
+
 def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
     """The walks of a fold, filtered with transitions and exponents of all other people's walks."""
     others = [s for s in all_said if s.person not in fold]
@@ -406,13 +425,12 @@ def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
     return result
 
 
-def real(tables: Tables, data: Path, cache: Path | None) -> list[Said]:
-    """Walks of real recordings: figures written, and what was said of them."""
+def real(tables: Tables, data: Path, cache: Path | None) -> None:
+    """All tables."""
     windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
     people = sorted(set(windows.person[windows.dataset == "motionsense"]))
     folds = [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
     all_said: list[Said] = []
-    distance_m: dict[str, list[float]] = {}
     for k, fold in enumerate(folds):
         model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
         for person in fold:
@@ -420,18 +438,11 @@ def real(tables: Tables, data: Path, cache: Path | None) -> list[Said]:
                 walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
                 config = with_context_model(default(walk.subject), model)
                 all_said.append(said_online(walk, person, config))
-                for name, found_m in distances_m(all_said[-1].events, config, walk).items():
-                    distance_m.setdefault(name, []).append(found_m)
         print(f"fold {k}: {', '.join(fold)} left out", flush=True)
     all_said = [said for fold in folds for said in with_learnt(all_said, fold)]
-    minutes = sum(s.walk.duration_s for s in all_said) / 60
     window_scores(tables, all_said)
     step_scores(tables, all_said)
     delays(tables, all_said)
-    known = np.array(distance_m.pop(KNOWN))
-    about = f"{len(all_said)} walks, {minutes:.0f} min: against the same steps in the true contexts."
-    tables.write("mixed_contexts_distance", ERRORS, error_rows(distance_m, known), about)
-
     sequences = labelled(all_said)
     between = np.linalg.matrix_power(context_transitions(), 2)
     chosen = fit_tempering(sequences, between)
@@ -446,125 +457,6 @@ def real(tables: Tables, data: Path, cache: Path | None) -> list[Said]:
     ]
     columns = ["exponents", "evidence, prior", "log loss of the filtered windows"]
     tables.write("mixed_contexts_tempering", columns, rows)
-    return all_said
-
-
-# --- Distances -------------------------------------------------------------------------------------------------------
-
-KNOWN = "contexts known"
-Change = Callable[[WindowContext], WindowContext]
-
-
-def stretch(walk: Recording, window: WindowContext) -> tuple[int, float]:
-    """Context at the middle of a window, and the time since it began."""
-    labels = walk.truth.labels
-    middle_s = window.time_s - 1.0
-    k = min(int(np.searchsorted(labels["end_s"], middle_s, side="right")), len(labels) - 1)
-    first = k
-    while first and labels["context"][first - 1] == labels["context"][k]:
-        first -= 1
-    return CONTEXTS.index(str(labels["context"][k])), middle_s - float(labels["start_s"][first])
-
-
-def true_contexts(walk: Recording) -> Change:
-    """Windows with one for the true context."""
-    return lambda window: replace(window, prob=np.eye(len(CONTEXTS))[stretch(walk, window)[0]])
-
-
-def contexts_of(said: Said, walk: Recording) -> Change:
-    """Windows with what a model that had not seen them said of somebody's real windows of the same context.
-
-    The one as long after the start of a stretch of the context, and again from its start at its end.
-    """
-    truth = np.array([context_at(said.walk, t - 1.0) for t in said.window_s])
-
-    def change(window: WindowContext) -> WindowContext:
-        context, since_s = stretch(walk, window)
-        starts = [i for i in np.flatnonzero(truth == context) if i == 0 or truth[i - 1] != context]
-        # walking has three stretches: another one each time
-        start = starts[round(window.time_s - since_s) % len(starts)]
-        length = int(np.argmax(np.append(truth[start:] != context, True)))
-        k = start + int(max(since_s, 0.0)) % length
-        return replace(window, prob=said.window_prob[k], training_prior=said.training_prior)
-
-    return change
-
-
-def tracked(events: list[Event], config: Config, weighting: str, change: Change | None = None) -> list[StepUpdate]:
-    """Final steps of the events of a walk, its windows changed."""
-    tracker = config.with_weighting(weighting).tracker
-    state, updates = tracker.init(), []
-    for event in events:
-        if isinstance(event, WindowContext):
-            state, new = tracker.on_window(state, change(event) if change else event)
-        elif isinstance(event, Gap):
-            state, new = tracker.on_gap(state, event.duration_s)
-        else:
-            state, new = tracker.on_step(state, event)
-        updates += [u for u in new.updates if u.is_final]
-    return updates + [u for u in tracker.finish(state)[1].updates if u.is_final]
-
-
-def distances_m(events: list[Event], config: Config, walk: Recording, change: Change | None = None) -> dict[str, float]:
-    """Distance of the same steps by each weighting, and with the contexts known."""
-    runs = {"HC": ("hc", change), "WC": ("wc", change), "IMM": ("imm", change), KNOWN: ("hc", true_contexts(walk))}
-    return {name: sum(u.step_length_m for u in tracked(events, config, w, c)) for name, (w, c) in runs.items()}
-
-
-ERRORS = ["weighting", "bias %", "spread %", "RMS %", "largest %"]
-
-
-def error_rows(found_m: dict[str, list[float]], true_m: FloatArray) -> list[list[str]]:
-    """Bias and spread of relative distance errors."""
-    rows = []
-    for name, found in found_m.items():
-        e = 100 * (np.array(found) / true_m - 1)
-        figures = (e.std(ddof=1), np.sqrt(np.mean(e**2)), np.abs(e).max())
-        rows.append([name, f"{e.mean():+.1f}", *(f"{v:.1f}" for v in figures)])
-    return rows
-
-
-def simulated_walk(seed: int) -> Recording:
-    """A person of the simulator's population on a walk through all contexts but sideways, in the hand."""
-    rng = np.random.default_rng(seed)
-    flights = [Leg("upstairs", distance_m=0.29 * rng.integers(12, 33)), Leg("downstairs", distance_m=0.29 * 20)]
-    middle = [*flights, Leg("running", distance_m=float(rng.uniform(30, 60)))]
-    legs = [Leg("stationary", duration_s=5.0)]
-    for i in rng.permutation(len(middle)):
-        legs += [
-            Leg("walking", distance_m=float(rng.uniform(25, 60)), turn_rad=float(rng.choice([-1, 1]) * np.pi / 2)),
-            middle[i],
-        ]
-    legs += [Leg("walking", distance_m=float(rng.uniform(25, 60))), Leg("stationary", duration_s=4.0)]
-    return simulate(legs, Gait.random(seed), seed=seed, name=f"simulated_{seed}")
-
-
-def simulated(tables: Tables, n_walks: int, all_said: list[Said]) -> None:
-    """Distances of simulated walks, by the shipped model and with the windows of real people."""
-    by_model: dict[str, list[float]] = {}
-    by_people: dict[str, list[float]] = {}
-    true_m: list[float] = []
-    for seed in range(n_walks):
-        walk = simulated_walk(seed)
-        true_m.append(float(walk.truth.segments["distance_m"].sum()))
-        config = default(walk.subject)
-        events = list(sensed_events(config.sensing, walk))
-        # another person each time, then another walk of theirs
-        change = contexts_of(all_said[(N_WALKS * seed + seed // 12) % len(all_said)], walk)
-        for c, found in ((None, by_model), (change, by_people)):
-            for name, distance_m in distances_m(events, config, walk, c).items():
-                found.setdefault(name, []).append(distance_m)
-    truth = np.array(true_m)
-    known = np.array(by_people[KNOWN])
-    against_known = error_rows({name: m for name, m in by_people.items() if name != KNOWN}, known)
-    parts = {
-        "windows of real people": error_rows(by_people, truth),
-        "the same, against the true contexts": against_known,
-        "windows of the shipped model": error_rows(by_model, truth),
-    }
-    rows = [[name, *row] for name, part in parts.items() for row in part]
-    about = f"{n_walks} simulated walks of {truth.min():.0f} to {truth.max():.0f} m."
-    tables.write("mixed_contexts_simulated", ["contexts from", *ERRORS], rows, about)
 
 
 def main() -> None:
@@ -572,7 +464,7 @@ def main() -> None:
     parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models of the folds")
     args = parser.parse_args()
     tables = Tables.of(__spec__.name, args)
-    simulated(tables, 24, real(tables, args.data, args.cache))
+    real(tables, args.data, args.cache)
 
 
 if __name__ == "__main__":

@@ -49,6 +49,29 @@ def test_the_weightings_share_their_steps_and_windows(by_weighting: dict[str, pd
         np.testing.assert_array_equal(other.windows.context_prob, by_weighting["hc"].windows.context_prob)
 
 
+def test_the_cost_of_contexts_is_that_of_the_tracks_where_all_steps_are_labelled(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    labels = walk.truth.labels.copy()
+    labels.start_s[0], labels.end_s[-1] = -1.0, np.inf
+    found = runs.weighting_errors(replace(walk, truth=replace(walk.truth, labels=labels)))
+    distance_m = dict(zip(found.weighting.tolist(), found.distance_m, strict=True))
+    for name in ("hc", "wc", "imm"):
+        assert distance_m[name] == pytest.approx(by_weighting[name].distance_m, rel=1e-9)
+    assert distance_m["imm, as the steps were made"] == pytest.approx(by_weighting["imm"].step_length_m.sum())
+    errors = dict(zip(found.weighting.tolist(), found.error_percent, strict=True))
+    assert errors["contexts known"] == 0
+    assert errors["hc"] == pytest.approx(100 * (distance_m["hc"] / distance_m["contexts known"] - 1))
+
+
+def test_without_a_label_that_names_a_context_there_is_nothing_to_hold_contexts_against(walk: pdr.Recording) -> None:
+    labels = walk.truth.labels.copy()
+    labels.context[:] = "swimming"
+    for truth in (replace(walk.truth, labels=labels), Truth()):
+        with pytest.raises(ValueError, match="inside a truth label"):
+            runs.weighting_errors(replace(walk, truth=truth))
+
+
 def test_the_table_is_what_the_functions_say(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
     found = comparison.comparison_table(walk, by_weighting)
     assert found.name.tolist() == ["hc", "wc", "imm"]

@@ -13,6 +13,7 @@ from pdr_filter.filter.imm import (
     check_transition_prob,
     combine,
     mix,
+    mixed_values,
     predict,
     smoothed_mode_prob,
     update,
@@ -257,6 +258,16 @@ def test_a_mode_that_cannot_be_reached_keeps_its_own_estimate() -> None:
     np.testing.assert_array_equal(mixed_mean[2], mean[2])
     np.testing.assert_allclose(mixed_cov[2], cov[2], atol=1e-14)
     assert predicted[2] == 0.0
+
+
+@settings(max_examples=20, deadline=None)
+@given(seed=SEEDS, n_modes=st.integers(1, 5))
+def test_values_are_mixed_as_means_are(seed: int, n_modes: int) -> None:
+    mean, cov, prob, M = random_modes(seed, n_modes)
+    np.testing.assert_allclose(mixed_values(mean[:, 0], prob, M), mix(mean, cov, prob, M)[0][:, 0], atol=1e-12)
+    two = np.stack([mean[:, 0], mean[:, 1]]), np.stack([prob, prob[::-1]])
+    for k in range(2):
+        np.testing.assert_allclose(mixed_values(*two, M)[k], mixed_values(two[0][k], two[1][k], M), atol=1e-12)
 
 
 def test_no_function_modifies_its_input() -> None:

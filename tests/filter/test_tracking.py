@@ -10,6 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from pdr_filter import recipes
+from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.model import PedestrianModel
@@ -242,7 +243,44 @@ def test_modes_in_another_order_give_the_same_track(seed: int) -> None:
         np.testing.assert_allclose(a.position_m, b.position_m, atol=1e-9)
         np.testing.assert_allclose(a.position_cov_m2, b.position_cov_m2, atol=1e-9)
         np.testing.assert_allclose(a.mode_prob, b.mode_prob[order], atol=1e-9)
+        assert a.walked_m == pytest.approx(b.walked_m, abs=1e-9)
         np.testing.assert_allclose(a.context_prob, b.context_prob, atol=1e-9)
+
+
+@settings(max_examples=10, deadline=None)
+@given(seed=st.integers(0, 1000))
+def test_the_walked_distance_of_the_imm_is_at_every_step_the_one_that_a_smoother_finds_up_to_it(seed: int) -> None:
+    rows = 0.8 * np.eye(6) + 0.2 * np.random.default_rng(seed).dirichlet(np.ones(6), 6)
+    filter_ = ImmTracker(PedestrianModel(modes(), rows))
+    _, updates = run(filter_, in_order(*random_walk(seed)))
+    length_m = np.array([filter_.model.lengths(u.step)[0] for u in updates])
+    prob = np.array([u.mode_prob for u in updates])
+    for k in (0, 5, len(updates) // 2, len(updates) - 1):
+        smoothed = imm.smoothed_mode_prob(prob[: k + 1], rows)
+        assert updates[k].walked_m == pytest.approx((smoothed * length_m[: k + 1]).sum(), rel=1e-9)
+    assert updates[-1].walked_m != pytest.approx(sum(u.step_length_m for u in updates), rel=1e-3)
+
+
+def test_a_change_that_is_known_late_is_counted_from_its_beginning() -> None:
+    filter_ = ImmTracker(PedestrianModel(modes(), even_transitions(6, 0.97)))
+    windows = [WindowContext(float(t), sure(WALKING if t < 12 else RUNNING, 0.95), EVEN_PRIOR) for t in range(2, 30)]
+    steps = [a_step(t) for t in np.arange(2.0, 28.0, 0.5)]
+    # every window two seconds late
+    late = sorted(
+        [(w.time_s + 2.0, 0, w) for w in windows] + [(s.time_s, 1, s) for s in steps], key=lambda timed: timed[:2]
+    )
+    _, updates = run(filter_, [event for *_, event in late])
+    walking_m, running_m = (filter_.model.lengths(steps[0])[0][c] for c in (WALKING, RUNNING))
+    n_walked = sum(s.time_s < 12.0 for s in steps)
+    known_m = n_walked * walking_m + (len(steps) - n_walked) * running_m
+    at_once_m = sum(u.step_length_m for u in updates)
+    assert abs(updates[-1].walked_m - known_m) < 0.5 * abs(at_once_m - known_m)
+
+
+@pytest.mark.parametrize("weighting", ["hc", "wc"])
+def test_with_one_filter_the_walked_distance_is_the_sum_of_the_final_steps(weighting: str) -> None:
+    updates = final(run(tracker(weighting), in_order(*random_walk(3)))[1])
+    np.testing.assert_allclose([u.walked_m for u in updates], np.cumsum([u.step_length_m for u in updates]), rtol=1e-12)
 
 
 def test_one_window_is_evidence_for_one_step_only() -> None:

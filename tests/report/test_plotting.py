@@ -33,6 +33,7 @@ def make_track(n_steps: int, n_windows: int, notes: tuple[str, ...] = ()) -> Tra
         position_m=np.outer(number, [0.5, 0.5]),
         position_cov_m2=number[:, None, None] * np.array([[0.04, 0.01], [0.01, 0.02]]),
         step_length_m=np.full(n_steps, 0.5**0.5),
+        walked_m=0.5**0.5 * number,
         walking_heading_rad=np.full(n_steps, np.pi / 4),
         step_speed_mps=np.full(n_steps, 2**0.5),
         step_speed_std_mps=np.full(n_steps, 0.2),

@@ -46,10 +46,10 @@ def knowing_the_device(recording: Recording, config: Config) -> Config:
 def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Hindsight:
     """The track of `pdr_filter.track`, every row with what the whole recording says of its step.
 
-    Positions, covariances and mode probabilities are smoothed; step lengths and headings are those between smoothed
-    positions. To the smoothed covariance comes what all steps since the last fix share (`PedestrianState.shared_m`), as
-    the filter knew it. With the weightings "hc" and "wc" mode probabilities stay as they are. `fixes` are in the frame
-    of the track; a late one is used when it came, as by the filter.
+    Positions, covariances and mode probabilities are smoothed, with the evidence of `Config.in_hindsight`; step lengths
+    and headings are those between smoothed positions. To the smoothed covariance comes what all steps since the last
+    fix share (`PedestrianState.shared_m`), as the filter knew it. With the weightings "hc" and "wc" mode probabilities
+    stay as they are. `fixes` are in the frame of the track; a late one is used when it came, as by the filter.
     """
     config = config or default_config(recording)
     if not config.model.frame.is_joined:
@@ -57,6 +57,7 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
             "hindsight by the IMM smoother works in the frame of the start, got a configuration in the world frame: "
             "pdr_filter.smooth takes fixes in any frame"
         )
+    config = config.in_hindsight()
     passages: list[Passage] = []
     last: list[ModeEstimates] = []
 
@@ -92,6 +93,7 @@ def _with_hindsight(track: Track, smoothed: Sequence[ModeEstimates], passages: S
         position_m=read_only(position[after] - position[0]),
         position_cov_m2=read_only(cov[after, :2, :2] + shared_cov_m2),
         step_length_m=read_only(length),
+        walked_m=read_only(np.cumsum(length)),
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         mode_prob=read_only(mode_prob),

@@ -125,6 +125,7 @@ def smooth(
     observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
         return _from_hindsight(in_hindsight(recording, config), observed)
+    config = config.in_hindsight()
     track = collected(recording, config, outputs(recording, config))
     modes = config.model.modes
     if track.weighting == "imm":
@@ -220,6 +221,7 @@ def _smoothed(
         position_m=read_only(position),
         position_cov_m2=read_only(position_cov),
         step_length_m=read_only(length),
+        walked_m=read_only(np.cumsum(length)),
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,

@@ -4,9 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import a_step
 
 import pdr_filter as pdr
+from pdr_filter.config import Config
+from pdr_filter.filter import imm
 from pdr_filter.offline.smoothing.hindsight import in_hindsight, knowing_the_device
+from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.values import PositionFix
 
@@ -50,9 +54,12 @@ def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter()
     assert squares["smoother"] < 0.7 * squares["filter"]
 
 
-def test_without_fixes_the_end_of_the_track_is_that_of_the_filter() -> None:
+def test_without_fixes_the_end_of_the_track_is_that_of_a_filter_with_the_exponent_of_hindsight() -> None:
     walk = demo_walk()
-    forward, smoothed = pdr.track(walk), in_hindsight(walk).track
+    config = pdr.recipes.default(walk.subject)
+    tempered = config.in_hindsight()
+    forward, smoothed = pdr.track(walk, tempered), in_hindsight(walk, config).track
+    assert not np.allclose(forward.mode_prob, pdr.track(walk, config).mode_prob)
     np.testing.assert_allclose(smoothed.position_m[-1], forward.position_m[-1], atol=1e-9)
     np.testing.assert_allclose(smoothed.mode_prob[-1], forward.mode_prob[-1], atol=1e-12)
     assert smoothed.n_steps == forward.n_steps
@@ -68,6 +75,31 @@ def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
         runs = track.mode_prob[:, running] > 0.5
         delay_s.append(float(track.time_s[runs][0]) - change_s)
     assert abs(delay_s[1]) < abs(delay_s[0])
+
+
+def test_a_confident_error_of_some_windows_is_followed_less_in_hindsight_and_true_stairs_are_not_lost() -> None:
+    config = pdr.recipes.default()
+    walking, upstairs = (pdr.CONTEXTS.index(c) for c in ("walking", "upstairs"))
+
+    def mean_prob_of_stairs(config: Config, first_s: float, last_s: float) -> float:
+        """At the steps of the windows in between, which say stairs with 0.9."""
+        tracker, prior = config.tracker, np.full(6, 1 / 6)
+        state, prob, time_s = tracker.init(), [], np.arange(1.25, 60.0, 0.5)
+        for t in time_s:
+            if t % 1.0 < 0.5:
+                said = upstairs if first_s <= t <= last_s else walking
+                window = WindowContext(float(np.ceil(t)), np.where(np.arange(6) == said, 0.9, 0.02), prior)
+                state, _ = tracker.on_window(state, window)
+            state, output = tracker.on_step(state, a_step(float(t)))
+            prob += [u.mode_prob for u in output.updates]
+        smoothed = imm.smoothed_mode_prob(np.array(prob), config.model.transition_prob)
+        return float(smoothed[(time_s >= first_s) & (time_s <= last_s), upstairs].mean())
+
+    # three windows in a row, and nobody climbs
+    online, hindsight = (mean_prob_of_stairs(c, 30.0, 33.0) for c in (config, config.in_hindsight()))
+    assert hindsight < 0.7 * online
+    # a flight of twenty seconds
+    assert mean_prob_of_stairs(config.in_hindsight(), 20.0, 40.0) > 0.95
 
 
 def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
