@@ -6,7 +6,13 @@ import numpy as np
 
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import Mode
-from pdr_filter.filter.step_length import USUAL_HEIGHT_M, FrequencyVarianceStepLength, StepLengthFit, known_length
+from pdr_filter.filter.step_length import (
+    USUAL_HEIGHT_M,
+    FrequencyVarianceStepLength,
+    StepLengthFit,
+    known_length,
+    scale_std,
+)
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Subject
@@ -96,5 +102,6 @@ def height_notes(subject: Subject | None) -> tuple[Note, ...]:
     """What to keep in mind where the height is not known."""
     if subject is not None and subject.height_m is not None:
         return ()
-    assumed = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed"
-    return (Note("height", f"{assumed}, and the track may be 8 % too long or short"),)
+    unsure = f"the person's height is not known: {USUAL_HEIGHT_M:.2f} m is assumed, and lengths may be off by"
+    text = f"{unsure} {100 * scale_std(None):.0f} % (with the height by {100 * scale_std(USUAL_HEIGHT_M):.0f} %)"
+    return (Note("height", text),)
