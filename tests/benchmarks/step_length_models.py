@@ -55,7 +55,7 @@ MODELS: dict[str, Callable[[float], StepLengthModel]] = {
     "M6, Kim k cbrt(mean abs)": lambda h: models.KimStepLength(),
     "M7 k0 + k1/f + k2/sqrt f + k3 max": lambda h: models.ZhouWalkingStepLength(),
     "Chen a, b, c": models.ChenStepLength,
-    "k h (f A)^1/4": lambda h: models.BounceStepLength(h),
+    "k h A^1/4": lambda h: models.BounceStepLength(h),
 }
 
 

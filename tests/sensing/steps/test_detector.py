@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
 
-from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
+from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_periods
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 LOG = StepLog(rate_hz=100.0, latency_s=0.8)
@@ -44,7 +44,7 @@ def test_the_usual_amplitude_is_the_geometric_mean_of_the_steps_so_far_without_t
 
 
 @pytest.mark.parametrize("n", [20, 55, 101])
-def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
+def test_the_amplitude_of_periods_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
     phase = 2 * np.pi * np.arange(n) / n
     values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
-    assert amplitude_of_one_period(values) == pytest.approx(1.7)
+    assert amplitude_of_periods(values) == pytest.approx(1.7)
