@@ -15,7 +15,6 @@ import numpy as np
 
 from pdr_filter.values import Step
 
-
 # Single ones are stumbles and the ends of walks, about one in two walks.
 _N_BEFORE, _MIN_ALIKE = 4, 2
 

@@ -1,5 +1,7 @@
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
@@ -48,3 +50,26 @@ def test_the_amplitude_of_periods_is_that_of_the_sinusoid_whatever_the_mean_and_
     phase = 2 * np.pi * np.arange(n) / n
     values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
     assert amplitude_of_periods(values) == pytest.approx(1.7)
+
+
+def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps() -> None:
+    """A person who turns by 0.4 rad/s and sways by 0.1 rad once in a stride of 1 s."""
+    t = np.arange(900) / 100
+    magnitude = STANDARD_GRAVITY_MPS2 + 2.0 * np.sin(2 * np.pi * 2.0 * t)
+    attitude = replace(flat_attitude(magnitude), device_heading_rad=-0.4 * t + 0.1 * np.sin(2 * np.pi * t + 0.3))
+    state, steps = LOG.extend(LOG.init(), uniform_block(magnitude), attitude), []
+    for contact in range(100, 800, 50):
+        state, step = LOG.add(state, contact, contact + 80)
+        steps.append(step)
+    assert [s.turn_rate_radps for s in steps[2:]] == pytest.approx([0.4] * 12, rel=0.06)
+
+
+def test_a_turn_before_a_pause_is_not_of_the_step_after_it() -> None:
+    t = np.arange(900) / 100
+    magnitude = STANDARD_GRAVITY_MPS2 + 2.0 * np.sin(2 * np.pi * 2.0 * t)
+    attitude = replace(flat_attitude(magnitude), device_heading_rad=np.minimum(t, 2.0))
+    state, rates = LOG.extend(LOG.init(), uniform_block(magnitude), attitude), []
+    for contact in (100, 150, 200, 700):
+        state, step = LOG.add(state, contact, contact + 80)
+        rates.append(step.turn_rate_radps)
+    assert rates[1:] == pytest.approx([0.98, 0.98, 0.0], abs=0.03)
