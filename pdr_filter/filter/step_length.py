@@ -358,9 +358,10 @@ def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
     return one_parameter_fit(StaticStepLength(height_m), of_gender(_STATIC_K, gender), _STATIC_RELATIVE_STD)
 
 
-# Of `BounceStepLength`: fitted to 298 legs of known displacement, two sites alike (humolire, ms_indoor;
-# tests/benchmarks/step_length_models.py). Its standard deviation is the spread of people, 6 %, over the root of 15 of
-# them. Single steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
+# Of `BounceStepLength`: fitted to the distances of 174 recordings at five sites, each with the same weight (humolire,
+# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length_sites.py). Its standard deviation is the spread of sites,
+# 4 %, over the root of five. Single steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a
+# trouser pocket.
 _BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.34, 0.006, 0.08
 
 
@@ -373,8 +374,8 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-# Of the log step scale of people left out together with their site: 5.8 % for the heights that are known, 7.8 % if none
-# is used (docs/methods/step_length.md). That is of few people at few sites, and strangers elsewhere were off by up to
+# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.5 %
+# without (docs/methods/step_length.md). Those are few people at few sites, and strangers elsewhere were off by up to
 # 20 %: rounded up, more so for those of whom nothing is known.
 _SCALE_STD_OF_KNOWN_HEIGHT, _SCALE_STD = 0.07, 0.10
 
