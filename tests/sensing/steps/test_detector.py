@@ -73,3 +73,11 @@ def test_a_turn_before_a_pause_is_not_of_the_step_after_it() -> None:
         state, step = LOG.add(state, contact, contact + 80)
         rates.append(step.turn_rate_radps)
     assert rates[1:] == pytest.approx([0.98, 0.98, 0.0], abs=0.03)
+
+
+def test_a_step_over_two_periods_has_its_amplitude_in_the_second_harmonic() -> None:
+    one, two = logged([100, 150, 200], np.full(400, 2.0))[1:]
+    assert (one.vertical_amplitude_mps2, one.second_amplitude_mps2) == pytest.approx((2.0, 0.0), abs=1e-6)
+    assert two.second_amplitude_mps2 == pytest.approx(0.0, abs=1e-6)
+    whole = logged([100, 200], np.full(400, 2.0))[1]
+    assert (whole.vertical_amplitude_mps2, whole.second_amplitude_mps2) == pytest.approx((0.0, 2.0), abs=1e-6)
