@@ -11,6 +11,7 @@ from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
 from pdr_filter.filtering import State, add_pressure, due_s, finish, init, notes_of, step, untimely
+from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import Fix, FloatArray, ImuBlock
 
@@ -24,6 +25,8 @@ class OnlineFilter:
     ----------
     config : Config, optional
         A recipe; the default recipe if not given.
+    height_m : float, optional
+        Of the person, for the default recipe: what `pdr_filter.track` takes from a recording that says it.
 
     Examples
     --------
@@ -41,11 +44,15 @@ class OnlineFilter:
     True
     """
 
-    def __init__(self, config: Config | None = None) -> None:
+    def __init__(self, config: Config | None = None, height_m: float | None = None) -> None:
         if config is None:
             from pdr_filter import recipes
 
-            config = recipes.default()
+            config = recipes.default(Subject(height_m=height_m))
+        elif height_m is not None:
+            raise ValueError(
+                f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
+            )
         self.config = config
         self.state = init(config)
 

@@ -16,7 +16,7 @@ from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.modes import context_modes, context_transitions, height_notes
 from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.filter.step_length import bounce_fit
+from pdr_filter.filter.step_length import bounce_fit, scale_std
 from pdr_filter.io.recording import Recording, Subject
 from pdr_filter.papers.guo2018.recipe import guo2018 as guo2018
 from pdr_filter.papers.martinelli2018.recipe import magnitude_contexts
@@ -30,6 +30,7 @@ from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
+from pdr_filter.sensing.steps.doubled import DoubledSteps
 from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values import CONTEXTS, HeadingDrift
@@ -38,8 +39,7 @@ from pdr_filter.values import CONTEXTS, HeadingDrift
 def default(subject: Subject | None = None) -> Config:
     """The recipe to use: adaptive steps behind a gate, contexts from attitude-free features, learnt walking heading.
 
-    Of the subject only the height counts. How people differ in their step lengths beyond it, the standard deviation
-    of the log step scale, is 6.5 % for a known height and 8 % without (docs/methods/step_length.md).
+    Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
     """
     height_m = subject.height_m if subject else None
     drift = HeadingDrift()
@@ -49,6 +49,7 @@ def default(subject: Subject | None = None) -> Config:
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
             even=EvenSteps(),
+            doubled=DoubledSteps(),
             contexts=attitude_free_contexts(),
             heading=WalkingHeading(drift=drift),
         ),
@@ -56,7 +57,7 @@ def default(subject: Subject | None = None) -> Config:
             PedestrianModel(
                 modes=context_modes(bounce_fit(height_m)),
                 transition_prob=context_transitions(),
-                noise=MotionNoise(heading_drift=drift, log_scale_std=0.08 if height_m is None else 0.065),
+                noise=MotionNoise(heading_drift=drift, log_scale_std=scale_std(height_m)),
             )
         ),
         notes=height_notes(subject),

@@ -572,3 +572,21 @@ def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
     assert track.notes == (*stranger.notes, *online.notes)
     for words in ("height is not known", "rejected as outliers: 1", "after the last sample, not used: 1"):
         assert any(words in note for note in online.notes)
+
+
+@pytest.mark.parametrize("height_m", [None, 1.60, 1.93])
+def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_track(height_m: float | None) -> None:
+    walk = demo_walk()
+    walk = replace(walk, meta={**walk.meta, "subject": {"height_m": height_m}})
+    track, samples = pdr.track(walk), pdr.merge_streams(walk)
+    updates = [u for u in stream(pdr.OnlineFilter(height_m=height_m), [samples]) if u.is_final]
+    np.testing.assert_array_equal([u.step_length_m for u in updates], track.step_length_m)
+    np.testing.assert_array_equal([u.position_cov_m2 for u in updates], track.position_cov_m2)
+    stds = [u.speed.smoothed_std_mps for u in updates]
+    np.testing.assert_array_equal(stds, track.smoothed_speed_std_mps)
+    assert any("height is not known" in note for note in track.notes) == (height_m is None)
+
+
+def test_a_height_beside_a_configuration_is_refused() -> None:
+    with pytest.raises(ValueError, match="height_m is for the default recipe"):
+        pdr.OnlineFilter(recipes.default(), height_m=1.8)

@@ -154,13 +154,14 @@ def with_step(
     shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * own
     # a pause before the step starts the smoothed speed afresh
     is_pause = np.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
-    before = None if is_pause else state.speed
     log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
     place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
     return replace(
         state,
         shared_m=shared_m,
-        speed=after_step(before, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var),
+        speed=after_step(
+            state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=bool(is_pause)
+        ),
         last_step_s=step.time_s,
         gap_s=0.0,
         trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],

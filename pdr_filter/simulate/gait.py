@@ -42,7 +42,7 @@ CONTEXT_GAITS = {
 }
 
 # Step length L, m, of somebody of height h: L = k h (f A)^(1/4), f the step frequency and A the amplitude of the
-# vertical force at it (docs/methods/step_length.md, fitted on 298 legs of known length).
+# vertical force at it, fitted on 298 legs of known length; the default's own law has no f (`BounceStepLength`).
 BOUNCE_K = 0.293
 # People's steps differ by 6 % from that law: some take longer steps than others of that height and cadence without more
 # force. For differences of length between people A goes with this power of the length, not with the fourth.

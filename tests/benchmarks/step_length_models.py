@@ -9,7 +9,8 @@ usage: python -m tests.benchmarks.step_length_models [--data ../shared/data]
    capture, a room of 5 m) by carrying mode.
 3. Another person, another place of the phone: with the parameters of both sites, how much the length of the one route
    of ubicomp13 (steps counted on video, length not published) differs between 66 walks of 13 people. Nothing is fitted.
-4. How much a place of the phone changes the inputs of the models, the same people on the same route (ubicomp13).
+4. Which powers of height, cadence and amplitude the relative step lengths of that route have, from the counted steps.
+5. How much a place of the phone changes the inputs of the models, the same people on the same route (ubicomp13).
 
 A leg is a stretch between two landmarks: straight legs (humolire), waypoints more than 4 m apart (ms_indoor), two steps
 on a straight stretch (tyrex: the sway of body and phone is the same at both ends).
@@ -55,7 +56,7 @@ MODELS: dict[str, Callable[[float], StepLengthModel]] = {
     "M6, Kim k cbrt(mean abs)": lambda h: models.KimStepLength(),
     "M7 k0 + k1/f + k2/sqrt f + k3 max": lambda h: models.ZhouWalkingStepLength(),
     "Chen a, b, c": models.ChenStepLength,
-    "k h (f A)^1/4": lambda h: models.BounceStepLength(h),
+    "k h A^1/4": lambda h: models.BounceStepLength(h),
 }
 
 
@@ -310,8 +311,25 @@ INPUTS: dict[str, Callable[[Step], float]] = {
 }
 
 
+def one_route(tables: Tables, routes: list[Route]) -> None:
+    """Table 4: log of the relative step length by least squares."""
+    length = -np.log([r.n_steps for r in routes])
+    amplitude = [np.mean(np.log([np.clip(s.vertical_amplitude_mps2, 0.3, 3.0) for s in r.steps])) for r in routes]
+    cadence = [np.mean(np.log([s.frequency_hz for s in r.steps])) for r in routes]
+    logs = {"h": np.log([r.height_m for r in routes]), "f": np.array(cadence), "A": np.array(amplitude)}
+    rows = []
+    for names in ("h", "hf", "hA", "hfA"):
+        design = np.column_stack([*(logs[n] for n in names), np.ones(len(routes))])
+        power = np.linalg.lstsq(design, length, rcond=None)[0]
+        error = length - design @ power
+        std = np.sqrt(np.diag(np.linalg.inv(design.T @ design)) * (error @ error) / (len(error) - len(power)))
+        cells = {n: f"{power[i]:.2f} ± {std[i]:.2f}" for i, n in enumerate(names)}
+        rows.append([", ".join(names), *(cells.get(n, "") for n in "hfA"), f"{100 * error.std():.1f}"])
+    tables.write("step_length_one_route", ["logs of", "h", "f", "A", "left %"], rows, "A within 0.3 and 3 m/s².")
+
+
 def inputs(tables: Tables, routes: list[Route]) -> None:
-    """Table 4: 100 times the mean log over the steps, less that of the mean place, people apart."""
+    """Table 5: 100 times the mean log over the steps, less that of the mean place, people apart."""
     people, places = sorted({r.person for r in routes}), sorted({r.place for r in routes})
     design = np.array([[r.person == p for p in people] + [r.place == q for q in places[1:]] for r in routes], float)
     rows = []
@@ -336,6 +354,7 @@ def main() -> None:
     routes = [route_of(p) for p in paths(data, "ubicomp13")]
     leave_one_walk_out(tables, sites["humolire"])
     other_sites(tables, sites, routes)
+    one_route(tables, routes)
     inputs(tables, routes)
 
 

@@ -347,4 +347,4 @@ def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording)
     after = int(np.searchsorted(track.steps.detected_time_s, fix_s + 16.0))
     std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[after]))
     since_m = np.linalg.norm(alone.position_m[after] - alone.position_m[k])
-    assert std_m[0] > 0.7 * recipes.default().model.noise.log_scale_std * since_m
+    assert std_m[0] > 0.7 * recipes.default(walk.subject).model.noise.log_scale_std * since_m

@@ -42,6 +42,8 @@ class StepLogState:
     n_usual: float  # steps in the sums of the two logarithms, with the forgetting of `USUAL_DECAY`
     log_amplitudes: float
     log_durations: float
+    last_turn_rad: float  # of the device over the last step, and how long that took; 0 at the start of a bout
+    last_duration_s: float
 
 
 # What is usual for somebody is the mean of about the last twenty steps.
@@ -68,7 +70,7 @@ class StepLog:
 
     def init(self) -> StepLogState:
         """State before the first sample of a segment."""
-        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0)
+        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
         """State with the samples of a block; call before their contacts are given, and `trim` after."""
@@ -121,7 +123,15 @@ class StepLog:
         step = describe_step(
             state.signals[:, max(start - first, 0) : contact - first], contact_s, known_s, duration_s, unknown_s
         )
-        state = replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown)
+        step = _with_turn(step, (0.0, 0.0) if is_first else (state.last_turn_rad, state.last_duration_s))
+        state = replace(
+            state,
+            last_contact=contact,
+            last_contact_s=contact_s,
+            last_unknown=unknown,
+            last_turn_rad=step.heading_change_rad,
+            last_duration_s=step.duration_s,
+        )
         return self._compared_with_usual(state, step, is_first)
 
     def _compared_with_usual(self, state: StepLogState, step: Step, is_first: bool) -> tuple[StepLogState, Step]:
@@ -137,6 +147,16 @@ class StepLog:
             )
         usual_mps2 = exp(state.log_amplitudes / state.n_usual) if state.n_usual > 0 else 0.0
         return state, replace(step, usual_amplitude_mps2=usual_mps2, from_rest=from_rest)
+
+
+def _with_turn(step: Step, before: tuple[float, float]) -> Step:
+    """The step with the turn rate of its stride; `before` is what the device turned in the step before, in what time.
+
+    Body and arm sway once in a stride: over two steps that is gone, and what is left is the turn of the person.
+    """
+    turn_rad, duration_s = before
+    rate = abs(step.heading_change_rad + turn_rad) / (step.duration_s + duration_s)
+    return replace(step, turn_rate_radps=rate)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -334,13 +354,14 @@ def describe_step(
         device_heading_rad=float(heading.mean()),
         heading_unknown_s=heading_unknown_s,
         yaw_bias_std_radps=float(bias_std[-1]),
-        vertical_amplitude_mps2=amplitude_of_one_period(vertical),
+        vertical_amplitude_mps2=amplitude_of_periods(vertical),
+        second_amplitude_mps2=amplitude_of_periods(vertical, 2),
     )
 
 
-def amplitude_of_one_period(values: FloatArray) -> float:
-    """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
+def amplitude_of_periods(values: FloatArray, n_periods: int = 1) -> float:
+    """Amplitude of the sinusoid with m periods in the values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
     n = len(values)
-    phase = 2 * np.pi * np.arange(n) / n
+    phase = 2 * np.pi * n_periods * np.arange(n) / n
     centred = values - values.mean()
     return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))
