@@ -30,7 +30,6 @@ from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.sensing.steps.doubled import DoubledSteps
 from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values import CONTEXTS, HeadingDrift
@@ -49,7 +48,6 @@ def default(subject: Subject | None = None) -> Config:
             steps=AdaptiveStepDetector(),
             gate=StepGate(),
             even=EvenSteps(),
-            doubled=DoubledSteps(),
             contexts=attitude_free_contexts(),
             heading=WalkingHeading(drift=drift),
         ),

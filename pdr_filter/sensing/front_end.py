@@ -18,7 +18,6 @@ from pdr_filter.sensing.heading.stage import HeadingStage
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.rattle import Rattle, RattleState
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
-from pdr_filter.sensing.steps.doubled import DoubledSteps
 from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
 from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step
@@ -49,7 +48,6 @@ class SensingState:
     heading: Any
     gate: Any
     even: Any
-    doubled: Any
     rattle: RattleState
     cadence: tuple[tuple[float, float], ...]  # time and frequency of the last steps of this segment
     n_samples: int  # of this segment
@@ -78,9 +76,7 @@ class Sensing:
     gate : StepGate, optional
         Holds back steps that nobody walked.
     even : EvenSteps, optional
-        Moves contacts to where left and right are even: the samples of a step stay those of the detector.
-    doubled : DoubledSteps, optional
-        Makes two steps of one that holds two, last of all.
+        Moves contacts to where left and right are even, last of all: the samples of a step stay those of the detector.
     """
 
     steps: StepDetector[Any]
@@ -90,7 +86,6 @@ class Sensing:
     heading: HeadingStage | None = None
     gate: StepGate | None = None
     even: EvenSteps | None = None
-    doubled: DoubledSteps | None = None
 
     def __post_init__(self) -> None:
         stages = [self.conditioner, self.attitude, self.steps, *([self.contexts] if self.contexts else [])]
@@ -122,7 +117,6 @@ class Sensing:
             heading=self.heading.init() if self.heading else None,
             gate=self.gate.init() if self.gate else None,
             even=self.even.init() if self.even else None,
-            doubled=self.doubled.init() if self.doubled else None,
             rattle=self._rattle.init(),
             cadence=(),
             n_samples=0,
@@ -167,15 +161,13 @@ class Sensing:
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock(context, carrying_mode)
         step_state, steps = self.steps.step(state.steps, part, attitude, contexts)
-        heading_state, gate_state, even_state, doubled_state = None, None, None, None
+        heading_state, gate_state, even_state = None, None, None
         if self.gate:
             gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
         if self.heading:
             heading_state, steps = self.heading.step(state.heading, part, attitude, contexts, steps)
         if self.even:
             even_state, steps = self.even.step(state.even, steps)
-        if self.doubled:
-            doubled_state, steps = self.doubled.step(state.doubled, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
         in_order, cadence = _with_cadences(state.cadence, sorted([*windows, *steps], key=lambda e: e[0]))
         state = SensingState(
@@ -186,7 +178,6 @@ class Sensing:
             heading=heading_state,
             gate=gate_state,
             even=even_state,
-            doubled=doubled_state,
             rattle=self._rattle.step(state.rattle, part, steps),
             cadence=cadence,
             n_samples=n_before + n,
@@ -208,9 +199,6 @@ class Sensing:
         if self.even:
             even, steps = self.even.step(state.even, steps)
             state = replace(state, even=even)
-        if self.doubled:
-            doubled, steps = self.doubled.step(state.doubled, steps)
-            state = replace(state, doubled=doubled)
         return state, [(state.processed_s, step) for _, step in steps]
 
     def _after_gap(self, state: SensingState) -> SensingState:

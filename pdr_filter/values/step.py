@@ -54,7 +54,6 @@ class Step:
     yaw_bias_std_radps: float = 0.0
     # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
     vertical_amplitude_mps2: float = 0.0
-    second_amplitude_mps2: float = 0.0  # of the sinusoid at twice that frequency
     # Geometric mean of that over the person's last steps, this one included; 0 before the second step of a bout.
     usual_amplitude_mps2: float = 0.0
     # How fast the device turned over this step and the one before, without sign: the sway of a stride is not in it.

@@ -40,7 +40,7 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
-from pdr_filter.sensing.steps.detector import amplitude_of_periods, unknown_contexts
+from pdr_filter.sensing.steps.detector import amplitude_of_one_period, unknown_contexts
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
@@ -348,7 +348,7 @@ def test_the_amplitude_is_that_of_the_sinusoid_whatever_else_there_is(
     turn = 2 * np.pi * np.arange(n) / n
     signal = level + amplitude * np.cos(turn + phase)
     harmonics = heel_strike * (np.cos(2 * turn) + np.sin(3 * turn))
-    assert amplitude_of_periods(signal + harmonics) == pytest.approx(amplitude, rel=1e-9, abs=1e-9)
+    assert amplitude_of_one_period(signal + harmonics) == pytest.approx(amplitude, rel=1e-9, abs=1e-9)
 
 
 def test_a_detected_step_has_the_amplitude_of_the_bounce() -> None:

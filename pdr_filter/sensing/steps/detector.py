@@ -354,14 +354,13 @@ def describe_step(
         device_heading_rad=float(heading.mean()),
         heading_unknown_s=heading_unknown_s,
         yaw_bias_std_radps=float(bias_std[-1]),
-        vertical_amplitude_mps2=amplitude_of_periods(vertical),
-        second_amplitude_mps2=amplitude_of_periods(vertical, 2),
+        vertical_amplitude_mps2=amplitude_of_one_period(vertical),
     )
 
 
-def amplitude_of_periods(values: FloatArray, n_periods: int = 1) -> float:
-    """Amplitude of the sinusoid with m periods in the values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
+def amplitude_of_one_period(values: FloatArray) -> float:
+    """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
     n = len(values)
-    phase = 2 * np.pi * n_periods * np.arange(n) / n
+    phase = 2 * np.pi * np.arange(n) / n
     centred = values - values.mean()
     return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))

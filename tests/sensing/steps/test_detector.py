@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
 
-from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_periods
+from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 LOG = StepLog(rate_hz=100.0, latency_s=0.8)
@@ -46,10 +46,10 @@ def test_the_usual_amplitude_is_the_geometric_mean_of_the_steps_so_far_without_t
 
 
 @pytest.mark.parametrize("n", [20, 55, 101])
-def test_the_amplitude_of_periods_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
+def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
     phase = 2 * np.pi * np.arange(n) / n
     values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
-    assert amplitude_of_periods(values) == pytest.approx(1.7)
+    assert amplitude_of_one_period(values) == pytest.approx(1.7)
 
 
 def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps() -> None:
@@ -73,11 +73,3 @@ def test_a_turn_before_a_pause_is_not_of_the_step_after_it() -> None:
         state, step = LOG.add(state, contact, contact + 80)
         rates.append(step.turn_rate_radps)
     assert rates[1:] == pytest.approx([0.98, 0.98, 0.0], abs=0.03)
-
-
-def test_a_step_over_two_periods_has_its_amplitude_in_the_second_harmonic() -> None:
-    one, two = logged([100, 150, 200], np.full(400, 2.0))[1:]
-    assert (one.vertical_amplitude_mps2, one.second_amplitude_mps2) == pytest.approx((2.0, 0.0), abs=1e-6)
-    assert two.second_amplitude_mps2 == pytest.approx(0.0, abs=1e-6)
-    whole = logged([100, 200], np.full(400, 2.0))[1]
-    assert (whole.vertical_amplitude_mps2, whole.second_amplitude_mps2) == pytest.approx((0.0, 2.0), abs=1e-6)
