@@ -10,11 +10,12 @@ NEES is of the position (2 degrees of freedom) and of the whole state (4), ten t
 fix of 3 m every 60 steps. The bounds are those of a chi-square mean over the walks; that of the NIS is over all
 fixes. Rows below "the filter's own model" leave it, by what their names say.
 
-real: the share of waypoints of humolire and ms_indoor in the 50 % and 95 % ellipses of the default recipe. The truth is
-turned and moved into the track's frame by the waypoints of the first 20 % of the path, which then do not count; what
-waypoints are uncertain by, 0.7 m (humolire) and 1 m (ms_indoor) along each axis, is added to the ellipses. That turning
-gives the direction better than the filter can know it; so, in further rows, the filter gets the same waypoints, turned,
-as fixes.
+real: the share of places in the 50 % and 95 % ellipses of the default recipe: waypoints of humolire and ms_indoor, and
+the reference of oxiod every 5 s (without the trolley). Alone: the truth is turned and moved into the track's frame by
+the places of the first 20 % of the path, which then do not count; that gives the direction better than the filter can
+know it. With fixes: the filter gets those places as fixes in the frame of the building, of which it knows neither
+origin nor north, and nothing is turned. What places are uncertain by along each axis, 0.7 m (humolire), 1 m
+(ms_indoor), 0.3 m (oxiod), is the standard deviation of the fixes and is added to the ellipses.
 
 day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
 """
@@ -46,8 +47,14 @@ EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
 # classifies 87 % of the windows correctly; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
-# Along each axis: humolire's are ticks on a floor passed within a step, ms_indoor's are "good to a metre or so".
-WAYPOINT_STD_M = {"humolire": 0.7, "ms_indoor": 1.0}
+# Files of a site, and how good its places are along each axis: humolire's are ticks on a floor passed within a step,
+# ms_indoor's are "good to a metre or so".
+PLACES = (
+    ("humolire", "*.zip", 0.7),
+    ("ms_indoor", "*.zip", 1.0),
+    ("oxiod", "*_[hp]*.zip", 0.3),
+    ("oxiod", "*running*.zip", 0.3),
+)
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
 
@@ -322,21 +329,33 @@ def simulated(tables: Tables, n_walks: int = 200) -> None:
 
 
 @dataclass(frozen=True)
-class Waypoints:
-    """Waypoints in the frame of a track."""
+class Places:
+    """Where a person was."""
 
     time_s: FloatArray  # (W,)
     position_m: FloatArray  # (W, 2)
-    first: BoolArray  # (W,) in the first 20 % of the path
+    first: BoolArray  # (W,) in the first 20 % of the path, two at least
+
+    @property
+    def fixes(self) -> list[tuple[float, FloatArray]]:
+        """Times and positions of the first ones."""
+        return list(zip(np.maximum(self.time_s, 0.0)[self.first], self.position_m[self.first], strict=True))
 
 
-def in_frame_of(track: pdr.Track, recording: pdr.Recording) -> Waypoints:
-    """The waypoints, turned and moved so that those of the first 20 % of the path fit the track best."""
-    points = recording.truth.waypoints
-    reference = np.column_stack([points.east_m, points.north_m])
-    first = evaluate.first_of_path(reference)
-    estimate, _ = at(track, np.asarray(points.time_s))
-    return Waypoints(np.asarray(points.time_s), evaluate.fitted(reference, estimate, first), first)
+def places_of(recording: pdr.Recording) -> Places | None:
+    """Waypoints, or a reference every 5 s; None if there are not three."""
+    truth = recording.truth.position if recording.truth.waypoints is None else recording.truth.waypoints
+    if truth is None:
+        return None
+    time_s, position_m = np.asarray(truth.time_s), np.column_stack([truth.east_m, truth.north_m])
+    if truth is recording.truth.position:
+        every = np.unique(np.searchsorted(time_s, np.arange(time_s[0], time_s[-1], 5.0)))
+        time_s, position_m = time_s[every], position_m[every]
+    if len(time_s) < 3:
+        return None
+    first = evaluate.first_of_path(position_m)
+    first[:2] = True
+    return Places(time_s, position_m, first)
 
 
 def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -348,8 +367,8 @@ def at(track: pdr.Track, times_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     return found[0], found[1].reshape(-1, 2, 2)
 
 
-def waypoint_errors(track: pdr.Track, truth: Waypoints, std_m: float) -> FloatArray:
-    """Squared errors over the ellipses, (W,), of the waypoints after the first 20 %."""
+def place_errors(track: pdr.Track, truth: Places, std_m: float) -> FloatArray:
+    """Squared errors over the ellipses, (W,), of the places after the first 20 %."""
     estimate, cov = at(track, truth.time_s)
     error = truth.position_m - estimate
     nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov + std_m**2 * np.eye(2)), error)
@@ -357,29 +376,28 @@ def waypoint_errors(track: pdr.Track, truth: Waypoints, std_m: float) -> FloatAr
 
 
 def real(tables: Tables, data: Path) -> None:
-    """Coverage by site: of the track alone, and of one that got the first waypoints, as turned, as fixes."""
+    """Coverage by site: of the track alone, and of one that got the first places as fixes in the building's frame."""
     levels, rows = chi2.ppf([0.5, 0.95], 2), []
-    for site, std_m in WAYPOINT_STD_M.items():
+    for site, pattern, std_m in PLACES:
         alone, with_fixes = [], []
-        for recording in recordings(data, site):
+        for recording in recordings(data, site, pattern):
+            truth = places_of(recording)
             config = pdr.recipes.for_recording("default", recording)
             track = pdr.track(recording, config)
-            if track.n_steps == 0:
+            if truth is None or truth.first.all() or track.n_steps < 10 or recording.gyroscope is None:
                 continue
-            truth = in_frame_of(track, recording)
-            alone.append(waypoint_errors(track, truth, std_m))
-            fixes = [
-                PositionFix(float(t), p, std_m**2 * np.eye(2))
-                for t, p in zip(truth.time_s[truth.first], truth.position_m[truth.first], strict=True)
-            ]
-            with_fixes.append(waypoint_errors(pdr.track(recording, config, fixes=fixes), truth, std_m))
+            estimate, _ = at(track, truth.time_s)
+            turned = replace(truth, position_m=evaluate.fitted(truth.position_m, estimate, truth.first))
+            alone.append(place_errors(track, turned, std_m))
+            fixes = [PositionFix(float(t), p, std_m**2 * np.eye(2)) for t, p in truth.fixes]
+            with_fixes.append(place_errors(pdr.track(recording, config.in_world_frame(), fixes=fixes), truth, std_m))
         for name, found in (("no", alone), ("yes", with_fixes)):
             nees = np.concatenate(found)
             half, most = (100 * np.mean(nees <= level) for level in levels)
-            per_walk = [100 * np.mean(e <= levels[1]) for e in found if len(e)]
             shares = [f"{half:.0f} %", f"{most:.0f} %"]
-            rows.append([site, name, len(per_walk), nees.size, *shares, f"{nees.mean():.2f}, {np.median(nees):.2f}"])
-    columns = ["site", "first 20 % as fixes", "walks", "waypoints", "in 50 %", "in 95 %"]
+            label = site + (" running" if "running" in pattern else "")
+            rows.append([label, name, len(found), nees.size, *shares, f"{nees.mean():.2f}, {np.median(nees):.2f}"])
+    columns = ["site", "first 20 % as fixes", "walks", "places", "in 50 %", "in 95 %"]
     tables.write("consistency_real", [*columns, "squared error over predicted: mean, median"], rows)
 
 
