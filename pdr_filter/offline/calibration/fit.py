@@ -12,10 +12,11 @@ from pdr_filter.calibration import Calibration, slices_of
 from pdr_filter.config import Config
 from pdr_filter.filter.step_length import StepLengthModel
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.calibration.estimation import DISTRUST, Hierarchy, ParameterEstimate, estimate_parameters
+from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
+from pdr_filter.offline.robust import DISTRUST
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, FloatArray, Table, table
