@@ -24,8 +24,8 @@ import pdr_filter as pdr
 from pdr_filter.filter.step_length import KimStepLength, WeinbergStepLength
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.fit import DEFAULT_PRIORS, hierarchy_of, solve_sums
-from pdr_filter.offline.calibration.priors import StepLengthPrior, eq12_priors, weak_prior
+from pdr_filter.offline.calibration.forms import hierarchy_of, solve_sums
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS

@@ -159,7 +159,9 @@ def candidates() -> dict[str, dict[str, StepLengthPrior]]:
 def as_wide_as(prior: StepLengthPrior, relative_std: float) -> StepLengthPrior:
     """The prior of a population whose typical step is uncertain by this share of it, in the first parameter."""
     if not 0 < relative_std < np.inf:
-        raise ValueError(f"the relative standard deviation of a prior must be positive, got {relative_std}; 0.1 is usual")
+        raise ValueError(
+            f"the relative standard deviation of a prior must be positive, got {relative_std}; 0.1 is usual"
+        )
     length, slope = length_and_jacobian(prior.model, TYPICAL_STEP, prior.mean)
     std = prior.std.copy()
     std[0] = relative_std * float(length) / abs(slope[0])
