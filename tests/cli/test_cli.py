@@ -268,6 +268,29 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
 
 
+def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:
+    from pdr_filter.calibration import load_calibration
+    from pdr_filter.simulate import Leg, simulate
+
+    walks: list[Path] = []
+    for name in ("a", "b"):
+        recording = replace(simulate([Leg("walking", distance_m=25.0)], seed=1, name=name), meta={})
+        walks.append(write_recording(recording, tmp_path / f"{name}.zip"))
+    out = tmp_path / "me.json"
+    options = ("--model", "kim", "--loss", "none", "--prior", "0.3", "--subject", "anna")
+    result = run("calibrate", *walks, "--out", out, *options)
+    assert result.exit_code == 0
+    found = load_calibration(out)
+    assert type(found.models["walking"]).__name__ == "KimStepLength"
+    assert list(found.subjects) == ["anna"]
+    expected = pdr.calibrate([pdr.read(w) for w in walks], model="kim", loss="none", prior_std=0.3, subject="anna")
+    np.testing.assert_array_equal(found.theta, expected.theta)
+    for extra in ((), ("--resume", tmp_path / "kept")):
+        assert run("calibrate", *walks, "--out", out, "--each-a-person", *extra).exit_code == 0
+        assert list(load_calibration(out).subjects) == ["a", "b"]
+    assert run("calibrate", *walks, "--out", out, "--model", "guess").exit_code == 2
+
+
 def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
     recording = pdr.read(walk)
     bare = replace(recording, truth=replace(recording.truth, segments=None, strides=None, waypoints=None))

@@ -94,8 +94,7 @@ def calibrate(
     known = list(tracks) if tracks is not None else [None] * len(chosen)
     if len(known) != len(chosen):
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
-    if subject is not None and each_a_person:
-        raise ValueError(f"subject {subject!r} names one person, and each_a_person says that there are several")
+    check_subject(subject, each_a_person)
     segments: list[Segment] = []
     notes: list[str] = []
     nameless = 0
@@ -114,6 +113,12 @@ def calibrate(
     return calibrate_segments(
         segments, priors, model=model, prior_std=prior_std, loss=loss, recording_std=recording_std, notes=notes
     )
+
+
+def check_subject(subject: str | None, each_a_person: bool) -> None:
+    """ValueError if both are given."""
+    if subject is not None and each_a_person:
+        raise ValueError(f"subject {subject!r} names one person, and each_a_person says that there are several")
 
 
 def without_name(n_recordings: int, subject: str | None, each_a_person: bool) -> list[str]:
