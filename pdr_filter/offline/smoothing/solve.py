@@ -21,6 +21,8 @@ from pdr_filter.offline.smoothing.problem import (
 from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 
 _POSITION = slice(EAST, EAST + 2)
+# A wrong fix bends the track to the anchors around it and not as far as this many.
+_NEIGHBOURS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,15 +48,15 @@ def solve(problem: Problem) -> Solution:
     seen: set[bytes] = set()
     while True:
         mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
-        tree = _eliminated(linearised(problem, mean, frame_rad, weight))
-        nis = _innovations(problem, mean, weight, tree)
+        rows = linearised(problem, mean, frame_rad, weight)
+        joint_cov = _joint_covariances(rows, problem)
+        nis = _innovations(problem, mean, weight, rows, joint_cov)
         seen.add(weight.tobytes())
-        after = next((w for w in _changes(weight, possible * nis / limit, possible) if w.tobytes() not in seen), None)
+        changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
+        after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
-            break
+            return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
         weight = after
-    joint_cov = np.array([_cov_of(tree, [j, j + 1]) for j in range(len(problem.intervals))])
-    return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
 
 
 def filtered_at(problem: Problem, found: Solution, node: int) -> tuple[FloatArray, FloatArray]:
@@ -72,7 +74,14 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
     limit, possible = problem.limit_nis, problem.possible
     weight, mu = possible.copy(), None
-    state, turn = _solved(_relaxed(problem, weight), problem)
+    always = _graph(_relaxed(problem))
+
+    def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
+        graph = _graph(_relaxed_observations(problem, weight))
+        graph.push_back(always)
+        return _solved(graph, problem)
+
+    state, turn = solved_with(weight)
     for _ in range(60 if len(limit) else 0):
         nis = _relaxed_squared_residuals(problem, state)
         if mu is None:
@@ -82,7 +91,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
             mu = truncated_start(excess)
         weight = possible * truncated_weights(nis, limit, mu)
         mu *= GNC_FACTOR
-        state, turn = _solved(_relaxed(problem, weight), problem)
+        state, turn = solved_with(weight)
         if ((weight == 0) | (weight == 1)).all():
             break
     mean = state.copy()
@@ -100,7 +109,7 @@ def _gauss_newton(
 ) -> tuple[FloatArray, float, bool]:
     """States, rotation, and whether the iteration converged."""
     for iteration in range(60):
-        change, turn = _solved(linearised(problem, mean, frame_rad, weight), problem)
+        change, turn = _solved(_graph(linearised(problem, mean, frame_rad, weight)), problem)
         largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
         largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
         # never further than the linearisation reaches; shorter steps where it does not converge
@@ -112,14 +121,21 @@ def _gauss_newton(
     return mean, frame_rad, False
 
 
-def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> list[FloatArray]:
-    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits."""
+def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
+    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits.
+
+    The worst fixes of different places go together: they do not know of each other. `node` (F,) are their anchors.
+    """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
         worst = np.arange(len(weight)) == used.argmax()
-        many = (used > 1) & (used >= 0.5 * used.max())
-        choices = [many, worst] if many.sum() > 3 else [worst]
-        return [np.where(c, 0.0, weight) for c in choices]
+        of_places = worst.copy()
+        n_fixes = len(node)
+        for i in np.argsort(-used[:n_fixes]):
+            if used[i] <= 1:
+                break
+            of_places[i] |= not (np.abs(node[of_places[:n_fixes]] - node[i]) < _NEIGHBOURS).any()
+        return [np.where(c, 0.0, weight) for c in (of_places, worst)]
     fits = (weight == 0) & (excess <= 1) & (possible > 0)
     if not fits.any():
         return []
@@ -127,31 +143,49 @@ def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> li
     return [np.where(c, 1.0, weight) for c in (fits, best)]
 
 
-def _innovations(problem: Problem, mean: FloatArray, weight: FloatArray, tree: gtsam.GaussianBayesTree) -> FloatArray:
+def _innovations(
+    problem: Problem, mean: FloatArray, weight: FloatArray, rows: Sequence[Rows], joint_cov: FloatArray
+) -> FloatArray:
     """How far each observation is from what all others say: chi-square with its dimension if it is right.
 
     r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
     r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it.
     """
     positions, directions = problem.positions, problem.directions
-    blocks: list[tuple[int, int, FloatArray, FloatArray, FloatArray]] = []
+    n_fixes, nis = len(positions), np.zeros(len(weight))
     residual, by_node, by_other = _position_residuals(positions, mean)
-    blocks += zip(positions.node.tolist(), positions.other.tolist(), residual, by_node, by_other, strict=True)
-    residual, by_last = _direction_residuals(directions, mean)
-    blocks += zip(directions.last.tolist(), directions.first.tolist(), residual, by_last, -by_last, strict=True)
-    nis = np.empty(len(blocks))
-    for i, (a, b, r, A, B) in enumerate(blocks):
-        keys, H = ([a], A) if b < 0 else ([a], A + B) if a == b else ([a, b], np.hstack([A, B]))
+    fixes = np.flatnonzero(positions.other < 0)
+    if len(fixes):
+        own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
+        H = by_node[fixes]
+        leverage = H @ own_cov[positions.node[fixes]] @ H.swapaxes(-1, -2)
+        nis[fixes] = _squares(residual[fixes], leverage, weight[fixes] > 0)
+    pairs = [
+        (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
+        for i in np.flatnonzero(positions.other >= 0)
+    ]
+    turn, by_last = _direction_residuals(directions, mean)
+    ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
+    pairs += [(n_fixes + i, *blocks) for i, blocks in enumerate(ends)]
+    tree = _eliminated(rows) if pairs else None
+    for i, a, b, r, A, B in pairs:
+        keys, H = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
         leverage = H @ _cov_of(tree, keys) @ H.T
-        S = np.eye(len(r)) + (-leverage if weight[i] > 0 else leverage)
-        # where nothing else says anything of it, the difference is rounding
-        nis[i] = r @ np.linalg.solve(S + 1e-12 * np.eye(len(r)), r)
+        nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
 
-def _solved(rows: Sequence[Rows], problem: Problem) -> tuple[FloatArray, float]:
+def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
+    """r' (I -+ L)^-1 r for residuals (F, m) and leverages (F, m, m)."""
+    # where nothing else says anything of it, the difference is rounding
+    eye = (1 + 1e-12) * np.eye(residual.shape[1])
+    S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
+    return np.einsum("fa,fa->f", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
+
+
+def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
     """Solution at the anchors (n + 1, 4), and the rotation (an angle; of a vector its direction)."""
-    solution = _graph(rows).optimize(gtsam.EliminateQR)
+    solution = graph.optimize(gtsam.EliminateQR)
     state = np.array([solution.at(j) for j in range(problem.n_nodes)])
     if len(problem.offsets) == 0:
         return state, 0.0
@@ -161,6 +195,42 @@ def _solved(rows: Sequence[Rows], problem: Problem) -> tuple[FloatArray, float]:
 
 def _eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
     return _graph(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
+
+
+def _joint_covariances(rows: Sequence[Rows], problem: Problem) -> FloatArray:
+    """Covariance of both ends of each interval, (n, 8, 8), by going back through the anchors once.
+
+    Eliminated in the order of the walk, R x_j + S x_P = d, where the parents P are the next anchor and, of loop
+    closures and the rotation of the frame, some of its own parents: their joint covariance is known already. cov x_j =
+    R^-1 R^-T + G cov x_P G', G = -R^-1 S.
+    """
+    n, has_frame = problem.n_nodes, len(problem.offsets) > 0
+    ordering = gtsam.Ordering()
+    for key in range(n + has_frame):
+        ordering.push_back(key)
+    net = _graph(rows).eliminateSequential(ordering, gtsam.EliminateQR)
+    conditionals = [net.at(j) for j in range(n)]
+    inverse = np.linalg.inv([c.R() for c in conditionals])
+    own_cov = inverse @ inverse.swapaxes(-1, -2)
+    joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
+    # of the anchor before last and its parents, and where each of them is in it
+    cov, first = np.zeros((0, 0)), dict[int, int]()
+    if has_frame:
+        root = np.linalg.inv(net.at(n).R())
+        cov, first = root @ root.T, {n: 0}
+    for j in reversed(range(n)):
+        parents = conditionals[j].keys()[1:]
+        index = [i for p in parents for i in range(first[p], first[p] + (len(cov) - first[p] if p == n else N_STATES))]
+        known = cov[index][:, index]
+        gain = -inverse[j] @ conditionals[j].S()
+        mixed = gain @ known
+        cov = np.empty((N_STATES + len(known),) * 2)
+        cov[:N_STATES, :N_STATES] = own_cov[j] + mixed @ gain.T
+        cov[:N_STATES, N_STATES:], cov[N_STATES:, :N_STATES], cov[N_STATES:, N_STATES:] = mixed, mixed.T, known
+        first = {j: 0} | {p: N_STATES * (1 + i) for i, p in enumerate(parents)}
+        if j < n - 1:  # the next anchor is the first of the parents
+            joint_cov[j] = cov[: 2 * N_STATES, : 2 * N_STATES]
+    return joint_cov
 
 
 def _cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
@@ -267,8 +337,11 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
     return error[:, None], H / (square * directions.std_rad)[:, None, None]
 
 
-def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed."""
+def _relaxed(problem: Problem) -> list[Rows]:
+    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed.
+
+    Those that hold whatever was observed.
+    """
     intervals, n = problem.intervals, len(problem.intervals)
     _, _, theta, s = problem.start_mean
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
@@ -286,16 +359,20 @@ def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
     A[:, :2, 2:] = _linear(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
-    positions, directions = problem.positions, problem.directions
-    if len(positions):
-        H, H_other, target = _relaxed_positions(positions)
-        rows.append(Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]))
-    if len(directions):
-        by_last, target = _relaxed_directions(directions)
-        rows.append(Rows(directions.last, by_last, target, directions.first, -by_last, weight[len(positions) :]))
     if len(problem.offsets):
         rows += _relaxed_offsets(problem.offsets, problem.n_nodes, problem.frame_std_rad)
     return rows
+
+
+def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
+    """Those of positions and directions."""
+    positions, directions = problem.positions, problem.directions
+    H, H_other, target = _relaxed_positions(positions)
+    by_last, turn = _relaxed_directions(directions)
+    return [
+        Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]),
+        Rows(directions.last, by_last, turn, directions.first, -by_last, weight[len(positions) :]),
+    ]
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
