@@ -74,21 +74,25 @@ def calibrate(
 
 
 def smooth(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints.")],
-    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a waypoint, m.")] = 1.0,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints, or with --fixes.")],
+    fixes: Annotated[
+        Path | None, typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m; else its waypoints.")
+    ] = None,
+    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a fix, m.")] = 1.0,
     calibration: CalibrationFile = None,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against its waypoints."""
+    """Smooth a whole recording against its waypoints, or fixes of a file."""
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
-    from pdr_filter.offline.smoothing.observations import waypoint_fixes
+    from pdr_filter.offline.smoothing.observations import fixes_of_file, waypoint_fixes
 
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
         known = None if calibration is None else load_calibration(calibration)
-        result = pdr.smooth(recording, waypoint_fixes(recording, fix_std_m), calibration=known)
+        known_places = waypoint_fixes(recording, fix_std_m) if fixes is None else fixes_of_file(fixes, fix_std_m)
+        result = pdr.smooth(recording, known_places, calibration=known)
         if out is not None:
             console.write_track(result.track, out, result.track.name)
     console.print_tracks([result.track])

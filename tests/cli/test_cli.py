@@ -17,6 +17,7 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 from pdr_filter.training import run as training
 
@@ -307,6 +308,29 @@ def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) ->
     assert "observations" in result.stdout
     assert "step scale" in result.stdout
     assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
+
+
+def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) -> None:
+    points = pdr.read(walk).truth.waypoints
+    rows = [f"{p.time_s},{p.east_m},{p.north_m}" for p in points]
+    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]) + "\n", encoding="utf-8")
+    by_file = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--fix-std", "0.5")
+    assert by_file.exit_code == 0
+    assert by_file.stdout == run("smooth", walk, "--fix-std", "0.5").stdout
+    (tmp_path / "own.csv").write_text("east_m,north_m,std_m,time_s\n0,0,0.5,1\n3,4,2,9\n", encoding="utf-8")
+    first, second = fixes_of_file(tmp_path / "own.csv")
+    np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
+    np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
+    for content, words in (
+        ("time_s,east_m\n1,2\n", "no column 'north_m'"),
+        ("time_s,east_m,north_m\n", "no fixes"),
+        ("time_s,east_m,north_m\n1,,3\n", "row 1"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m must be positive"),
+    ):
+        (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+        result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")
+        assert result.exit_code == 2
+        assert words in result.stderr
 
 
 def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:

@@ -167,16 +167,17 @@ def _innovations(
     turn, by_last = _direction_residuals(directions, mean)
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
     pairs += [(n_fixes + i, *blocks) for i, blocks in enumerate(ends)]
-    tree = _eliminated(rows) if pairs else None
-    for i, a, b, r, A, B in pairs:
-        keys, H = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
-        leverage = H @ _cov_of(tree, keys) @ H.T
-        nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
+    if pairs:
+        tree = _eliminated(rows)
+        for i, a, b, r, A, B in pairs:
+            keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
+            leverage = by_keys @ _cov_of(tree, keys) @ by_keys.T
+            nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
 
 def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
-    """r' (I -+ L)^-1 r for residuals (F, m) and leverages (F, m, m)."""
+    """Squares r' (I -+ L)^-1 r of residuals (F, m) with leverages (F, m, m)."""
     # where nothing else says anything of it, the difference is rounding
     eye = (1 + 1e-12) * np.eye(residual.shape[1])
     S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
