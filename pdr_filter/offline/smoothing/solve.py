@@ -59,15 +59,20 @@ def solve(problem: Problem) -> Solution:
         weight = after
 
 
-def filtered_at(problem: Problem, found: Solution, node: int) -> tuple[FloatArray, FloatArray]:
+def filtered_at(
+    problem: Problem, found: Solution, node: int
+) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
     """Mean (4,) and covariance (4, 4) at an anchor of all that was before it and at it, linearised at the solution.
 
-    For problems without directions and offsets.
+    And mean (4,) and joint covariance (8, 8), with that anchor, of each of those before it. For problems without
+    directions and offsets.
     """
     rows = linearised(problem, found.mean, found.frame_rad, found.weight)
     tree = _eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
-    cov = _cov_of(tree, [max(node - 1, 0), node])[-N_STATES:, -N_STATES:]
-    return found.mean[node] + tree.optimize().at(node), 0.5 * (cov + cov.T)
+    change = tree.optimize()
+    before = [(found.mean[j] + change.at(j), _cov_of(tree, [j, node])) for j in range(node)]
+    cov = before[-1][1][-N_STATES:, -N_STATES:] if before else _cov_of(tree, [node])
+    return found.mean[node] + change.at(node), 0.5 * (cov + cov.T), before
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
@@ -315,17 +320,18 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _position_residuals(positions: ObservedPositions, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d - p_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
+    """Whitened p + e^s R(theta) d - G x_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
     at, relative = mean[positions.node], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
-    origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
+    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other])
+    origin = np.where(relative[:, None], followed, 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H_other = -H.copy()
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
     H[:, :, LOG_SCALE] = moved
-    return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, positions.whiten @ H_other
+    by_other = -(positions.whiten @ positions.follow)
+    return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -344,10 +350,9 @@ def _relaxed(problem: Problem) -> list[Rows]:
     Those that hold whatever was observed.
     """
     intervals, n = problem.intervals, len(problem.intervals)
-    _, _, theta, s = problem.start_mean
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
     spread += problem.start_cov[LOG_SCALE, LOG_SCALE]
-    known = np.array([*problem.start_mean[:2], np.exp(s) * np.cos(theta), np.exp(s) * np.sin(theta)])
+    known = np.concatenate([problem.start_mean[_POSITION], _vector(problem.start_mean)])
     inverse = 1 / np.sqrt([problem.start_cov[0, 0], problem.start_cov[1, 1], spread, spread])
     rows = [Rows.of_one(0, np.diag(inverse), inverse * known)]
 
@@ -368,7 +373,7 @@ def _relaxed(problem: Problem) -> list[Rows]:
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
     """Those of positions and directions."""
     positions, directions = problem.positions, problem.directions
-    H, H_other, target = _relaxed_positions(positions)
+    H, H_other, target = _relaxed_positions(problem)
     by_last, turn = _relaxed_directions(directions)
     return [
         Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]),
@@ -379,7 +384,7 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
     """Squared residuals of all observations (F + H,) for states (n + 1, 4) in (p, z)."""
     positions, directions = problem.positions, problem.directions
-    H, H_other, target = _relaxed_positions(positions)
+    H, H_other, target = _relaxed_positions(problem)
     other = np.where((positions.other >= 0)[:, None], state[positions.other], 0.0)
     residual = np.einsum("nab,nb->na", H, state[positions.node]) + np.einsum("nab,nb->na", H_other, other)
     residual -= target
@@ -394,13 +399,26 @@ def _linear(sum_m: FloatArray) -> FloatArray:
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 
 
-def _relaxed_positions(positions: ObservedPositions) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H_other = -H.copy()
     H[:, :, 2:] = _linear(positions.ahead_m)
-    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
-    return positions.whiten @ H, positions.whiten @ H_other, target
+    # What follows theta and s of the start follows z through d(theta, s) / dz; only returns do.
+    z = _vector(problem.start_mean)
+    follow = positions.follow.copy()
+    follow[:, :, 2:] = positions.follow[:, :, 2:] @ np.array([[-z[1], z[0]], [z[0], z[1]]]) / (z @ z)
+    known = np.concatenate([problem.start_mean[_POSITION], z])
+    shift = positions.follow @ problem.start_mean - follow @ known
+    is_relative = (positions.other >= 0)[:, None]
+    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m + np.where(is_relative, shift, 0.0))
+    return positions.whiten @ H, -(positions.whiten @ follow), target
+
+
+def _vector(state: FloatArray) -> FloatArray:
+    """Z = e^s (cos theta, sin theta) of a state (4,)."""
+    theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
+    return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
 
 def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:

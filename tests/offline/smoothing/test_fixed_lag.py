@@ -10,7 +10,7 @@ import pdr_filter as pdr
 from pdr_filter import serialise
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
-from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
 from pdr_filter.offline.smoothing.problem import pose_problem
 from pdr_filter.offline.smoothing.solve import solve
@@ -143,3 +143,89 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
 def test_impossible_times_are_refused() -> None:
     with pytest.raises(ValueError, match="must not be negative"):
         FixedLagSmoother((), NOISE, lag_s=-1.0)
+
+
+def crossings(walk: Walk, apart: int = 150) -> list[LoopClosure]:
+    """Where the walk comes back within 0.3 m to a place that it left at least so many steps before."""
+    place, time_s = walk.position_m[1:], walk.steps.time_s
+    closures: list[LoopClosure] = []
+    for j in range(apart, len(place)):
+        distance = np.hypot(*(place[: j - apart + 1] - place[j]).T)
+        if distance.min() < 0.3 and (not closures or time_s[j] - closures[-1].second_s > 10.0):
+            closures.append(LoopClosure(float(time_s[distance.argmin()]), float(time_s[j]), 0.5))
+    return closures
+
+
+def with_loops(
+    smoother: FixedLagSmoother, walk: Walk, fixes: list[PositionFix], loops: list[LoopClosure]
+) -> tuple[np.ndarray, np.ndarray, list[object]]:
+    """Means and covariances of all steps, and what was rejected; loop closures arrive when they happen."""
+    state = smoother.init()
+    outputs: list[LateSteps] = []
+    for first in range(0, len(walk.steps), 10):
+        part = walk.steps.part(first, min(first + 10, len(walk.steps)))
+        since, until = walk.steps.time_s[first - 1] if first else -1.0, part.time_s[-1]
+        new = [f for f in fixes if since < f.time_s <= until]
+        closed = [c for c in loops if since < c.second_s <= until]
+        state, out = smoother.step_increments(state, part, new, closed)
+        state = serialise.from_bytes(serialise.to_bytes(state))
+        outputs.append(out)
+    outputs.append(smoother.finish(state)[1])
+    mean, cov = (np.concatenate([getattr(o, name) for o in outputs]) for name in ("mean", "cov"))
+    return mean, cov, [r for o in outputs for r in o.rejected]
+
+
+def test_a_place_that_left_the_window_long_ago_is_found_again() -> None:
+    """Fixes end after 100 steps. Loop closures hold the drift, and cost little against the smoother of the whole."""
+    smoother = FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=30.0)
+    error: dict[str, list[float]] = {"none": [], "loops": [], "whole": []}
+    inside: list[bool] = []
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        walk = simulated_walk(600, rng, drift_rad_per_sqrt_s=0.02)
+        fixes, loops = walk.fixes(10, 1.0, rng)[:10], crossings(walk)
+        if len(loops) < 2:
+            continue
+        found, cov, rejected = with_loops(smoother, walk, fixes, loops)
+        assert not rejected
+        begin = np.array([*fixes[0].position_m, 0.0, 0.0])
+        observed = Observations(tuple(fixes), tuple(loops))
+        problem = pose_problem(walk.steps, begin, smoother.init().start_cov, observed, anchor_interval_s=10.0)
+        solution = solve(problem)
+        at_end = {
+            "none": with_loops(smoother, walk, fixes, [])[0],
+            "loops": found,
+            "whole": bridge(problem.intervals, solution.mean, solution.joint_cov)[0],
+        }
+        after = int(np.searchsorted(walk.steps.time_s, loops[0].second_s))
+        for name, mean in at_end.items():
+            error[name].append(float(np.square(mean[after:, :2] - walk.position_m[1:][after:]).sum(axis=1).mean()))
+        e = (found[:, :2] - walk.position_m[1:])[after::20]
+        inside += (np.einsum("ka,kab,kb->k", e, np.linalg.inv(cov[after::20, :2, :2]), e) < 5.99).tolist()
+    assert len(error["loops"]) >= 5
+    none, late, whole_walk = (np.sqrt(np.mean(error[name])) for name in ("none", "loops", "whole"))
+    assert late < 0.8 * none
+    assert late < 1.5 * whole_walk
+    assert np.mean(inside) > 0.85
+
+
+def test_a_loop_closure_that_cannot_be_is_rejected_and_one_in_the_window_counts() -> None:
+    rng = np.random.default_rng(3)
+    walk = simulated_walk(300, rng)
+    fixes = walk.fixes(10, 1.0, rng)
+    time_s = walk.steps.time_s
+    wrong = LoopClosure(float(time_s[20]), float(time_s[280]), 0.5)
+    assert np.hypot(*(walk.position_m[21] - walk.position_m[281])) > 20.0
+    smoother = FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=30.0)
+    mean, _, rejected = with_loops(smoother, walk, fixes, [wrong])
+    assert rejected == [wrong]
+    np.testing.assert_allclose(mean, with_loops(smoother, walk, fixes, [])[0], atol=2e-3)
+    state, _ = smoother.step_increments(smoother.init(), walk.steps.part(0, 200), fixes[:20])
+    state, out = smoother.step_increments(state, walk.steps.part(200, 210))
+    too_late = LoopClosure(0.5, state.start_s - 1.0, 0.5)
+    state, out = smoother.step_increments(state, walk.steps.part(210, 211), (), [too_late])
+    assert too_late in out.rejected
+    near = LoopClosure(float(time_s[50]), float(time_s[52]), 0.01)
+    long = FixedLagSmoother((), NOISE, lag_s=1e4)
+    closed, _, _ = with_loops(long, walk, fixes[:1], [near])
+    assert np.hypot(*(closed[50] - closed[52])[:2]) < np.hypot(*(walk.position_m[51] - walk.position_m[53])) - 0.3
