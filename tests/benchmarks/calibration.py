@@ -1,12 +1,9 @@
 """What calibration is worth on real walks, whether its intervals hold, and what it costs: docs/methods/calibration.md.
 
-usage: python -m tests.benchmarks.calibration [noise] [walks] [halves] [measure] [coverage] [speed]
-       [--data ../shared/data]
+usage: python -m tests.benchmarks.calibration [noise] [halves] [measure] [coverage] [speed] [--data ../shared/data]
 
 noise     made-up people whose steps are 22 % longer than the prior says: the noise that is found in five layouts with 0
           to 20 % wrong segments, and the step of a further person
-walks     every walk of five sites left out: its length from the other walks of the same person, and from other people;
-          the form of the step length chosen without it
 halves    parameters from half of each person's segments, error on the other half: against no calibration, one scale for
           everybody, and the population; and humolire by walks (legs and totals)
 measure   fitted and scored by displacement against summed lengths
@@ -24,26 +21,17 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import butter, sosfiltfilt
 
 import pdr_filter as pdr
 from pdr_filter.filter.step_length import KimStepLength, WeinbergStepLength
-from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.recording import Recording
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.fit import calibrate_segments
-from pdr_filter.offline.calibration.forms import (
-    RECORDING_STD,
-    best_form,
-    forms_of,
-    hierarchy_of,
-    solve_sums,
-    start_of,
-)
+from pdr_filter.offline.calibration.forms import RECORDING_STD, hierarchy_of, solve_sums
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.offline.robust import LOSSES
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, table
+from pdr_filter.values import CONTEXTS
 from tests.benchmarks.common import Tables, bias_spread_rms, options, recordings
 
 FloatArray = NDArray[np.float64]
@@ -61,30 +49,6 @@ def walks(data: Path, site: str) -> list[tuple[Recording, Track]]:
 def cut(found: list[tuple[Recording, Track]], measure: str = "displacement") -> list[Segment]:
     """All segments; each recording of ms_indoor, whose surveyors have no names, is of a person of its own."""
     return [s for r, t in found for s in segments_of(r, t, measure=measure, subject=r.name)[0]]
-
-
-def along_the_path(recording: Recording, track: Track) -> Recording:
-    """The recording with the walked lengths of stretches of 20 s as truth, from its continuous reference.
-
-    Below 0.7 Hz: a phone sways with the body, and a body with its steps. Stretches with a hole of more than 1.5 s, or
-    that were hardly walked, are left out.
-    """
-    path = recording.truth.position
-    assert path is not None
-    grid_s = np.arange(path.time_s[0], path.time_s[-1], 0.02)
-    places = np.column_stack([np.interp(grid_s, path.time_s, path[name]) for name in ("east_m", "north_m")])
-    smooth = sosfiltfilt(butter(2, 0.7 / 25, output="sos"), places, axis=0)
-    length_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(smooth, axis=0).T))])
-    edges_s = np.arange(max(path.time_s[0], track.time_s[0] - 0.5), min(path.time_s[-1], track.time_s[-1]), 20.0)
-    walked = np.diff(np.interp(edges_s, grid_s, length_m))
-    holes_s = path.time_s[1:][np.diff(path.time_s) > 1.5]
-    good = [
-        d > 3.0 and not ((holes_s > a) & (holes_s < b + 1.5)).any()
-        for a, b, d in zip(edges_s[:-1], edges_s[1:], walked, strict=True)
-    ]
-    columns = {"start_s": edges_s[:-1][good], "end_s": edges_s[1:][good], "distance_m": walked[good]}
-    segments = table(columns | {"n_steps": np.full(sum(good), np.nan)})
-    return replace(recording, truth=Truth(segments=segments))
 
 
 def lengths(sums: SegmentSums, theta: FloatArray) -> FloatArray:
@@ -113,83 +77,6 @@ MODELS = {
     "Weinberg": with_model(walking=weak_prior(WeinbergStepLength())),
     "Kim": with_model(walking=weak_prior(KimStepLength())),
 }
-
-
-# --- walks left out -------------------------------------------------------------------------------------------------
-
-
-def five_sites(data: Path) -> dict[str, list[Segment]]:
-    """Walking of one person each in four of them, and of 95 in a mall."""
-    sites = {site: cut(walks(data, site)) for site in ("humolire", "ms_indoor")}
-    for name, site, pattern in (
-        ("oxiod, over a floor", "oxiod", "*floor1*.zip"),
-        ("oxiod, in a room", "oxiod", "*room_[hp]*.zip"),
-        ("tyrex", "tyrex", "*_[bfpst]*.zip"),
-    ):
-        found = [(r, pdr.track(r)) for r in recordings(data, site, pattern)]
-        cut_out = [s for r, t in found for s in segments_of(along_the_path(r, t), t, measure="length")[0]]
-        sites[name] = [replace(s, subject="one") for s in cut_out]
-    return sites
-
-
-def each_walk_left_out(tables: Tables, sites: dict[str, list[Segment]]) -> None:
-    """Every tenth of the walks (every one, if there are ten or fewer) from the others."""
-    rows, errors = [], {}
-    forms = forms_of()
-    for site, segments in sites.items():
-        names = list(dict.fromkeys(s.recording for s in segments))
-        fold = np.array([names.index(s.recording) for s in segments]) % 10
-        predicted: dict[str, FloatArray] = {name: np.empty(len(segments)) for name in (*forms, "chosen", "none")}
-        picked: list[str] = []
-        for k in np.unique(fold):
-            test = np.flatnonzero(fold == k)
-            training = [segments[i] for i in np.flatnonzero(fold != k)]
-            chosen, _ = best_form(training, forms, "gnc", RECORDING_STD)
-            picked.append(chosen)
-            for name, priors in forms.items():
-                found = calibrate_segments(training, priors)
-                own = integrate([segments[i] for i in test], found.models, start_of(priors))
-                theta = np.array(
-                    [
-                        found.people[found.subject_ids.index(s)] if s in found.subject_ids else found.theta
-                        for s in own.subjects
-                    ]
-                )
-                predicted[name][test] = lengths(own, theta[own.subject])
-                if name == "bounce":
-                    predicted["none"][test] = lengths(own, np.concatenate([p.mean for p in priors.values()]))
-            predicted["chosen"][test] = predicted[chosen][test]
-        true = np.array([s.distance_m for s in segments])
-        walk = np.array([names.index(s.recording) for s in segments])
-        total = np.bincount(walk, true)
-        errors[site] = {name: 100 * (np.bincount(walk, p) / total - 1) for name, p in predicted.items()}
-        legs = {name: 100 * (p / true - 1) for name, p in predicted.items()}
-        times = ", ".join(f"{n} x {picked.count(n)}" for n in forms if n in picked)
-        cells = [
-            f"{np.sqrt(np.square(legs[n]).mean()):.1f} / {np.sqrt(np.square(errors[site][n]).mean()):.1f}"
-            for n in (*forms, "chosen")
-        ]
-        rows.append([site, f"{len(names)}, {len(segments)}", *cells, times])
-    columns = ["site", "walks, segments", *forms, "chosen", "what was chosen"]
-    tables.write(
-        "calibration_forms",
-        columns,
-        rows,
-        "Walks left out of the calibration and of the choice: RMS % of segments / of walks.",
-    )
-    rows = [
-        [
-            site,
-            len(e["none"]),
-            bias_spread_rms(e["none"]),
-            bias_spread_rms(e["bounce"]),
-            f"{np.abs(e['bounce']).max():.1f}",
-        ]
-        for site, e in errors.items()
-    ]
-    columns = ["site", "walks", "no calibration", "from the other walks", "largest"]
-    about = "Total of each walk left out, default form: bias, spread, RMS in %; in ms_indoor from the walks of other people."
-    tables.write("calibration_left_out", columns, rows, about)
 
 
 def halves(tables: Tables, sites: dict[str, list[Segment]]) -> None:
@@ -376,7 +263,7 @@ LAYOUTS = (12, 1), (30, 1), (100, 1), (12, 3), (12, 10)
 def unlike_the_prior(
     rng: np.random.Generator, n_people: int, per_person: int, wrong: float, factor: float = 1.22
 ) -> tuple[SegmentSums, Hierarchy, float]:
-    """Segments of about 12 m of the default model, people of two kinds; with the usual prior, and the group's true k."""
+    """Segments of about 12 m of the default model, people of two kinds; the usual prior, and the group's true k."""
     prior = DEFAULT_PRIORS["walking"]
     k = float(prior.mean[0])
     own = factor * k + prior.between_std[0] * rng.choice([-1, 1], n_people)
@@ -422,19 +309,11 @@ def noise(tables: Tables, n_runs: int = 40) -> None:
             found.append([loss, f"{100 * wrong:.0f} %", *ratios])
             further.append([loss, f"{100 * wrong:.0f} %", *errors])
     layouts = [f"{s} x {n}" for s, n in LAYOUTS]
-    about = f"{n_runs} made-up groups with steps 22 % longer than the prior's, people x segments. "
-    tables.write(
-        "calibration_noise",
-        ["loss", "wrong", *layouts],
-        found,
-        about + "Noise found over the true one (standard deviations).",
-    )
-    tables.write(
-        "calibration_group",
-        ["loss", "wrong", *layouts],
-        further,
-        about + "Error of the group's step in %: bias, spread.",
-    )
+    about, columns = f"{n_runs} made-up groups with steps 22 % longer than the prior's, ", ["loss", "wrong", *layouts]
+    of_noise = "people x segments; noise found over the true one (standard deviations)."
+    tables.write("calibration_noise", columns, found, about + of_noise)
+    of_step = "people x segments; error of the group's step in %: bias, spread."
+    tables.write("calibration_group", columns, further, about + of_step)
 
 
 def coverage(tables: Tables, n_runs: int = 500) -> None:
@@ -489,7 +368,7 @@ def speed(tables: Tables) -> None:
 
 
 def main() -> None:
-    arguments = options(__doc__, "noise", "walks", "halves", "measure", "coverage", "speed").parse_args()
+    arguments = options(__doc__, "noise", "halves", "measure", "coverage", "speed").parse_args()
     tables = Tables.of(__spec__.name, arguments)
     if {"halves", "measure"} & set(arguments.parts):
         found = {site: walks(arguments.data, site) for site in ("humolire", "ms_indoor")}
@@ -502,8 +381,6 @@ def main() -> None:
             measures(tables, found)
     if "noise" in arguments.parts:
         noise(tables)
-    if "walks" in arguments.parts:
-        each_walk_left_out(tables, five_sites(arguments.data))
     if "coverage" in arguments.parts:
         coverage(tables)
     if "speed" in arguments.parts:

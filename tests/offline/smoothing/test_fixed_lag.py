@@ -39,10 +39,13 @@ def run(
     return outputs, held
 
 
-def whole(walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother) -> tuple[np.ndarray, np.ndarray]:
+def whole(
+    walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother, loops: list[LoopClosure] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     start = smoother.init()
     mean = np.array([*fixes[0].position_m, 0.0, 0.0])
-    problem = pose_problem(walk.steps, mean, start.start_cov, Observations(tuple(fixes)), anchor_interval_s=10.0)
+    observed = Observations(tuple(fixes), tuple(loops or ()))
+    problem = pose_problem(walk.steps, mean, start.start_cov, observed, anchor_interval_s=10.0)
     found = solve(problem)
     return bridge(problem.intervals, found.mean, found.joint_cov)
 
@@ -188,14 +191,10 @@ def test_a_place_that_left_the_window_long_ago_is_found_again() -> None:
             continue
         found, cov, rejected = with_loops(smoother, walk, fixes, loops)
         assert not rejected
-        begin = np.array([*fixes[0].position_m, 0.0, 0.0])
-        observed = Observations(tuple(fixes), tuple(loops))
-        problem = pose_problem(walk.steps, begin, smoother.init().start_cov, observed, anchor_interval_s=10.0)
-        solution = solve(problem)
         at_end = {
             "none": with_loops(smoother, walk, fixes, [])[0],
             "loops": found,
-            "whole": bridge(problem.intervals, solution.mean, solution.joint_cov)[0],
+            "whole": whole(walk, fixes, smoother, loops)[0],
         }
         after = int(np.searchsorted(walk.steps.time_s, loops[0].second_s))
         for name, mean in at_end.items():
@@ -225,7 +224,17 @@ def test_a_loop_closure_that_cannot_be_is_rejected_and_one_in_the_window_counts(
     too_late = LoopClosure(0.5, state.start_s - 1.0, 0.5)
     state, out = smoother.step_increments(state, walk.steps.part(210, 211), (), [too_late])
     assert too_late in out.rejected
-    near = LoopClosure(float(time_s[50]), float(time_s[52]), 0.01)
-    long = FixedLagSmoother((), NOISE, lag_s=1e4)
-    closed, _, _ = with_loops(long, walk, fixes[:1], [near])
-    assert np.hypot(*(closed[50] - closed[52])[:2]) < np.hypot(*(walk.position_m[51] - walk.position_m[53])) - 0.3
+
+
+def test_loop_closures_within_the_window_are_those_of_the_smoother_of_the_whole_walk() -> None:
+    rng = np.random.default_rng(6)
+    walk = simulated_walk(300, rng)
+    fixes, loops = walk.fixes(20, 2.0, rng)[:3], crossings(walk, 25)
+    assert len(loops) == 3
+    smoother = FixedLagSmoother((), NOISE, lag_s=1e4)
+    mean, cov, rejected = with_loops(smoother, walk, fixes, loops)
+    expected = whole(walk, fixes, smoother, loops)
+    np.testing.assert_allclose(mean, expected[0], atol=1e-9)
+    np.testing.assert_allclose(cov, expected[1], atol=1e-9)
+    assert not rejected
+    assert np.abs(mean - whole(walk, fixes, smoother)[0]).max() > 0.05
