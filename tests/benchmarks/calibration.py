@@ -290,7 +290,7 @@ def unlike_the_prior(
     return sums, hierarchy_of({"walking": prior}), factor * k
 
 
-def noise(tables: Tables, n_runs: int = 40) -> None:
+def noise(tables: Tables, n_runs: int = 20) -> None:
     """The noise found over the true one, and the error of the group's step."""
     found, further = [], []
     for loss in LOSSES:
