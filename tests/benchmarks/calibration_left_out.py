@@ -58,7 +58,7 @@ def five_sites(data: Path) -> dict[str, list[Segment]]:
     for name, site, pattern in (
         ("oxiod, over a floor", "oxiod", "*floor1*.zip"),
         ("oxiod, in a room", "oxiod", "*room_[hp]*.zip"),
-        ("tyrex", "tyrex", "*_[bfpst]*.zip"),
+        ("tyrex", "tyrex", "*dist_[bfpst]*.zip"),
     ):
         found = [(r, pdr.track(r)) for r in recordings(data, site, pattern)]
         cut_out = [s for r, t in found for s in segments_of(along_the_path(r, t), t, measure="length")[0]]
