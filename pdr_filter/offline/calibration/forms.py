@@ -20,7 +20,7 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 # One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
 RECORDING_STD = 0.025
 # Fewer segments, people or recordings do not choose a form. From so many on the chosen one is no worse than the default
-# on walks left out of the choice, at five sites (docs/methods/calibration.md).
+# on the totals of walks left out of the choice, at five sites (docs/methods/calibration.md).
 MIN_SEGMENTS, MIN_GROUPS = 30, 5
 _N_FOLDS = 5
 

@@ -97,6 +97,19 @@ def test_no_loss_makes_the_noise_of_good_segments_larger_or_smaller(loss: str) -
     assert found == pytest.approx(plain, abs=0.013)
 
 
+@pytest.mark.parametrize(("loss", "efficiency"), [("none", 1.0), ("huber", 0.95), ("cauchy", 0.95), ("gnc", 0.97)])
+def test_a_covariance_is_larger_by_the_efficiency_that_a_loss_gives_up(loss: str, efficiency: float) -> None:
+    """Two people with many segments, nothing but normal noise of a known size: 1 / (E (E psi')^2 / E psi^2)."""
+    sums, _ = walked(np.random.default_rng(9), 2, 6000)
+    held = replace(prior_of_k(5.0), recording_std=0.0, noise_dof=np.inf, between_std=np.array([np.inf]))
+    clean = replace(sums, distance_m=sums.regressors[:, 0, 0] * K)
+    error = np.random.default_rng(10).normal(size=len(sums)) * np.sqrt(ANCHOR_STD_M**2 + sums.n_steps * STEP_STD_M**2)
+    found = estimate_parameters(replace(clean, distance_m=clean.distance_m + error), held, loss)
+    plain = estimate_parameters(replace(clean, distance_m=clean.distance_m + error), held, "none")
+    ratio = plain.people_cov[:, 0, 0] / found.people_cov[:, 0, 0]
+    np.testing.assert_allclose(ratio, efficiency, atol=0.012)
+
+
 @pytest.mark.parametrize("factor", [0.85, 1.22])
 @pytest.mark.parametrize("per_person", [1, 3])
 def test_twelve_people_far_from_the_prior_give_the_thirteenth_within_2_percent(factor: float, per_person: int) -> None:
