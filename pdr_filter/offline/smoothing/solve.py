@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
+from pdr_filter.offline.smoothing.linear import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
@@ -49,7 +50,7 @@ def solve(problem: Problem) -> Solution:
     while True:
         mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
         rows = linearised(problem, mean, frame_rad, weight)
-        joint_cov = _joint_covariances(rows, problem)
+        joint_cov = joint_covariances(rows, problem.n_nodes, len(problem.offsets) > 0)
         nis = _innovations(problem, mean, weight, rows, joint_cov)
         seen.add(weight.tobytes())
         changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
@@ -68,10 +69,10 @@ def filtered_at(
     directions and offsets.
     """
     rows = linearised(problem, found.mean, found.frame_rad, found.weight)
-    tree = _eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
+    tree = eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
     change = tree.optimize()
-    before = [(found.mean[j] + change.at(j), _cov_of(tree, [j, node])) for j in range(node)]
-    cov = before[-1][1][-N_STATES:, -N_STATES:] if before else _cov_of(tree, [node])
+    before = [(found.mean[j] + change.at(j), cov_of(tree, [j, node])) for j in range(node)]
+    cov = before[-1][1][-N_STATES:, -N_STATES:] if before else cov_of(tree, [node])
     return found.mean[node] + change.at(node), 0.5 * (cov + cov.T), before
 
 
@@ -79,10 +80,10 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
     limit, possible = problem.limit_nis, problem.possible
     weight, mu = possible.copy(), None
-    always = _graph(_relaxed(problem))
+    always = graph_of(_relaxed(problem))
 
     def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
-        graph = _graph(_relaxed_observations(problem, weight))
+        graph = graph_of(_relaxed_observations(problem, weight))
         graph.push_back(always)
         return _solved(graph, problem)
 
@@ -114,7 +115,7 @@ def _gauss_newton(
 ) -> tuple[FloatArray, float, bool]:
     """States, rotation, and whether the iteration converged."""
     for iteration in range(60):
-        change, turn = _solved(_graph(linearised(problem, mean, frame_rad, weight)), problem)
+        change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
         largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
         largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
         # never further than the linearisation reaches; shorter steps where it does not converge
@@ -173,10 +174,10 @@ def _innovations(
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
     pairs += [(n_fixes + i, *blocks) for i, blocks in enumerate(ends)]
     if pairs:
-        tree = _eliminated(rows)
+        tree = eliminated(rows)
         for i, a, b, r, A, B in pairs:
             keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
-            leverage = by_keys @ _cov_of(tree, keys) @ by_keys.T
+            leverage = by_keys @ cov_of(tree, keys) @ by_keys.T
             nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
@@ -197,94 +198,6 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
         return state, 0.0
     turn = solution.at(problem.n_nodes)
     return state, float(turn[0]) if len(turn) == 1 else float(np.arctan2(turn[1], turn[0]))
-
-
-def _eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
-    return _graph(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
-
-
-def _joint_covariances(rows: Sequence[Rows], problem: Problem) -> FloatArray:
-    """Covariance of both ends of each interval, (n, 8, 8), by going back through the anchors once.
-
-    Eliminated in the order of the walk, R x_j + S x_P = d, where the parents P are the next anchor and, of loop
-    closures and the rotation of the frame, some of its own parents: their joint covariance is known already. cov x_j =
-    R^-1 R^-T + G cov x_P G', G = -R^-1 S.
-    """
-    n, has_frame = problem.n_nodes, len(problem.offsets) > 0
-    ordering = gtsam.Ordering()
-    for key in range(n + has_frame):
-        ordering.push_back(key)
-    net = _graph(rows).eliminateSequential(ordering, gtsam.EliminateQR)
-    conditionals = [net.at(j) for j in range(n)]
-    inverse = np.linalg.inv([c.R() for c in conditionals])
-    own_cov = inverse @ inverse.swapaxes(-1, -2)
-    joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
-    # of the anchor before last and its parents, and where each of them is in it
-    cov, first = np.zeros((0, 0)), dict[int, int]()
-    if has_frame:
-        root = np.linalg.inv(net.at(n).R())
-        cov, first = root @ root.T, {n: 0}
-    for j in reversed(range(n)):
-        parents = conditionals[j].keys()[1:]
-        index = [i for p in parents for i in range(first[p], first[p] + (len(cov) - first[p] if p == n else N_STATES))]
-        known = cov[index][:, index]
-        gain = -inverse[j] @ conditionals[j].S()
-        mixed = gain @ known
-        cov = np.empty((N_STATES + len(known),) * 2)
-        cov[:N_STATES, :N_STATES] = own_cov[j] + mixed @ gain.T
-        cov[:N_STATES, N_STATES:], cov[N_STATES:, :N_STATES], cov[N_STATES:, N_STATES:] = mixed, mixed.T, known
-        first = {j: 0} | {p: N_STATES * (1 + i) for i, p in enumerate(parents)}
-        if j < n - 1:  # the next anchor is the first of the parents
-            joint_cov[j] = cov[: 2 * N_STATES, : 2 * N_STATES]
-    return joint_cov
-
-
-def _cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance by QR: GTSAM's own, by Cholesky, takes what is known within a kilometre for unknown."""
-    R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
-    inverse = np.linalg.inv(R)
-    return inverse @ inverse.T
-
-
-@dataclass(slots=True)
-class Rows:
-    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys."""
-
-    a: IntArray
-    A: FloatArray  # (n, m, da)
-    rhs: FloatArray  # (n, m)
-    b: IntArray  # the second key; -1 for none
-    B: FloatArray  # (n, m, db)
-    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,); empty for weight one
-
-    @classmethod
-    def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
-        """A block with a single key."""
-        return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
-
-    def chosen(self, keep: BoolArray) -> Rows:
-        """Some of the blocks."""
-        B = self.B[keep] if len(self.B) else self.B
-        weight = self.weight[keep] if len(self.weight) else self.weight
-        return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
-
-
-def _graph(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
-    """Linear factors of GTSAM, one for each block of rows; blocks of weight zero are left out."""
-    graph = gtsam.GaussianFactorGraph()
-    for block in rows:
-        model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
-        root = np.sqrt(block.weight) if len(block.weight) else np.ones(len(block.a))
-        a, b = block.a.tolist(), block.b.tolist()
-        for i, w in enumerate(root.tolist()):
-            if w == 0:
-                continue
-            A, rhs = w * block.A[i], w * block.rhs[i]
-            if b[i] < 0:
-                graph.push_back(gtsam.JacobianFactor(a[i], A, rhs, model))
-            else:
-                graph.push_back(gtsam.JacobianFactor(a[i], A, b[i], w * block.B[i], rhs, model))
-    return graph
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
