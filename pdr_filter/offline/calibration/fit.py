@@ -184,7 +184,7 @@ def _assemble(
         recording_std=found.recording_std,
         n_segments=_shares(segments, models),
         segments=rows,
-        notes=(*_warnings(rows, recording_std), *notes, *_notes(rows, found, models)),
+        notes=(*bias_warnings(rows, recording_std), *notes, *_notes(rows, found, models)),
         card={
             "date": date.today().isoformat(),
             "pdr_filter": __version__,
@@ -227,7 +227,7 @@ def _shares(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, f
     return {name: float(share[CONTEXTS.index(name)]) for name in names}
 
 
-def _warnings(rows: Any, recording_std: float) -> list[str]:
+def bias_warnings(rows: Any, recording_std: float) -> list[str]:
     """Biases of left-out segments that are no chance, in words, with what to do about them."""
     found: list[str] = []
     for what, group, predicted_m in (

@@ -14,7 +14,7 @@ import pytest
 from pdr_filter.calibration import TYPICAL_STEP, Calibration
 from pdr_filter.filter.step_length import BounceStepLength
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.fit import calibrate_segments
+from pdr_filter.offline.calibration.fit import bias_warnings, calibrate_segments
 from pdr_filter.offline.calibration.priors import (
     DEFAULT_PRIORS,
     GROUP_RELATIVE_STD,
@@ -23,7 +23,7 @@ from pdr_filter.offline.calibration.priors import (
     prior,
 )
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums
-from pdr_filter.values import CONTEXTS
+from pdr_filter.values import CONTEXTS, table
 
 WALKING = CONTEXTS.index("walking")
 K = float(DEFAULT_PRIORS["walking"].mean[0])
@@ -181,6 +181,24 @@ def test_a_bias_that_is_no_chance_is_a_warning_with_what_to_do() -> None:
     assert held.notes[0] == first
     assert first in held.report()
     assert not warnings_of(calibrate_segments(segments))
+
+
+@pytest.mark.parametrize(("bias", "warned"), [(2.7, False), (3.3, True), (-3.3, True)])
+def test_three_standard_errors_of_the_recordings_make_the_difference(bias: float, warned: bool) -> None:
+    """Ten recordings of three segments each, 3 % to either side: the standard error is 1 %, whatever the segments."""
+    recording = np.repeat(np.arange(10), 3)
+    error = bias + np.where(recording % 2, 3.0, -3.0)
+    columns = {
+        "subject": np.full(30, "anna"),
+        "recording": recording.astype(str),
+        "distance_m": np.full(30, 10.0),
+        "left_out_m": 10.0 * (1 + error / 100),
+        "stranger_m": np.full(30, np.nan),
+        "distrusted": np.zeros(30, dtype=bool),
+    }
+    found = bias_warnings(table(columns), 0.025)
+    assert bool(found) == warned
+    assert all(("long" if bias > 0 else "short") in words and "3.3 % too" in words for words in found)
 
 
 def test_one_recording_warns_too_where_nobody_may_differ_and_its_own_day_is_no_bias() -> None:
