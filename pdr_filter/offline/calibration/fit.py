@@ -235,8 +235,11 @@ def bias_warnings(rows: Any, recording_std: float) -> list[str]:
         ("people left out", rows.subject, rows.stranger_m),
     ):
         good = ~rows.distrusted & np.isfinite(predicted_m)
-        error = 100 * (predicted_m[good] / rows.distance_m[good] - 1)
         n_groups = len(np.unique(group[good]))
+        if n_groups == 0:
+            continue
+        # of the mean length: relative to a segment's own, which has an error too, it would be too large on average
+        error = 100 * (predicted_m[good] - rows.distance_m[good]) / float(rows.distance_m[good].mean())
         if n_groups >= MIN_GROUPS:
             std = standard_error(error, group[good])
         elif what == "segments left out" and len(error) >= MIN_GROUPS:  # what a recording has in common is one draw

@@ -19,7 +19,7 @@ from pdr_filter.filter.step_length import (
     length_and_jacobian,
 )
 from pdr_filter.io.recording import Recording, Subject, Truth
-from pdr_filter.offline.calibration import estimation
+from pdr_filter.offline.calibration import estimation, forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
 from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, prior, weak_prior
@@ -677,6 +677,8 @@ def test_a_calibrated_track_says_whose_step_lengths_it_has(walk: tuple[Recording
     assert "of the calibrated population (2 people), as the recording does not say" in noted(two, Subject())
     assert noted(two, Subject(id="b")) == "step lengths of b: walking"
     np.testing.assert_array_equal(one.fits()["walking"].theta, one.subjects["unnamed"].k["walking"])
+    anna = calibrate(twice, tracks=[track] * 2, subject="anna")
+    assert "of anna, the calibrated person, as the recording does not say whose it is" in noted(anna, Subject())
     assert one.scale_std() < one.scale_std("bob")
     tall = calibrate([replace(r, meta={"subject": {"height_m": 1.9}}) for r in twice], tracks=[track] * 2)
     assert tall.person_of(Subject(height_m=1.89)) == "unnamed"
@@ -741,6 +743,19 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
 
 
 # --- real walks -----------------------------------------------------------------------------------------------------
+
+
+def test_of_a_large_cohort_some_people_choose_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, "_MAX_SEGMENTS", 20)
+    rng = np.random.default_rng(22)
+    segments = [
+        segment(rng, KimStepLength(), np.array([0.55]), f"s{i % 12}", error_m=float(rng.normal(0, 0.1)))
+        for i in range(60)
+    ]
+    found = calibrate_segments(segments)
+    assert type(found.models["walking"]) is KimStepLength
+    assert len(found.subjects) == 12
+    assert any("6 people)" in note for note in found.notes)  # not four: five at least
 
 
 @pytest.mark.recordings
