@@ -14,8 +14,9 @@ from pdr_filter.offline.robust import moments, next_stage, weights
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500
-# Extrapolations go on as far as twenty steps would, and end in time for plain steps to settle what they overshot.
-_MAX_RATE, _EXTRAPOLATED = 0.95, 60
+# Extrapolations go on as far as twenty steps would but change no variance by more than a factor of two, and end in time
+# for plain steps to settle what they overshot.
+_MAX_RATE, _MAX_FACTOR, _EXTRAPOLATED = 0.95, 2.0, 60
 _CHUNK_SEGMENTS = 4096
 
 
@@ -127,7 +128,7 @@ class _Variances:
         a, b, c = (v._logs() for v in (first, second, self))
         steady = np.divide(c - b, b - a, where=np.abs(b - a) > 1e-9, out=np.zeros_like(a))
         rate = np.clip(steady, 0.0, _MAX_RATE)
-        factor = np.exp((c - b) * rate / (1 - rate))
+        factor = np.exp(np.clip((c - b) * rate / (1 - rate), -np.log(_MAX_FACTOR), np.log(_MAX_FACTOR)))
         n = len(self.noise)
         root = np.sqrt(factor[n + 1 :])
         return _Variances(self.noise * factor[:n], self.recording * factor[n], self.between * root[:, None] * root)
