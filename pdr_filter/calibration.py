@@ -25,6 +25,10 @@ FORMAT = ArtefactFormat("calibration", 1, "calibrate again, or use the version t
 _ARRAYS = ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
 _SEGMENT = "segment_"  # before the names of the columns of `segments`
 _MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
+# Whose recordings are that do not say it: somebody who calibrates his own steps seldom gives himself a name.
+UNNAMED = "unnamed"
+# Heights of one person, as two recordings state them, differ by less.
+_SAME_HEIGHT_M = 0.02
 # A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
 TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 
@@ -72,9 +76,10 @@ class Calibration:
     segments : table
         One row for each segment: `subject, recording, context, start_s, end_s, distance_m, n_steps, summed` (lengths
         and not displacement), `predicted_m`, `left_out_m` (without this segment), `stranger_m` (without this person,
-        NaN for only one), `uncalibrated_m`, `misfit` (standard deviations), `weight`, `distrusted`.
+        NaN for only one), `uncalibrated_m`, `misfit` (distance from what all others say, in standard deviations),
+        `weight`, `distrusted`.
     notes : tuple of str
-        What was left out, taken otherwise, or distrusted.
+        Warnings, what was left out, taken otherwise, or distrusted.
     card : dict
         Version, date and what else people should know.
     """
@@ -154,16 +159,33 @@ class Calibration:
         """Segments whose residual is beyond three standard deviations."""
         return self.segments[self.segments.distrusted].view(np.recarray)
 
+    def person_of(self, subject: Subject | str | None = None) -> str | None:
+        """Whose parameters are used for somebody: an id, or None for the population's.
+
+        Where a recording does not say whose it is, the calibration's only person, or the one who was calibrated without
+        a name; unless the heights of the two are known and differ.
+        """
+        subject = Subject(id=subject) if isinstance(subject, str) else subject or Subject()
+        names = self.subject_ids
+        if subject.id is not None:
+            return subject.id if subject.id in names else None
+        name = names[0] if len(names) == 1 else UNNAMED
+        if name not in names:
+            return None
+        apart_m = self.heights_m[names.index(name)] - (np.nan if subject.height_m is None else subject.height_m)
+        return None if abs(apart_m) > _SAME_HEIGHT_M else name
+
     def fits(self, subject: Subject | str | None = None) -> dict[str, StepLengthFit]:
-        """Model, parameters and covariance in each context, for a person.
+        """Model, parameters and covariance in each context, for a person (`person_of`).
 
         Of somebody who was not calibrated they are the population's; how people differ from it is not in `theta_cov`
         then, but in `scale_std`: it is one factor for all steps of the person.
         """
-        subject = Subject(id=subject) if isinstance(subject, str) else subject or Subject()
-        theta, cov, height_m = self.theta, self.theta_cov, subject.height_m
-        if subject.id in self.subject_ids:
-            s = self.subject_ids.index(subject.id)
+        name = self.person_of(subject)
+        theta, cov = self.theta, self.theta_cov
+        height_m = subject.height_m if isinstance(subject, Subject) else None
+        if name is not None:
+            s = self.subject_ids.index(name)
             theta, cov = self.people[s], self.people_cov[s]
             height_m = None if np.isnan(self.heights_m[s]) else float(self.heights_m[s])
         k, k_cov = self._by_context(theta), self._blocks(cov)
@@ -180,14 +202,13 @@ class Calibration:
         """
         context = self.main_context
         fit = self.fits(subject)[context]
-        name = subject if isinstance(subject, str) else subject.id if subject else None
-        cov = fit.theta_cov if name in self.subject_ids else fit.theta_cov + self.between[context]
+        cov = fit.theta_cov + self.between[context] if self.person_of(subject) is None else fit.theta_cov
         length_m, std_m = typical_step_m(fit.model, fit.theta, cov)
         relative = std_m / max(length_m, 1e-3)
         return float(np.hypot(min(relative, 1.0), self.recording_std))
 
     def config(self, config: Config, subject: Subject | None = None) -> Config:
-        """The configuration with the calibrated step lengths of a person, and how sure they are.
+        """The configuration with the calibrated step lengths of a person, how sure they are, and a note whose they are.
 
         Contexts that no segment said anything about keep the lengths of the configuration.
         """
@@ -198,11 +219,22 @@ class Calibration:
             for mode in config.model.modes
         )
         noise = replace(config.model.noise, log_scale_std=self.scale_std(subject))
-        known = subject is not None and subject.id in self.subject_ids
-        who = f"of {subject.id}" if subject is not None and known else "of the calibrated population"
-        note = Note("step lengths", f"step lengths {who}: {', '.join(used) or 'none calibrated'}")
-        notes = tuple(n for n in config.notes if n.about != "height" or not known)
+        name = self.person_of(subject)
+        note = Note("step lengths", f"step lengths {self._whose(subject)}: {', '.join(used) or 'none calibrated'}")
+        notes = tuple(n for n in config.notes if n.about != "height" or name is None)
         return replace(config.with_model(modes=modes, noise=noise), notes=(*notes, note))
+
+    def _whose(self, subject: Subject | None) -> str:
+        """Whose parameters are used, in words."""
+        name, asked = self.person_of(subject), subject.id if subject else None
+        n_people = len(self.subject_ids)
+        of_all = f"of the calibrated population ({n_people} {'person' if n_people == 1 else 'people'})"
+        if asked is not None:
+            return f"of {asked}" if name else f"{of_all}, as {asked} was not calibrated"
+        if name is None:
+            return f"{of_all}, as the recording does not say whose it is"
+        which = "the calibrated person" if n_people == 1 else "who was calibrated without a name"
+        return f"of {name}, {which}, as the recording does not say whose it is"
 
     def report(self) -> str:
         """Parameters, errors and doubts as text."""

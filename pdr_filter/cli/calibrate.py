@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 from rich.markup import escape
@@ -12,24 +13,57 @@ from pdr_filter.cli import console
 from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
 
 
+@dataclass(frozen=True)
+class Estimation:
+    """What a calibration takes for granted."""
+
+    model: Annotated[
+        str | None,
+        typer.Option(help="Step length of walking: bounce, eq12, kim, tian or weinberg; else what left-out walks say."),
+    ] = None
+    loss: Annotated[str, typer.Option(help="How wrong segments lose their weight: gnc, cauchy, huber or none.")] = "gnc"
+    prior: Annotated[
+        float | None, typer.Option(help="How far steps may be from usual ones, relative: 0.1 if not given.")
+    ] = None
+    subject: Annotated[
+        str | None, typer.Option(help="Name of the person of the recordings that do not say whose they are.")
+    ] = None
+    each_a_person: Annotated[
+        bool, typer.Option("--each-a-person", help="Recordings that do not say whose they are: one person each.")
+    ] = False
+
+
 def calibrate(
     files: Files,
     out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
+    how: Estimation,
     figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
     jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings, of folders too, on N processes.")] = None,
     scheduler: Scheduler = None,
+    resume: Annotated[
+        Path | None, typer.Option(help="Folder that keeps each reduced recording, to go on after a kill.")
+    ] = None,
 ) -> None:
     """Calibrate step lengths on recordings with segments of known length, or waypoints.
 
-    With --jobs or --scheduler recordings that cannot be used are left out and named in the report.
+    Recordings that do not say whose they are are taken for one person. With --jobs, --scheduler or --resume recordings
+    that cannot be used are left out and named in the report.
     """
     import pdr_filter as pdr
 
     with console.one_line_errors(), console.progress("calibrating") as show:
-        if jobs is None and scheduler is None:
-            result = pdr.calibrate([pdr.read(file) for file in files], progress=show)
+        options: Any = {
+            "model": how.model,
+            "loss": how.loss,
+            "prior_std": how.prior,
+            "subject": how.subject,
+            "each_a_person": how.each_a_person,
+            "progress": show,
+        }
+        if jobs is None and scheduler is None and resume is None:
+            result = pdr.calibrate([pdr.read(file) for file in files], **options)
         else:
-            result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, progress=show)
+            result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
         written = [result.save(out)]
         if figure is not None:
             result.plot(figure)
@@ -40,21 +74,25 @@ def calibrate(
 
 
 def smooth(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints.")],
-    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a waypoint, m.")] = 1.0,
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints, or with --fixes.")],
+    fixes: Annotated[
+        Path | None, typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m; else its waypoints.")
+    ] = None,
+    fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a fix, m.")] = 1.0,
     calibration: CalibrationFile = None,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against its waypoints."""
+    """Smooth a whole recording against its waypoints, or fixes of a file."""
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
-    from pdr_filter.offline.smoothing.observations import waypoint_fixes
+    from pdr_filter.offline.smoothing.observations import fixes_of_file, waypoint_fixes
 
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
         known = None if calibration is None else load_calibration(calibration)
-        result = pdr.smooth(recording, waypoint_fixes(recording, fix_std_m), calibration=known)
+        known_places = waypoint_fixes(recording, fix_std_m) if fixes is None else fixes_of_file(fixes, fix_std_m)
+        result = pdr.smooth(recording, known_places, calibration=known)
         if out is not None:
             console.write_track(result.track, out, result.track.name)
     console.print_tracks([result.track])

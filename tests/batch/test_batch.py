@@ -19,8 +19,12 @@ import pdr_filter as pdr
 from pdr_filter import batch
 from pdr_filter.batch import calibration, run, workers
 from pdr_filter.batch import table as rows_table
+from pdr_filter.filter.step_length import KimStepLength
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.recording import Recording
+from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
+from pdr_filter.offline.calibration.segments import integrate
 from pdr_filter.values import CONTEXTS, table
 
 N = 5
@@ -262,10 +266,47 @@ def test_a_calibration_of_many_has_the_bits_of_one_by_one_and_names_what_it_left
     assert seen == pytest.approx([(i + 1) / (N + 1) for i in range(N + 1)])
 
 
-def test_what_is_sent_for_a_calibration_is_small(cohort: Path) -> None:
-    path = cohort / f"walk_{N - 1}.zip"
-    sent = len(pickle.dumps(calibration.reduced(str(path), None, None, "displacement")))
-    assert sent < 0.05 * sum(samples.values.nbytes for samples in pdr.read(path).streams.values())
+def test_what_is_sent_for_a_calibration_is_sums_whatever_the_number_of_steps(cohort: Path) -> None:
+    path = str(cohort / f"walk_{N - 1}.zip")
+    models = tuple(calibration.models_in(DEFAULT_PRIORS))
+    sums, steps = (calibration.reduced(path, m) for m in (models, None))
+    assert len(sums.segments) == 1
+    assert len(pickle.dumps(sums)) < 3000 < len(pickle.dumps(steps))
+    theta = {name: prior.mean for name, prior in DEFAULT_PRIORS.items()}
+    expected = integrate(steps.segments, dict(models), theta)
+    np.testing.assert_array_equal(integrate(sums.segments, dict(models), theta).regressors, expected.regressors)
+    with pytest.raises(ValueError, match="its steps are not summed for KimStepLength"):
+        integrate(sums.segments, {"walking": KimStepLength()}, {"walking": np.ones(1)})
+
+
+def test_a_calibration_that_was_killed_goes_on_with_what_it_had(
+    cohort: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    files = [cohort / f"walk_{i}.zip" for i in range(N)]
+    whole = batch.calibrate(files)
+    read: list[str] = []
+
+    def until(n: int) -> None:
+        def killed(path: str, *options: object) -> Recording:
+            if len(read) >= n:
+                raise KeyboardInterrupt
+            read.append(Path(path).name)
+            return pdr.read(path)
+
+        monkeypatch.setattr(calibration, "read", killed)
+
+    until(2)
+    with pytest.raises(KeyboardInterrupt):
+        batch.calibrate(files, resume=tmp_path / "kept")
+    (tmp_path / "kept" / "rest_of_a_kill.123").write_bytes(b"half")
+    until(N)
+    found = batch.calibrate(files, resume=tmp_path / "kept")
+    assert read == [f.name for f in files]
+    np.testing.assert_array_equal(found.people, whole.people)
+    assert found.notes == whole.notes
+    until(N + 1)  # with other options what is kept does not count
+    with pytest.raises(KeyboardInterrupt):
+        batch.calibrate(files, resume=tmp_path / "kept", measure="length")
 
 
 def test_nothing_to_calibrate_with_is_told_with_the_reason_of_each(walks: Path, tmp_path: Path) -> None:

@@ -17,6 +17,7 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 from pdr_filter.training import run as training
 
@@ -268,6 +269,29 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
 
 
+def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:
+    from pdr_filter.calibration import load_calibration
+    from pdr_filter.simulate import Leg, simulate
+
+    walks: list[Path] = []
+    for name in ("a", "b"):
+        recording = replace(simulate([Leg("walking", distance_m=25.0)], seed=1, name=name), meta={})
+        walks.append(write_recording(recording, tmp_path / f"{name}.zip"))
+    out = tmp_path / "me.json"
+    options = ("--model", "kim", "--loss", "none", "--prior", "0.3", "--subject", "anna")
+    result = run("calibrate", *walks, "--out", out, *options)
+    assert result.exit_code == 0
+    found = load_calibration(out)
+    assert type(found.models["walking"]).__name__ == "KimStepLength"
+    assert list(found.subjects) == ["anna"]
+    expected = pdr.calibrate([pdr.read(w) for w in walks], model="kim", loss="none", prior_std=0.3, subject="anna")
+    np.testing.assert_array_equal(found.theta, expected.theta)
+    for extra in ((), ("--resume", tmp_path / "kept")):
+        assert run("calibrate", *walks, "--out", out, "--each-a-person", *extra).exit_code == 0
+        assert list(load_calibration(out).subjects) == ["a", "b"]
+    assert run("calibrate", *walks, "--out", out, "--model", "guess").exit_code == 2
+
+
 def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
     recording = pdr.read(walk)
     bare = replace(recording, truth=replace(recording.truth, segments=None, strides=None, waypoints=None))
@@ -284,6 +308,29 @@ def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) ->
     assert "observations" in result.stdout
     assert "step scale" in result.stdout
     assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
+
+
+def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) -> None:
+    points = pdr.read(walk).truth.waypoints
+    rows = [f"{p.time_s},{p.east_m},{p.north_m}" for p in points]
+    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]) + "\n", encoding="utf-8")
+    by_file = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--fix-std", "0.5")
+    assert by_file.exit_code == 0
+    assert by_file.stdout == run("smooth", walk, "--fix-std", "0.5").stdout
+    (tmp_path / "own.csv").write_text("east_m,north_m,std_m,time_s\n0,0,0.5,1\n3,4,2,9\n", encoding="utf-8")
+    first, second = fixes_of_file(tmp_path / "own.csv")
+    np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
+    np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
+    for content, words in (
+        ("time_s,east_m\n1,2\n", "no column 'north_m'"),
+        ("time_s,east_m,north_m\n", "no fixes"),
+        ("time_s,east_m,north_m\n1,,3\n", "row 1"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m must be positive"),
+    ):
+        (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+        result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")
+        assert result.exit_code == 2
+        assert words in result.stderr
 
 
 def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:

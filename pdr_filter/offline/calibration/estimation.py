@@ -13,9 +13,10 @@ from pdr_filter.offline.calibration.segments import SegmentSums
 from pdr_filter.offline.robust import moments, next_stage, weights
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
-# A residual of more than so many standard deviations is distrusted: one good segment in 370.
-DISTRUST = 3.0
-_MAX_ITERATIONS = 200
+_MAX_ITERATIONS = 500
+# Extrapolations go on as far as twenty steps would but change no variance by more than a factor of two, and end in time
+# for plain steps to settle what they overshot.
+_MAX_RATE, _MAX_FACTOR, _EXTRAPOLATED = 0.95, 2.0, 60
 _CHUNK_SEGMENTS = 4096
 
 
@@ -32,7 +33,7 @@ class Hierarchy:
     # How many people, recordings and segments these three are worth; inf holds them, 0 takes them from the data.
     between_dof: float = 10.0
     recording_dof: float = 10.0
-    noise_dof: float = 4.0
+    noise_dof: float = 10.0
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,7 +50,7 @@ class ParameterEstimate:
     predicted_m: FloatArray  # (N,) length of each segment with the person's parameters
     left_out_m: FloatArray  # (N,) the same with those from all other segments
     stranger_m: FloatArray  # (N,) with the population's from all other people; NaN if there are none
-    misfit: FloatArray  # (N,) residual over its standard deviation, less what the whole recording has in common
+    misfit: FloatArray  # (N,) distance from what all other segments say, in its standard deviations
     weight: FloatArray  # (N,) 1 for a segment that fits
     n_iterations: int
     converged: bool
@@ -64,7 +65,7 @@ def estimate_parameters(
     """Maximum a posteriori of all parameters and variances by expectation-maximisation (docs/methods/calibration.md).
 
     Every iteration takes the direction of A_i theta_s from the last one (Gauss-Newton), integrates rho_w out exactly,
-    solves for all theta (`hierarchy.solve_people`), and takes phi, tau, B and the robust weights from the posterior.
+    solves for all theta (`hierarchy.solve_people`), and takes the robust weights, phi, tau and B from the posterior.
     `relinearise` gives sums about the parameters of each person (S, P), for models that are not linear. `SingularError`
     if neither data nor priors determine a parameter.
     """
@@ -74,17 +75,24 @@ def estimate_parameters(
     posterior: PeoplePosterior | None = None
     about = theta
     converged, iteration, settled_from = False, 0, 0
-    stage, mu = "none", 1.0
+    stage, mu, is_final = "none", 1.0, loss == "none"
+    path: list[_Variances] = []
     while iteration < _MAX_ITERATIONS and not converged:
         iteration += 1
         if relinearise is not None and iteration > 1:
             task.take(relinearise(task.all_parameters(theta)))
-        square, information = moments(stage, mu)
+        ratio, information = moments(stage, mu)
         about, before, old = theta, posterior, variances
         posterior = task.posterior(about, variances, information, iteration == 1)
         theta = posterior.people
-        variances = task.variances(about, posterior, old, square)
-        # the weight of a segment is that of its misfit
+        for chunk in task.chunks:
+            chunk.expect(about, posterior, variances.noise)
+        # While wrong segments are not yet found, they would be taken for noise and for differences between people.
+        if is_final:
+            variances = task.variances(posterior, old, ratio)
+            path = [*path[-2:], variances]
+            if len(path) == 3 and iteration <= _EXTRAPOLATED:
+                variances, path = path[2].ahead_of(path[0], path[1]), []
         largest = max(float(np.abs(chunk.misfit).max()) for chunk in task.chunks)
         stage, mu, is_final = next_stage(loss, iteration, largest, mu)
         for chunk in task.chunks:
@@ -108,6 +116,23 @@ class _Variances:
         own, others = (np.concatenate([v.noise, [v.recording], np.diagonal(v.between)]) for v in (self, other))
         return bool((np.abs(own - others) <= 2e-4 * np.abs(others)).all())
 
+    def _logs(self) -> FloatArray:
+        values = np.concatenate([self.noise, [self.recording], np.diagonal(self.between)])
+        return np.log(np.maximum(values, 1e-300))
+
+    def ahead_of(self, first: _Variances, second: _Variances) -> _Variances:
+        """Where three steps of the expectation-maximisation lead to, by Aitken's formula for each logarithm.
+
+        Where one segment says of noise, days and people together, hundreds of steps would go the same way.
+        """
+        a, b, c = (v._logs() for v in (first, second, self))
+        steady = np.divide(c - b, b - a, where=np.abs(b - a) > 1e-9, out=np.zeros_like(a))
+        rate = np.clip(steady, 0.0, _MAX_RATE)
+        factor = np.exp(np.clip((c - b) * rate / (1 - rate), -np.log(_MAX_FACTOR), np.log(_MAX_FACTOR)))
+        n = len(self.noise)
+        root = np.sqrt(factor[n + 1 :])
+        return _Variances(self.noise * factor[:n], self.recording * factor[n], self.between * root[:, None] * root)
+
 
 class _Task:
     """What stays during the iterations: segments in pieces, priors, and which parameters are free and whose."""
@@ -126,7 +151,7 @@ class _Task:
         order = np.lexsort((sums.recording, sums.subject))
         pieces = _whole_people(sums.subject[order], order)
         self.chunks = [_Chunk(sums, rows, prior, self.fixed) for rows in pieces]
-        self.n_segments, self.counts = len(sums), np.bincount(sums.context, minlength=len(CONTEXTS))
+        self.n_segments = len(sums)
         self.start_theta = np.repeat(prior.mean[None, self.free], self.n_people, axis=0)
         self.start_variances = _Variances(
             np.ones(len(CONTEXTS)),
@@ -150,27 +175,31 @@ class _Task:
     def posterior(self, about: FloatArray, variances: _Variances, information: float, first: bool) -> PeoplePosterior:
         """Of the population and all people, segments linearised about parameters (S, F)."""
         for chunk in self.chunks:
-            phi = variances.noise * (1 / information)
+            phi = variances.noise / information
             chunk.normal_equations(about, phi, variances.recording, first, self.G, self.g)
         W = np.zeros_like(variances.between)
         tied = np.ix_(~self.alone, ~self.alone)
         W[tied] = np.linalg.inv(variances.between[tied])
         return solve_people(self.G, self.g, self.prior.mean[self.free], self.precision, self.personal, W)
 
-    def variances(self, about: FloatArray, posterior: PeoplePosterior, old: _Variances, square: float) -> _Variances:
-        """What maximises the variances, given the expectations under a posterior; `square` is that of the loss."""
-        prior = self.prior
-        excess, found, n_recordings = np.zeros(len(CONTEXTS)), 0.0, 0
+    def variances(self, posterior: PeoplePosterior, old: _Variances, ratio: float) -> _Variances:
+        """What maximises the variances, given the expectations under a posterior; `ratio` is E w u^2 / E w of the loss.
+
+        phi' = phi sum_i w_i (h_i u_i^2 + 1 - h_i) / sum_i w_i (h_i ratio + 1 - h_i), h_i the share of the variance of
+        the misfit u_i that is noise: phi (h_i u_i^2 + 1 - h_i) is E e_i^2 if the segment is right, given all.
+        """
+        prior, n_contexts = self.prior, len(CONTEXTS)
+        excess, counts, found, n_recordings = np.zeros(n_contexts), np.zeros(n_contexts), 0.0, 0
         for chunk in self.chunks:
-            chunk.expect(about, posterior, old.noise)
-            relative = chunk.w * (chunk.error**2 + chunk.spread) / chunk.base_var
-            excess += np.bincount(chunk.context, relative, minlength=len(CONTEXTS))
+            square, share = chunk.w * chunk.misfit**2, chunk.w * (1 - chunk.noise_share)
+            excess += np.bincount(chunk.context, chunk.noise_share * square + share, minlength=n_contexts)
+            counts += np.bincount(chunk.context, chunk.w * chunk.noise_share * ratio + share, minlength=n_contexts)
             found += chunk.rho_square
             n_recordings += len(chunk.kappa)
         noise, recording, between = old.noise, old.recording, old.between
         if np.isfinite(prior.noise_dof):
-            total = prior.noise_dof + self.counts
-            noise = np.where(total > 0, (prior.noise_dof + excess / square) / np.where(total > 0, total, 1), 1.0)
+            total = prior.noise_dof + counts
+            noise = np.where(total > 0, (prior.noise_dof + noise * excess) / np.where(total > 0, total, 1), 1.0)
         if np.isfinite(prior.recording_dof) and recording > 0:
             recording = (prior.recording_dof * prior.recording_std**2 + found) / (prior.recording_dof + n_recordings)
         if np.isfinite(prior.between_dof) and len(self.personal):
@@ -247,7 +276,7 @@ class _Chunk:
         if not (self.base_var > 0).all():
             raise ValueError("every segment needs a positive variance: set anchor_std_m or step_std_m")
         self.w = np.ones(len(rows))
-        self.error = self.spread = self.misfit = self.variance = self.size = self.kappa = np.empty(0)
+        self.error = self.misfit = self.noise_share = self.precision = self.left = self.size = self.kappa = np.empty(0)
         self.a = self.q = np.empty(0)
         self.rho_square = 0.0
         self.take(sums, prior.mean, fixed)
@@ -268,30 +297,35 @@ class _Chunk:
     ) -> None:
         """Write the G_s (F, F) and g_s (F,) of these people, linearised about their parameters (S, F)."""
         group = self.group
-        self.variance = phi[self.context] * self.base_var / self.w
+        self.precision = self.w / (phi[self.context] * self.base_var)
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
         # Recordings: rho integrated out, a rank-one correction each. It scales the predicted length: with the known one
         # theta = 0 and rho = 1 would explain everything.
         self.size = self.distance if first else self.length(about)
-        self.a = _sums(row * (self.size / self.variance)[:, None], group.recordings)
-        s = _sums(self.size**2 / self.variance, group.recordings)
-        self.q = _sums(self.size * target / self.variance, group.recordings)
+        self.a = _sums(row * (self.size * self.precision)[:, None], group.recordings)
+        s = _sums(self.size**2 * self.precision, group.recordings)
+        self.q = _sums(self.size * target * self.precision, group.recordings)
         self.kappa = tau2 / (1 + tau2 * s)
-        G[group.present] = _gram(row, 1 / self.variance, group.people)
+        G[group.present] = _gram(row, self.precision, group.people)
         G[group.present] -= _gram(self.a, self.kappa, group.recordings_of_people)
-        g[group.present] = _sums(row * (target / self.variance)[:, None], group.people)
+        g[group.present] = _sums(row * (target * self.precision)[:, None], group.people)
         g[group.present] -= _sums(self.a * (self.kappa * self.q)[:, None], group.recordings_of_people)
 
     def expect(self, about: FloatArray, posterior: PeoplePosterior, phi: FloatArray) -> None:
-        """Expectations of e_i (mean and variance) and of the sum of rho_w^2."""
+        """What all other segments say of e_i (its misfit and the share of noise in it), and E of the sum of rho_w^2.
+
+        A segment's own residual says too little: with one segment a person's parameters follow it, right or wrong.
+        """
         group, theta, cov = self.group, posterior.people, posterior.people_cov[self.group.present]
         row, target = _linearised(self.A, self.offset, about[group.person], self.distance)
         rho = self.kappa * (self.q - np.einsum("wp,wp->w", self.a, theta[group.person_of_recording]))
         self.error = target - np.einsum("np,np->n", row, theta[group.person]) - self.size * rho[group.recording]
         tilted = self._tilted(row)
-        self.spread = _bilinear(tilted, tilted, cov, group.people)
-        self.spread += self.size**2 * self.kappa[group.recording]
-        self.misfit = self.error / np.sqrt(phi[self.context] * self.base_var)
+        spread = _bilinear(tilted, tilted, cov, group.people) + self.size**2 * self.kappa[group.recording]
+        self.left = np.maximum(1 - self.precision * spread, 1e-6)  # one less the segment's leverage
+        noise = phi[self.context] * self.base_var
+        variance = noise + spread / self.left
+        self.misfit, self.noise_share = self.error / (self.left * np.sqrt(variance)), noise / variance
         rho_variance = self.kappa + self.kappa**2 * _bilinear(self.a, self.a, cov, group.recordings_of_people)
         self.rho_square = float((rho**2 + rho_variance).sum())
 
@@ -303,7 +337,7 @@ class _Chunk:
         group = self.group
         row, _ = _linearised(self.A, self.offset, about[group.person], self.distance)
         gain = _bilinear(self._tilted(row), row, posterior.people_cov[group.present], group.people)
-        return gain / np.maximum(self.variance - self.spread, 1e-6 * self.variance) * self.error
+        return gain * self.precision / self.left * self.error
 
     def _tilted(self, row: FloatArray) -> FloatArray:
         """Derivative of -e_i with respect to theta, through rho_w as well."""

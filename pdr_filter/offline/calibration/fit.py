@@ -8,21 +8,30 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.calibration import Calibration, slices_of
+from pdr_filter.calibration import UNNAMED, Calibration
 from pdr_filter.config import Config
 from pdr_filter.filter.step_length import StepLengthModel
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.calibration.estimation import DISTRUST, Hierarchy, ParameterEstimate, estimate_parameters
-from pdr_filter.offline.calibration.hierarchy import SingularError
-from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, candidates
-from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
+from pdr_filter.offline.calibration.estimation import ParameterEstimate
+from pdr_filter.offline.calibration.forms import (
+    MIN_GROUPS,
+    RECORDING_STD,
+    best_form,
+    forms_of,
+    models_of,
+    solved,
+    standard_error,
+    start_of,
+)
+from pdr_filter.offline.calibration.priors import StepLengthPrior
+from pdr_filter.offline.calibration.segments import AnySegment, Segment, SegmentSums, integrate, segments_of
+from pdr_filter.offline.robust import DISTRUST
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, FloatArray, Table, table
 from pdr_filter.version import __version__
 
-# One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
-RECORDING_STD = 0.025
+_BIASED = 3.0  # standard errors; a larger bias of left-out segments is no chance
 
 
 def calibrate(
@@ -31,6 +40,10 @@ def calibrate(
     *,
     tracks: Iterable[Track] | None = None,
     config: Config | None = None,
+    model: str | None = None,
+    prior_std: float | None = None,
+    subject: str | None = None,
+    each_a_person: bool = False,
     measure: str = "displacement",
     loss: str = "gnc",
     anchor_std_m: float | None = None,
@@ -42,14 +55,23 @@ def calibrate(
     Parameters
     ----------
     recordings : Recording or iterable of Recording
-        With truth segments of known distance, strides, waypoints, or GNSS fixes. `subject.id` says whose they are; one
-        without is a person of its own.
+        With truth segments of known distance, strides, waypoints, or GNSS fixes. Their `subject.id` says whose they
+        are; all without are of one person.
     priors : mapping, optional
         Model and prior of contexts, in place of those of `DEFAULT_PRIORS`; `eq12_priors()` has Martinelli's for all.
     tracks : iterable of Track, optional
         Tracks of the recordings, if they are there already.
     config : Config, optional
         Finds steps, headings and contexts; the default recipe if not given.
+    model : {"bounce", "eq12", "kim", "tian", "weinberg"}, optional
+        Step-length model of walking. If not given, with enough segments the one with the least left-out error, and the
+        first unless another is clearly better; a note says which.
+    prior_std : float, optional
+        How far a population's steps of walking may be from usual ones, relative; if not given 0.1 for "bounce".
+    subject : str, optional
+        Name of the person of the recordings without a `subject.id`; "unnamed" if not given.
+    each_a_person : bool
+        Recordings without a `subject.id` are of different people, named after the recordings.
     measure : {"displacement", "length"}
         Fit summed step vectors to distances, or summed step lengths (docs/methods/calibration.md has why not).
     loss : {"gnc", "cauchy", "huber", "none"}
@@ -72,12 +94,14 @@ def calibrate(
     known = list(tracks) if tracks is not None else [None] * len(chosen)
     if len(known) != len(chosen):
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
+    check_subject(subject, each_a_person)
     segments: list[Segment] = []
     notes: list[str] = []
     nameless = 0
     for done, (recording, own) in enumerate(zip(chosen, known, strict=True), 1):
         own = own if own is not None else track_of(recording, config)
-        found, remarks = segments_of(recording, own, anchor_std_m, measure)
+        name = recording.name if each_a_person else subject
+        found, remarks = segments_of(recording, own, anchor_std_m, measure, name)
         nameless += bool(found) and not recording.subject.id
         segments += found
         notes += remarks
@@ -85,116 +109,68 @@ def calibrate(
             progress(done / len(chosen))
     if not segments:
         raise ValueError("nothing to calibrate with: " + "; ".join(notes))
-    if nameless:
-        what = "1 recording has" if nameless == 1 else f"{nameless} recordings have"
-        notes.append(f"{what} no subject id: each is a person of its own")
-    return calibrate_segments(segments, priors, loss=loss, recording_std=recording_std, notes=notes)
+    notes += without_name(nameless, subject, each_a_person)
+    return calibrate_segments(
+        segments, priors, model=model, prior_std=prior_std, loss=loss, recording_std=recording_std, notes=notes
+    )
+
+
+def check_subject(subject: str | None, each_a_person: bool) -> None:
+    """ValueError if both are given."""
+    if subject is not None and each_a_person:
+        raise ValueError(f"subject {subject!r} names one person, and each_a_person says that there are several")
+
+
+def without_name(n_recordings: int, subject: str | None, each_a_person: bool) -> list[str]:
+    """What was made of recordings that do not say whose they are, in words."""
+    if n_recordings == 0 or subject is not None:
+        return []
+    what = "1 recording has" if n_recordings == 1 else f"{n_recordings} recordings have"
+    if each_a_person:
+        return [f"{what} no subject id: each is taken for a person of its own"]
+    remedy = "" if n_recordings == 1 else "; if they are of different people, say each_a_person (--each-a-person)"
+    return [f'{what} no subject id: taken for one person, "{UNNAMED}"{remedy}']
 
 
 def calibrate_segments(
-    segments: Sequence[Segment],
+    segments: Sequence[AnySegment],
     priors: Mapping[str, StepLengthPrior] | None = None,
     *,
+    model: str | None = None,
+    prior_std: float | None = None,
     loss: str = "gnc",
     recording_std: float = RECORDING_STD,
     notes: Sequence[str] = (),
 ) -> Calibration:
     """`calibrate` for segments that are already cut out (`segments_of`)."""
-    full = {**DEFAULT_PRIORS, **(priors or {})}
-    if unknown := set(full) - set(CONTEXTS):
-        raise ValueError(f"no context {', '.join(sorted(unknown))}; there are {', '.join(CONTEXTS)}")
+    forms = forms_of(priors, model, prior_std)
     if not segments:
         raise ValueError("no segments: give at least one stretch of known length with steps in it")
     for segment in segments:
         if not segment.distance_m > 0:
             raise ValueError(f"{segment.name}: distance_m must be positive, got {segment.distance_m:g}")
-        if not float(segment.inside.sum()) > 0:
+        if not segment.n_steps > 0:
             raise ValueError(f"{segment.name}: no steps in it; leave it out")
-    order = [c for c in CONTEXTS if c in full]
-    models = {name: full[name].model for name in order}
-    slices, _ = slices_of(models)
-    start = {name: full[name].mean for name in order}
-    sums = integrate(segments, models, start)
-    linear = all(hasattr(model, "regressors") for model in models.values())
-
-    def relinearise(theta: FloatArray) -> SegmentSums:
-        about = [{name: theta[s][part] for name, part in slices.items()} for s in sums.subject]
-        return integrate(segments, models, about)
-
-    hierarchy = hierarchy_of({name: full[name] for name in order}, recording_std)
-    found = solve_sums(sums, hierarchy, models, loss, None if linear else relinearise)
-    return _assemble(segments, sums, found, models, full, notes)
-
-
-def compare_models(
-    segments: Sequence[Segment],
-    models: Mapping[str, Mapping[str, StepLengthPrior]] | None = None,
-    *,
-    loss: str = "gnc",
-    recording_std: float = RECORDING_STD,
-) -> dict[str, Calibration]:
-    """A calibration for each candidate model, the one that predicts segments left out best first.
-
-    By the RMS of the relative error of segments that none distrusts. For other people `stranger_m` may tell otherwise.
-    """
-    found = {
-        name: calibrate_segments(segments, priors, loss=loss, recording_std=recording_std)
-        for name, priors in (candidates() if models is None else models).items()
-    }
-    good = ~np.any([c.segments.distrusted for c in found.values()], axis=0)
-    if not good.any():
-        good[:] = True
-
-    def error(calibration: Calibration) -> float:
-        rows = calibration.segments[good]
-        return float(np.square(rows["left_out_m"] / rows["distance_m"] - 1).mean())
-
-    return dict(sorted(found.items(), key=lambda item: error(item[1])))
-
-
-def hierarchy_of(priors: Mapping[str, StepLengthPrior], recording_std: float = RECORDING_STD) -> Hierarchy:
-    """The priors of all contexts, one after the other."""
-    step_std_m = np.full(len(CONTEXTS), 0.08)
-    for name, prior in priors.items():
-        step_std_m[CONTEXTS.index(name)] = prior.step_std_m
-    mean, std, between = (
-        np.concatenate([getattr(p, name) for p in priors.values()]) for name in ("mean", "std", "between_std")
-    )
-    return Hierarchy(mean, std, between, step_std_m, recording_std)
-
-
-def solve_sums(
-    sums: SegmentSums,
-    hierarchy: Hierarchy,
-    models: Mapping[str, StepLengthModel],
-    loss: str = "gnc",
-    relinearise: Callable[[FloatArray], SegmentSums] | None = None,
-) -> ParameterEstimate:
-    """`estimate_parameters`, with names of the parameters in its error messages."""
-    try:
-        return estimate_parameters(sums, hierarchy, loss, relinearise)
-    except SingularError as error:
-        names = [f"{name} k{i}" for name, model in models.items() for i in range(model.n_params)]
-        free = np.flatnonzero((hierarchy.std > 0) | (hierarchy.between_std > 0))
-        which = ", ".join(names[free[i]] for i in error.indices) or "all parameters"
-        raise ValueError(
-            f"the segments do not determine {which} (no steps of the context, or all at one speed): give these "
-            "parameters a prior (std less than inf), hold them (std 0), or add segments at other speeds"
-        ) from error
+    name, choice = best_form(segments, forms, loss, recording_std)
+    full = forms[name]
+    sums = integrate(segments, models_of(full), start_of(full))
+    found = solved(segments, sums, full, loss, recording_std)
+    return _assemble(segments, sums, found, full, recording_std, (*choice, *notes))
 
 
 def _assemble(
-    segments: Sequence[Segment],
+    segments: Sequence[AnySegment],
     sums: SegmentSums,
     found: ParameterEstimate,
-    models: Mapping[str, StepLengthModel],
     priors: Mapping[str, StepLengthPrior],
+    recording_std: float,
     notes: Sequence[str],
 ) -> Calibration:
+    models = models_of(priors)
     rows = _table(segments, sums, found, np.concatenate([priors[name].mean for name in models]))
     heights = {s.subject: s.height_m for s in segments}
     return Calibration(
-        models=dict(models),
+        models=models,
         theta=found.population,
         theta_cov=found.population_cov,
         between_cov=found.between_cov,
@@ -208,7 +184,7 @@ def _assemble(
         recording_std=found.recording_std,
         n_segments=_shares(segments, models),
         segments=rows,
-        notes=(*notes, *_notes(rows, found, models)),
+        notes=(*bias_warnings(rows, recording_std), *notes, *_notes(rows, found, models)),
         card={
             "date": date.today().isoformat(),
             "pdr_filter": __version__,
@@ -220,7 +196,7 @@ def _assemble(
     )
 
 
-def _table(segments: Sequence[Segment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
+def _table(segments: Sequence[AnySegment], sums: SegmentSums, found: ParameterEstimate, start: FloatArray) -> Table:
     """The table `Calibration.segments`; `start` are the parameters before the calibration (P,)."""
     vector = sums.regressors @ start + sums.offset_m
     return table(
@@ -232,7 +208,7 @@ def _table(segments: Sequence[Segment], sums: SegmentSums, found: ParameterEstim
             "end_s": np.array([s.end_s for s in segments]),
             "distance_m": sums.distance_m,
             "n_steps": sums.n_steps,
-            "summed": np.array([s.heading_rad is None for s in segments]),
+            "summed": np.array([s.is_along for s in segments]),
             "predicted_m": found.predicted_m,
             "left_out_m": found.left_out_m,
             "stranger_m": found.stranger_m,
@@ -244,13 +220,42 @@ def _table(segments: Sequence[Segment], sums: SegmentSums, found: ParameterEstim
     )
 
 
-def _shares(segments: Sequence[Segment], names: Iterable[str]) -> dict[str, float]:
+def _shares(segments: Sequence[AnySegment], names: Iterable[str]) -> dict[str, float]:
     """How many segments each context had, in shares of their steps."""
-    share = np.zeros(len(CONTEXTS))
-    for segment in segments:
-        weight = segment.inside @ segment.context_prob
-        share += weight / max(float(weight.sum()), 1e-9)
+    steps_in = np.stack([s.steps_in for s in segments])
+    share = (steps_in / np.maximum(steps_in.sum(axis=1, keepdims=True), 1e-9)).sum(axis=0)
     return {name: float(share[CONTEXTS.index(name)]) for name in names}
+
+
+def bias_warnings(rows: Any, recording_std: float) -> list[str]:
+    """Biases of left-out segments that are no chance, in words, with what to do about them."""
+    found: list[str] = []
+    for what, group, predicted_m in (
+        ("segments left out", rows.recording, rows.left_out_m),
+        ("people left out", rows.subject, rows.stranger_m),
+    ):
+        good = ~rows.distrusted & np.isfinite(predicted_m)
+        n_groups = len(np.unique(group[good]))
+        if n_groups == 0:
+            continue
+        # of the mean length: relative to a segment's own, which has an error too, it would be too large on average
+        error = 100 * (predicted_m[good] - rows.distance_m[good]) / float(rows.distance_m[good].mean())
+        if n_groups >= MIN_GROUPS:
+            std = standard_error(error, group[good])
+        elif what == "segments left out" and len(error) >= MIN_GROUPS:  # what a recording has in common is one draw
+            std = np.hypot(standard_error(error, np.arange(len(error))), 100 * recording_std / np.sqrt(n_groups))
+        else:
+            continue
+        bias = float(error.mean())
+        if abs(bias) > _BIASED * std:
+            found.append(
+                f"WARNING: {what} come out {abs(bias):.1f} % too {'long' if bias > 0 else 'short'}, which is "
+                f"{abs(bias) / std:.1f} standard errors: the calibration does not fit the walks that it was made of. "
+                "Check that the known distances are right and in metres, and that subject ids are those of the people; "
+                "if they are, allow steps to be further from usual ones (prior_std, --prior) or try another model "
+                "(model, --model)"
+            )
+    return found
 
 
 def _notes(rows: Any, found: ParameterEstimate, models: Mapping[str, StepLengthModel]) -> list[str]:

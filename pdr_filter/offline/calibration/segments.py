@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.calibration import of_height, slices_of
+from pdr_filter.calibration import UNNAMED, of_height, slices_of
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step, TrackRows, steps_of
@@ -83,6 +83,80 @@ class Segment:
         """What messages call it."""
         return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
 
+    @property
+    def steps_in(self) -> FloatArray:
+        """How many steps there are of each of `CONTEXTS`, (C,)."""
+        return np.asarray(self.inside @ self.context_prob)
+
+    @property
+    def n_steps(self) -> float:
+        """How many steps."""
+        return float(self.inside.sum())
+
+    @property
+    def is_along(self) -> bool:
+        """Whether lengths are summed and not vectors."""
+        return self.heading_rad is None
+
+    def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Sums over the steps in a context: derivative (2, p) of the displacement by the parameters, and the rest (2,).
+
+        Displacement = derivative @ theta + rest near the parameters `about` (p,); without rest for a linear model.
+        """
+        own, weight = of_height(model, self.height_m), self.inside * self.context_prob[:, CONTEXTS.index(context)]
+        used = np.flatnonzero(weight > _MIN_PROB)
+        if self.heading_rad is None:
+            vectors = np.stack([weight[used], np.zeros(len(used))])
+        else:
+            vectors = np.stack([np.sin(self.heading_rad[used]), np.cos(self.heading_rad[used])]) * weight[used]
+        pairs = [length_and_jacobian(own, self.steps[k], about) for k in used]
+        jacobian = np.array([j for _, j in pairs]).reshape(-1, model.n_params)
+        if hasattr(model, "regressors"):
+            return vectors @ jacobian, np.zeros(2)
+        length = np.array([float(x) for x, _ in pairs])
+        return vectors @ jacobian, vectors @ (length - jacobian @ about)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SummedSegment:
+    """A `Segment` whose steps are summed, for models that are linear in their parameters: all that has to travel."""
+
+    subject: str
+    recording: str
+    distance_m: float
+    anchor_std_m: float
+    height_m: float | None
+    start_s: float
+    end_s: float
+    steps_in: FloatArray  # (C,)
+    n_steps: float
+    is_along: bool
+    contexts: tuple[str, ...]  # of the sums
+    models: tuple[StepLengthModel, ...]
+    derivatives: tuple[FloatArray, ...]  # (2, p) each
+
+    @classmethod
+    def of(cls, segment: Segment, models: Sequence[tuple[str, StepLengthModel]]) -> SummedSegment:
+        """The sums of a segment for models of contexts."""
+        same = {f.name: getattr(segment, f.name) for f in fields(cls) if hasattr(segment, f.name)}
+        sums = tuple(segment.sums(context, model, np.zeros(model.n_params))[0] for context, model in models)
+        return cls(**same, contexts=tuple(c for c, _ in models), models=tuple(m for _, m in models), derivatives=sums)
+
+    @property
+    def name(self) -> str:
+        """What messages call it."""
+        return f"{self.recording} {self.start_s:.1f}-{self.end_s:.1f} s"
+
+    def sums(self, context: str, model: StepLengthModel, about: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """As `Segment.sums`; ValueError for a model for which it was not summed."""
+        for name, other, derivative in zip(self.contexts, self.models, self.derivatives, strict=True):
+            if name == context and other == model:
+                return derivative, np.zeros(2)
+        raise ValueError(f"{self.name}: its steps are not summed for {model} of {context}; cut it out again")
+
+
+AnySegment = Segment | SummedSegment
+
 
 @dataclass(frozen=True, eq=False)
 class SegmentSums:
@@ -129,7 +203,7 @@ class SegmentSums:
 
 
 def integrate(
-    segments: Sequence[Segment],
+    segments: Sequence[AnySegment],
     models: Mapping[str, StepLengthModel],
     theta: Mapping[str, FloatArray] | Sequence[Mapping[str, FloatArray]],
 ) -> SegmentSums:
@@ -143,37 +217,23 @@ def integrate(
     context = np.zeros(len(segments), dtype=np.int64)
     for i, segment in enumerate(segments):
         about = theta if isinstance(theta, Mapping) else theta[i]
-        if segment.heading_rad is None:
-            along = np.stack([np.ones(len(segment.steps)), np.zeros(len(segment.steps))], axis=1)
-        else:
-            along = np.stack([np.sin(segment.heading_rad), np.cos(segment.heading_rad)], axis=1)
-        weight = segment.inside[:, None] * segment.context_prob
-        context[i] = int(weight.sum(axis=0).argmax())
+        context[i] = int(segment.steps_in.argmax())
         for name, model in models.items():
-            own = of_height(model, segment.height_m)
-            w = weight[:, CONTEXTS.index(name)]
-            used = np.flatnonzero(w > _MIN_PROB)
-            if len(used) == 0:
-                continue
-            pairs = [length_and_jacobian(own, segment.steps[k], about[name]) for k in used]
-            jacobian = np.array([j for _, j in pairs])
-            length = np.array([float(x) for x, _ in pairs])
-            vectors = along[used] * w[used, None]  # (n, 2)
-            regressors[i, :, slices[name]] += vectors.T @ jacobian
-            offset[i] += vectors.T @ (length - jacobian @ about[name])
-    subjects = tuple(dict.fromkeys(s.subject for s in segments))
-    recordings = tuple(dict.fromkeys(s.recording for s in segments))
+            regressors[i, :, slices[name]], rest = segment.sums(name, model, about[name])
+            offset[i] += rest
+    subjects = {name: i for i, name in enumerate(dict.fromkeys(s.subject for s in segments))}
+    recordings = {name: i for i, name in enumerate(dict.fromkeys(s.recording for s in segments))}
     return SegmentSums(
         regressors=regressors,
         offset_m=offset,
         distance_m=np.array([s.distance_m for s in segments], dtype=float),
         anchor_std_m=np.array([s.anchor_std_m for s in segments], dtype=float),
-        n_steps=np.array([float(s.inside.sum()) for s in segments]),
+        n_steps=np.array([s.n_steps for s in segments]),
         context=context,
-        subject=np.array([subjects.index(s.subject) for s in segments], dtype=np.int64),
-        recording=np.array([recordings.index(s.recording) for s in segments], dtype=np.int64),
-        subjects=subjects,
-        recordings=recordings,
+        subject=np.array([subjects[s.subject] for s in segments], dtype=np.int64),
+        recording=np.array([recordings[s.recording] for s in segments], dtype=np.int64),
+        subjects=tuple(subjects),
+        recordings=tuple(recordings),
     )
 
 
@@ -191,7 +251,11 @@ class _Stretch:
 
 
 def segments_of(
-    recording: Recording, track: TrackRows, anchor_std_m: float | None = None, measure: str = "displacement"
+    recording: Recording,
+    track: TrackRows,
+    anchor_std_m: float | None = None,
+    measure: str = "displacement",
+    subject: str | None = None,
 ) -> tuple[list[Segment], list[str]]:
     """Segments of a recording, and in words what was left out or taken otherwise.
 
@@ -208,6 +272,8 @@ def segments_of(
     measure : {"displacement", "length"}
         Sum the step vectors, or the step lengths against the same distance. Without gyroscope, and in segments of known
         walked distance that have a turn in them, lengths are summed in any case.
+    subject : str, optional
+        Who walked, if the recording does not say it.
     """
     if measure not in ("displacement", "length"):
         raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
@@ -217,7 +283,6 @@ def segments_of(
         notes.append("no gyroscope, so no headings: summed step lengths instead of displacement")
     steps = steps_of(track.steps)
     prob = step_contexts(track)
-    subject = recording.subject
     segments: list[Segment] = []
     empty: list[str] = []
     bent: list[str] = []
@@ -234,7 +299,7 @@ def segments_of(
             heading = None
         segments.append(
             Segment(
-                subject=subject.id or recording.name,
+                subject=recording.subject.id or subject or UNNAMED,
                 recording=recording.name,
                 distance_m=stretch.distance_m,
                 steps=tuple(steps[k] for k in used),
@@ -242,7 +307,7 @@ def segments_of(
                 heading_rad=heading,
                 context_prob=prob[used],
                 anchor_std_m=stretch.anchor_std_m,
-                height_m=subject.height_m,
+                height_m=recording.subject.height_m,
                 start_s=stretch.start_s,
                 end_s=stretch.end_s,
             )

@@ -8,20 +8,47 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.offline.smoothing.observations import Observations
-from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, joined
-from pdr_filter.offline.smoothing.problem import Problem, pose_problem, start_covariance
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
+from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
+from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
 from pdr_filter.values import FloatArray, PositionFix, read_only, step_table, wrap_angle
 
+# So many steps that left the window are remembered as places to come back to: three hours of walking, 2.5 MB.
+_MAX_PLACES = 20_000
 # A heading better known than this is Gaussian enough to be remembered as one: the second-order error is 2 %.
 _KNOWN_HEADING_STD_RAD = 0.15
 _LONGEST = 5.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Places:
+    """Where steps that left the window were: place_m + by_start (x_0 - start_mean), x_0 the state of its start."""
+
+    time_s: FloatArray  # (P,) contacts
+    place_m: FloatArray  # (P, 2)
+    by_start: FloatArray  # (P, 2, 4)
+    cov_m2: FloatArray  # (P, 2, 2) of the rest, which knows nothing of x_0
+
+    def on(self, before: FloatArray, joint_cov: FloatArray, start_mean: FloatArray) -> Places:
+        """The same places for a later start x_b: of the old one x_a = m_a + B (x_b - m_b) + eta is known now.
+
+        p = place + G (x_a - start_mean) + e, so place' = place + G (m_a - start_mean), G' = G B, and the covariance of
+        the rest grows by G cov(eta) G'.
+        """
+        regression, rest = regressed(joint_cov)
+        return Places(
+            self.time_s,
+            self.place_m + self.by_start @ (before - start_mean),
+            self.by_start @ regression,
+            self.cov_m2 + self.by_start @ rest @ self.by_start.swapaxes(-1, -2),
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -33,6 +60,8 @@ class FixedLagState:
     steps: Increments  # of the window
     n_given_out: int  # of them
     fixes: tuple[PositionFix, ...]  # not part of the start yet
+    loop_closures: tuple[LoopClosure, ...]  # likewise; the first of their times may be long ago
+    places: Places
     last_step_s: float  # contact of the last step; NaN before the first
     start_s: float  # contact of the last step before the window; -inf before the first
     has_place: bool  # whether there was a fix
@@ -40,12 +69,12 @@ class FixedLagState:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LateSteps:
-    """Steps that became `lag_s` old, and rejected fixes that left the window."""
+    """Steps that became `lag_s` old, and rejected fixes and loop closures that left the window."""
 
     time_s: FloatArray  # (n,)
     mean: FloatArray  # (n, 4) east, north, heading offset, log scale
     cov: FloatArray  # (n, 4, 4)
-    rejected: tuple[PositionFix, ...]
+    rejected: tuple[PositionFix | LoopClosure, ...]
 
     def __len__(self) -> int:
         return len(self.time_s)
@@ -53,9 +82,10 @@ class LateSteps:
 
 @dataclass(frozen=True, eq=False)
 class FixedLagSmoother:
-    """Steps and fixes in, the same steps out `lag_s` later, smoothed.
+    """Steps, fixes and loop closures in, the same steps out `lag_s` later, smoothed.
 
-    Not used here: loop closures, known headings and the walking headings that steps show (`smooth` has them).
+    A loop closure is to any step of the last hours. Not used here: known headings and the walking headings that steps
+    show (`smooth` has them).
 
     Parameters
     ----------
@@ -92,7 +122,9 @@ class FixedLagSmoother:
     def init(self) -> FixedLagState:
         """Nothing walked yet."""
         cov = start_covariance(self.start_std_m, self.start_heading_std_rad, self.noise.log_scale_std**2)
-        return FixedLagState(np.zeros(4), cov, _no_steps(), 0, (), last_step_s=np.nan, start_s=-np.inf, has_place=False)
+        return FixedLagState(
+            np.zeros(4), cov, _no_steps(), 0, (), (), _no_places(), last_step_s=np.nan, start_s=-np.inf, has_place=False
+        )
 
     def step(
         self,
@@ -100,15 +132,17 @@ class FixedLagSmoother:
         updates: Sequence[StepUpdate],
         fixes: Sequence[PositionFix] = (),
         gap_before_s: float = 0.0,
+        loop_closures: Sequence[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """New state and the steps that became `lag_s` old.
 
-        `updates` are as the filter gives them; provisional ones are passed over. `fixes` are as they arrive; one older
-        than the window is rejected. `gap_before_s` is the time without samples before the first of these steps.
+        `updates` are as the filter gives them; provisional ones are passed over. `fixes` and
+        `loop_closures` are as they arrive; one whose (second) time is older than the window is rejected. `gap_before_s`
+        is the time without samples before the first of these steps.
         """
         final = [u for u in updates if u.is_final]
         if not final:
-            return self.step_increments(state, _no_steps(), fixes)
+            return self.step_increments(state, _no_steps(), fixes, loop_closures)
         gaps = np.zeros(len(final))
         gaps[0] = gap_before_s
         previous_s = None if np.isnan(state.last_step_s) else state.last_step_s
@@ -118,13 +152,20 @@ class FixedLagSmoother:
             cov = state.start_cov.copy()
             cov[LOG_SCALE, LOG_SCALE] += shared
             state = replace(state, start_cov=cov)
-        return self.step_increments(state, steps, fixes)
+        return self.step_increments(state, steps, fixes, loop_closures)
 
     def step_increments(
-        self, state: FixedLagState, steps: Increments, fixes: Sequence[PositionFix] = ()
+        self,
+        state: FixedLagState,
+        steps: Increments,
+        fixes: Sequence[PositionFix] = (),
+        loop_closures: Sequence[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """`step` for steps whose increments are known."""
-        late = tuple(f for f in fixes if f.time_s < state.start_s)
+        late: tuple[PositionFix | LoopClosure, ...] = tuple(f for f in fixes if f.time_s < state.start_s)
+        is_late = [c.second_s < state.start_s or _is_forgotten(state, c) for c in loop_closures]
+        late += tuple(compress(loop_closures, is_late))
+        loops = (*state.loop_closures, *compress(loop_closures, [not old for old in is_late]))
         kept = (*state.fixes, *(f for f in fixes if f.time_s >= state.start_s))
         if kept and not state.has_place:
             # where the walk began is unknown: the track so far may be moved to where the first fix is
@@ -132,7 +173,7 @@ class FixedLagSmoother:
             state = replace(state, start_mean=mean, has_place=True)
         waiting = joined([state.steps, steps]) if len(steps) else state.steps
         last_s = float(steps.time_s[-1]) if len(steps) else state.last_step_s
-        state = replace(state, steps=waiting, fixes=kept, last_step_s=last_s)
+        state = replace(state, steps=waiting, fixes=kept, loop_closures=loops, last_step_s=last_s)
         due = int(np.searchsorted(waiting.time_s, last_s - self.lag_s, side="right"))
         state, out = self._give_out(state, due)
         return state, replace(out, rejected=(*late, *out.rejected))
@@ -146,50 +187,118 @@ class FixedLagSmoother:
         given = state.n_given_out
         if due <= given:
             return state, LateSteps(np.zeros(0), np.zeros((0, 4)), np.zeros((0, 4, 4)), ())
-        oldest_s = float(state.steps.time_s[-1]) - self.memory_s
+        last_s = float(state.steps.time_s[-1])
+        oldest_s = last_s - self.memory_s
         leaving = 0 if is_end else min(int(np.searchsorted(state.steps.time_s, oldest_s)), due)
+        loops = [c for c in state.loop_closures if c.second_s <= last_s]
+        inside = [c for c in loops if c.first_s >= state.start_s]
+        returns = [c for c in loops if c.first_s < state.start_s]
         problem = pose_problem(
             state.steps,
             state.start_mean,
             state.start_cov,
-            Observations(state.fixes),
+            Observations(state.fixes, tuple(inside)),
             anchor_interval_s=self.anchor_interval_s,
             wanted=(leaving,),
+            returns=[_return_of(state.places, c) for c in returns],
         )
         found = solve(problem)
         mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
         state = replace(state, n_given_out=due)
         time_s = state.steps.time_s[given:due]
-        rejected: tuple[PositionFix, ...] = ()
+        observed = (*state.fixes, *inside, *returns)
+        rejected: tuple[PositionFix | LoopClosure, ...] = ()
         if is_end:
-            rejected = tuple(f for f, w in zip(state.fixes, found.weight, strict=True) if w == 0)
-            state = replace(state, fixes=())
+            rejected = tuple(compress(observed, (found.weight == 0).tolist()))
+            state = replace(state, fixes=(), loop_closures=())
         elif leaving:
-            state, rejected = self._forget(state, problem, found, leaving)
+            state, rejected = self._forget(state, problem, found, leaving, observed)
         return state, LateSteps(read_only(time_s), read_only(mean[given:due]), read_only(cov[given:due]), rejected)
 
     def _forget(
-        self, state: FixedLagState, problem: Problem, found: Solution, leaving: int
-    ) -> tuple[FixedLagState, tuple[PositionFix, ...]]:
-        """The state without its first steps once the rotation is known, and the fixes rejected among theirs."""
+        self,
+        state: FixedLagState,
+        problem: Problem,
+        found: Solution,
+        leaving: int,
+        observed: Sequence[PositionFix | LoopClosure],
+    ) -> tuple[FixedLagState, tuple[PositionFix | LoopClosure, ...]]:
+        """The state without its first steps once the rotation is known, and what was rejected among theirs."""
         node = int(np.searchsorted(problem.intervals.nodes, leaving))
-        mean, cov = filtered_at(problem, found, node)
+        mean, cov, before = filtered_at(problem, found, node)
         waited_s = float(state.steps.time_s[-1] - state.steps.time_s[0])
         if cov[HEADING_OFFSET, HEADING_OFFSET] > _KNOWN_HEADING_STD_RAD**2 and waited_s < _LONGEST * self.memory_s:
             return state, ()
+        places = _places(state, problem, leaving, before)
         mean[HEADING_OFFSET] = float(wrap_angle(mean[HEADING_OFFSET]))
         past = problem.positions.node <= node
-        pairs = list(zip(state.fixes, past.tolist(), found.weight.tolist(), strict=True))
+        gone = [o for o, is_past in zip(observed, past.tolist(), strict=True) if is_past]
+        rejected = tuple(compress(observed, (past & (found.weight == 0)).tolist()))
         left = replace(
             state,
             start_mean=mean,
             start_cov=cov,
             steps=state.steps.part(leaving, len(state.steps)),
             n_given_out=state.n_given_out - leaving,
-            fixes=tuple(f for f, is_past, _ in pairs if not is_past),
+            fixes=tuple(f for f in state.fixes if f not in gone),
+            loop_closures=tuple(c for c in state.loop_closures if c not in gone),
+            places=places,
             start_s=float(state.steps.time_s[leaving - 1]),
         )
-        return left, tuple(f for f, is_past, w in pairs if is_past and w == 0)
+        return left, rejected
+
+
+def regressed(joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """B and the covariance of eta in x_a = m_a + B (x_b - m_b) + eta, from the joint covariance (8, 8) of a and b."""
+    own, mixed, other = (
+        joint_cov[:N_STATES, :N_STATES],
+        joint_cov[:N_STATES, N_STATES:],
+        joint_cov[N_STATES:, N_STATES:],
+    )
+    regression = np.asarray(np.linalg.solve(other, mixed.T).T, dtype=float)
+    return regression, np.asarray(own - regression @ mixed.T, dtype=float)
+
+
+def _places(
+    state: FixedLagState, problem: Problem, leaving: int, before: list[tuple[FloatArray, FloatArray]]
+) -> Places:
+    """The places remembered so far and those of the steps that leave, as they follow the new start of the window.
+
+    A leaving step follows the anchor before it: p_k = f(x_j) + noise of Q_jk.
+    """
+    intervals = problem.intervals
+    known = state.places.on(*before[0], state.start_mean)
+    node = intervals.index[:leaving]
+    start = np.array([m for m, _ in before])[node]
+    regression, rest = (np.array(x)[node] for x in zip(*(regressed(cov) for _, cov in before), strict=True))
+    ahead, F = end_states(start, intervals.sum_m[:leaving])
+    T = frame(start)
+    noise = (T @ intervals.cov[:leaving] @ T.swapaxes(-1, -2))[:, :2, :2]
+    by_anchor = F[:, :2]
+    new = Places(
+        state.steps.time_s[:leaving],
+        ahead[:, :2],
+        by_anchor @ regression,
+        by_anchor @ rest @ by_anchor.swapaxes(-1, -2) + noise,
+    )
+    both = zip((getattr(known, n) for n in Places.__slots__), (getattr(new, n) for n in Places.__slots__), strict=True)
+    return Places(*(read_only(np.concatenate(pair)[-_MAX_PLACES:]) for pair in both))
+
+
+def _return_of(places: Places, closure: LoopClosure) -> Return:
+    k = int(np.abs(places.time_s - closure.first_s).argmin())
+    cov_m2 = places.cov_m2[k] + closure.std_m**2 * np.eye(2)
+    return Return(closure.second_s, places.place_m[k], places.by_start[k], cov_m2)
+
+
+def _is_forgotten(state: FixedLagState, closure: LoopClosure) -> bool:
+    """Whether the first time of a loop closure is before all steps that are remembered."""
+    times_s = state.places.time_s
+    return len(times_s) == _MAX_PLACES and closure.first_s < float(times_s[0])
+
+
+def _no_places() -> Places:
+    return Places(np.zeros(0), np.zeros((0, 2)), np.zeros((0, 2, N_STATES)), np.zeros((0, 2, 2)))
 
 
 def _no_steps() -> Increments:

@@ -9,7 +9,9 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter import imm
-from pdr_filter.filter.imm import ModeEstimates
+from pdr_filter.filter.alignment import Alignment, moved
+from pdr_filter.filter.imm import ModeEstimates, Transition
+from pdr_filter.filter.motion import N_STATES
 from pdr_filter.filter.tracker import Passage
 from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
@@ -17,7 +19,7 @@ from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.recording_run import collected, default_config, outputs, track
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracks import Track
-from pdr_filter.values import Fix, FloatArray, read_only, wrap_angle
+from pdr_filter.values import Fix, FloatArray, HeadingFix, read_only, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,33 +51,71 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
     Positions, covariances and mode probabilities are smoothed, with the evidence of `Config.in_hindsight`; step lengths
     and headings are those between smoothed positions. To the smoothed covariance comes what all steps since the last
     fix share (`PedestrianState.shared_m`), as the filter knew it. With the weightings "hc" and "wc" mode probabilities
-    stay as they are. `fixes` are in the frame of the track; a late one is used when it came, as by the filter.
+    stay as they are. `fixes` are in the frame of the track, or with `config.in_world_frame()` positions in any frame,
+    and so is the track then; a late one is used when it came, as by the filter.
     """
     config = config or default_config(recording)
-    if not config.model.frame.is_joined:
+    if not config.model.frame.is_joined and any(isinstance(fix, HeadingFix) for fix in fixes):
         raise ValueError(
-            "hindsight by the IMM smoother works in the frame of the start, got a configuration in the world frame: "
-            "pdr_filter.smooth takes fixes in any frame"
+            "in the world frame hindsight finds north from position fixes, got a HeadingFix, which turns the track on "
+            "the way: leave it out, or give pdr_filter.smooth a KnownHeading"
         )
     config = config.in_hindsight()
     passages: list[Passage] = []
     last: list[ModeEstimates] = []
+    alignments: list[Alignment | None] = []
 
     def kept() -> Iterator[tuple[State, Output]]:
         for state, output in outputs(recording, config, fixes):
             passages.extend(output.passages)
             known = state.tracker.pedestrian
             last[:] = [ModeEstimates(known.mean, known.cov, known.prob)]
+            alignments[:] = [known.frame.alignment]
             yield state, output
 
     track = collected(recording, config, kept())
     if track.n_steps == 0:
         return Hindsight(track, np.zeros((0, 4)), np.zeros((0, 4, 4)))
+    if alignments[0] is not None:
+        passages = _in_world(passages, alignments[0])
     smoothed = smooth_imm([*(p.before for p in passages), *last], [p.transition for p in passages])
-    return _with_hindsight(track, smoothed, passages)
+    return _with_hindsight(track, smoothed, passages, alignments[0] is not None)
 
 
-def _with_hindsight(track: Track, smoothed: Sequence[ModeEstimates], passages: Sequence[Passage]) -> Hindsight:
+def _in_world(passages: Sequence[Passage], alignment: Alignment) -> list[Passage]:
+    """Passages as they would be had the filter known the frame of the fixes, as well as it did then, from the start.
+
+    What is unsure about the alignment is an error of the first state that the steps carry on: x' = T x with the
+    covariance of `alignment.moved`, F' = T F T^-1, Q' = T Q T'.
+    """
+    T = np.eye(N_STATES)
+    T[:2, :2] = alignment.rotation
+    found: list[Passage] = []
+    n_steps = 0
+    for passage in passages:
+        is_first = n_steps < alignment.n_steps
+        n_steps += passage.is_step
+        if not is_first:
+            found.append(passage)
+            continue
+        mean, cov = moved(passage.before.mean, passage.before.cov, alignment)
+        t = passage.transition
+        origin, predicted = (moved(x, np.zeros((N_STATES, N_STATES)), alignment)[0] for x in (t.origin, t.predicted))
+        R = alignment.rotation
+        found.append(
+            Passage(
+                ModeEstimates(mean, cov, passage.before.mode_prob),
+                Transition(t.transition_prob, origin, predicted, T @ t.F @ T.T, T @ t.Q @ T.T),
+                R @ passage.shared_cov_m2 @ R.T,
+                passage.is_step,
+            )
+        )
+    return found
+
+
+def _with_hindsight(
+    track: Track, smoothed: Sequence[ModeEstimates], passages: Sequence[Passage], is_in_world: bool
+) -> Hindsight:
     combined = [imm.combine(e.mean, e.cov, e.mode_prob) for e in smoothed]
     mean, cov = np.stack([x for x, _ in combined]), np.stack([P for _, P in combined])
     is_step = np.array([p.is_step for p in passages])
@@ -86,11 +126,14 @@ def _with_hindsight(track: Track, smoothed: Sequence[ModeEstimates], passages: S
     length = np.hypot(*displacement.T)
     # a step that led nowhere has no direction of its own
     heading = np.where(length > 0.01, np.arctan2(displacement[:, 0], displacement[:, 1]), track.walking_heading_rad)
+    start_m = position[0] if is_in_world else np.zeros(2)
     has_modes = len(smoothed[0].mode_prob) == track.mode_prob.shape[1]
     mode_prob = np.stack([e.mode_prob for e in smoothed])[after] if has_modes else track.mode_prob
     track = replace(
         track,
-        position_m=read_only(position[after] - position[0]),
+        position_m=read_only(position[after] - position[0] + start_m),
+        start_position_m=read_only(start_m),
+        frame="fixes" if is_in_world else "start",  # of a turn that fixes have not settled hindsight says nothing
         position_cov_m2=read_only(cov[after, :2, :2] + shared_cov_m2),
         step_length_m=read_only(length),
         walked_m=read_only(np.cumsum(length)),

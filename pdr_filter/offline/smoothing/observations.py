@@ -3,10 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
+from pdr_filter.io.table import TextTable
 from pdr_filter.values import BoolArray, PositionFix
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
@@ -96,3 +98,28 @@ def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix
         )
     cov = std_m**2 * np.eye(2)
     return [PositionFix(float(p.time_s), np.array([p.east_m, p.north_m]), cov) for p in points]
+
+
+def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
+    """Fixes of a CSV file with the columns `time_s,east_m,north_m`, and `std_m` of each if the file has it.
+
+    Times are those of the samples. ValueError names the file, the line and the remedy.
+    """
+    file = Path(path)
+    try:
+        rows = TextTable([file.read_bytes()], str(file))
+    except OSError as error:
+        raise ValueError(f"{file}: {error.strerror or error}; give a CSV file of fixes") from error
+    columns = ("time_s", "east_m", "north_m", *(("std_m",) if "std_m" in rows.fields else ()))
+    values = rows.parse(rows.places(columns), []).values
+    unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
+    if len(unknown):
+        raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
+    if not len(values):
+        raise ValueError(f"{file}: no fixes below the line {','.join(columns)}")
+    std = values[:, 3] if len(columns) == 4 else np.full(len(values), std_m)
+    if not (std > 0).all():
+        raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m must be positive, got {std.min():g}")
+    return [
+        PositionFix(float(v[0]), v[1:3].copy(), float(s) ** 2 * np.eye(2)) for v, s in zip(values, std, strict=True)
+    ]

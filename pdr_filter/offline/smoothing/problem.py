@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, Mode, MotionNoise
+from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
@@ -22,10 +22,11 @@ MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebod
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Where anchor `node` is, or where it is from anchor `other`."""
+    """Where anchor `node` is, or where it is from a place that follows anchor `other`."""
 
     node: IntArray  # (F,)
     other: IntArray  # (F,) -1: the position is one of the map
+    follow: FloatArray  # (F, 2, 4) derivative of that place by the state at `other`: of the anchor itself (I, 0)
     ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
     position_m: FloatArray  # (F, 2)
     whiten: FloatArray  # (F, 2, 2) inverse of the lower Cholesky factor of the covariance
@@ -96,6 +97,16 @@ class Problem:
         return np.concatenate([np.ones(len(self.positions)), walked.astype(float)])
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Return:
+    """At `time_s` the pedestrian is at a place of before the problem: place_m + by_start (x_0 - start_mean)."""
+
+    time_s: float
+    place_m: FloatArray  # (2,)
+    by_start: FloatArray  # (2, 4)
+    cov_m2: FloatArray  # (2, 2) of the rest
+
+
 def start_covariance(position_std_m: float, heading_std_rad: float, log_scale_var: float) -> FloatArray:
     """What is known before the first step, (4, 4)."""
     cov = np.diag(np.square([position_std_m, position_std_m, heading_std_rad, 0.0]))
@@ -113,14 +124,21 @@ def pose_problem(
     *,
     anchor_interval_s: float,
     wanted: Sequence[int] = (),
+    returns: Sequence[Return] = (),
 ) -> Problem:
-    """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`."""
+    """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
+
+    Its positions are the fixes, the loop closures and the returns, in this order.
+    """
     at = [_nearest_contact(steps, f.time_s) for f in observed.fixes]
     loops = [(_nearest_contact(steps, c.first_s), _nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
+    back = [_nearest_contact(steps, r.time_s) for r in returns]
     headings = [
         (_nearest_contact(steps, h.start_s)[0], _nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
     ]
-    needed = [i for i, _, _ in at] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
+    needed = (
+        [i for i, _, _ in at + back] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
+    )
     nodes = choose_nodes(steps, [*wanted, *needed], anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
@@ -133,13 +151,18 @@ def pose_problem(
     loop_cov_m2 = [
         (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
     ]
-    none = [np.zeros(2)] * len(loops)
+    return_cov_m2 = [r.cov_m2 + extra * np.eye(2) for r, (_, _, extra) in zip(returns, back, strict=True)]
+    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * (len(at) + len(loops))
+    cov_m2 = np.array(fix_cov_m2 + loop_cov_m2 + return_cov_m2).reshape(-1, 2, 2)
     positions = ObservedPositions(
-        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops]),
-        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops])]),
-        ahead_m=np.array([d for _, d, _ in at] + none).reshape(-1, 2),
-        position_m=np.array([f.position_m for f in observed.fixes] + none).reshape(-1, 2),
-        whiten=read_only(np.linalg.inv(np.linalg.cholesky(np.array(fix_cov_m2 + loop_cov_m2).reshape(-1, 2, 2)))),
+        node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops] + [i for i, _, _ in back]),
+        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
+        follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
+        ahead_m=np.array([d for _, d, _ in at] + none + [d for _, d, _ in back]).reshape(-1, 2),
+        position_m=np.array(
+            [f.position_m for f in observed.fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
+        ).reshape(-1, 2),
+        whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
     walked = np.concatenate([np.zeros((1, 2)), np.cumsum(steps.displacement_m, axis=0)])
     directions = ObservedDirections(

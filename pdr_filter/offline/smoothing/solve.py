@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import gtsam
 import numpy as np
 
 from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
+from pdr_filter.offline.smoothing.linear import Rows, cov_of, eliminated, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
@@ -21,6 +22,8 @@ from pdr_filter.offline.smoothing.problem import (
 from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
 
 _POSITION = slice(EAST, EAST + 2)
+# A wrong fix bends the track to the anchors around it and not as far as this many.
+_NEIGHBOURS = 30
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -46,33 +49,45 @@ def solve(problem: Problem) -> Solution:
     seen: set[bytes] = set()
     while True:
         mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
-        tree = _eliminated(linearised(problem, mean, frame_rad, weight))
-        nis = _innovations(problem, mean, weight, tree)
+        rows = linearised(problem, mean, frame_rad, weight)
+        joint_cov = joint_covariances(rows, problem.n_nodes, len(problem.offsets) > 0)
+        nis = _innovations(problem, mean, weight, rows, joint_cov)
         seen.add(weight.tobytes())
-        after = next((w for w in _changes(weight, possible * nis / limit, possible) if w.tobytes() not in seen), None)
+        changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
+        after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
-            break
+            return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
         weight = after
-    joint_cov = np.array([_cov_of(tree, [j, j + 1]) for j in range(len(problem.intervals))])
-    return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
 
 
-def filtered_at(problem: Problem, found: Solution, node: int) -> tuple[FloatArray, FloatArray]:
+def filtered_at(
+    problem: Problem, found: Solution, node: int
+) -> tuple[FloatArray, FloatArray, list[tuple[FloatArray, FloatArray]]]:
     """Mean (4,) and covariance (4, 4) at an anchor of all that was before it and at it, linearised at the solution.
 
-    For problems without directions and offsets.
+    And mean (4,) and joint covariance (8, 8), with that anchor, of each of those before it. For problems without
+    directions and offsets.
     """
     rows = linearised(problem, found.mean, found.frame_rad, found.weight)
-    tree = _eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
-    cov = _cov_of(tree, [max(node - 1, 0), node])[-N_STATES:, -N_STATES:]
-    return found.mean[node] + tree.optimize().at(node), 0.5 * (cov + cov.T)
+    tree = eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
+    change = tree.optimize()
+    before = [(found.mean[j] + change.at(j), cov_of(tree, [j, node])) for j in range(node)]
+    cov = before[-1][1][-N_STATES:, -N_STATES:] if before else cov_of(tree, [node])
+    return found.mean[node] + change.at(node), 0.5 * (cov + cov.T), before
 
 
 def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
     """States and rotation to begin with, and which observations seem right, from the linear problem without angles."""
     limit, possible = problem.limit_nis, problem.possible
     weight, mu = possible.copy(), None
-    state, turn = _solved(_relaxed(problem, weight), problem)
+    always = graph_of(_relaxed(problem))
+
+    def solved_with(weight: FloatArray) -> tuple[FloatArray, float]:
+        graph = graph_of(_relaxed_observations(problem, weight))
+        graph.push_back(always)
+        return _solved(graph, problem)
+
+    state, turn = solved_with(weight)
     for _ in range(60 if len(limit) else 0):
         nis = _relaxed_squared_residuals(problem, state)
         if mu is None:
@@ -82,7 +97,7 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
             mu = truncated_start(excess)
         weight = possible * truncated_weights(nis, limit, mu)
         mu *= GNC_FACTOR
-        state, turn = _solved(_relaxed(problem, weight), problem)
+        state, turn = solved_with(weight)
         if ((weight == 0) | (weight == 1)).all():
             break
     mean = state.copy()
@@ -100,7 +115,7 @@ def _gauss_newton(
 ) -> tuple[FloatArray, float, bool]:
     """States, rotation, and whether the iteration converged."""
     for iteration in range(60):
-        change, turn = _solved(linearised(problem, mean, frame_rad, weight), problem)
+        change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
         largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
         largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
         # never further than the linearisation reaches; shorter steps where it does not converge
@@ -112,14 +127,21 @@ def _gauss_newton(
     return mean, frame_rad, False
 
 
-def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> list[FloatArray]:
-    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits."""
+def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node: IntArray) -> list[FloatArray]:
+    """Weights to try next, best first: without the worst (they make neighbours look wrong), else with what fits.
+
+    The worst fixes of different places go together: they do not know of each other. `node` (F,) are their anchors.
+    """
     used = np.where(weight > 0, excess, 0.0)
     if used.max(initial=0.0) > 1:
         worst = np.arange(len(weight)) == used.argmax()
-        many = (used > 1) & (used >= 0.5 * used.max())
-        choices = [many, worst] if many.sum() > 3 else [worst]
-        return [np.where(c, 0.0, weight) for c in choices]
+        of_places = worst.copy()
+        n_fixes = len(node)
+        for i in np.argsort(-used[:n_fixes]):
+            if used[i] <= 1:
+                break
+            of_places[i] |= not (np.abs(node[of_places[:n_fixes]] - node[i]) < _NEIGHBOURS).any()
+        return [np.where(c, 0.0, weight) for c in (of_places, worst)]
     fits = (weight == 0) & (excess <= 1) & (possible > 0)
     if not fits.any():
         return []
@@ -127,88 +149,55 @@ def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray) -> li
     return [np.where(c, 1.0, weight) for c in (fits, best)]
 
 
-def _innovations(problem: Problem, mean: FloatArray, weight: FloatArray, tree: gtsam.GaussianBayesTree) -> FloatArray:
+def _innovations(
+    problem: Problem, mean: FloatArray, weight: FloatArray, rows: Sequence[Rows], joint_cov: FloatArray
+) -> FloatArray:
     """How far each observation is from what all others say: chi-square with its dimension if it is right.
 
     r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
     r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it.
     """
     positions, directions = problem.positions, problem.directions
-    blocks: list[tuple[int, int, FloatArray, FloatArray, FloatArray]] = []
+    n_fixes, nis = len(positions), np.zeros(len(weight))
     residual, by_node, by_other = _position_residuals(positions, mean)
-    blocks += zip(positions.node.tolist(), positions.other.tolist(), residual, by_node, by_other, strict=True)
-    residual, by_last = _direction_residuals(directions, mean)
-    blocks += zip(directions.last.tolist(), directions.first.tolist(), residual, by_last, -by_last, strict=True)
-    nis = np.empty(len(blocks))
-    for i, (a, b, r, A, B) in enumerate(blocks):
-        keys, H = ([a], A) if b < 0 else ([a], A + B) if a == b else ([a, b], np.hstack([A, B]))
-        leverage = H @ _cov_of(tree, keys) @ H.T
-        S = np.eye(len(r)) + (-leverage if weight[i] > 0 else leverage)
-        # where nothing else says anything of it, the difference is rounding
-        nis[i] = r @ np.linalg.solve(S + 1e-12 * np.eye(len(r)), r)
+    fixes = np.flatnonzero(positions.other < 0)
+    if len(fixes):
+        own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
+        H = by_node[fixes]
+        leverage = H @ own_cov[positions.node[fixes]] @ H.swapaxes(-1, -2)
+        nis[fixes] = _squares(residual[fixes], leverage, weight[fixes] > 0)
+    pairs = [
+        (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
+        for i in np.flatnonzero(positions.other >= 0)
+    ]
+    turn, by_last = _direction_residuals(directions, mean)
+    ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
+    pairs += [(n_fixes + i, *blocks) for i, blocks in enumerate(ends)]
+    if pairs:
+        tree = eliminated(rows)
+        for i, a, b, r, A, B in pairs:
+            keys, by_keys = ([int(a)], A + B) if a == b else ([int(a), int(b)], np.hstack([A, B]))
+            leverage = by_keys @ cov_of(tree, keys) @ by_keys.T
+            nis[i] = _squares(r[None], leverage[None], weight[i : i + 1] > 0)[0]
     return np.maximum(nis, 0.0)
 
 
-def _solved(rows: Sequence[Rows], problem: Problem) -> tuple[FloatArray, float]:
+def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> FloatArray:
+    """Squares r' (I -+ L)^-1 r of residuals (F, m) with leverages (F, m, m)."""
+    # where nothing else says anything of it, the difference is rounding
+    eye = (1 + 1e-12) * np.eye(residual.shape[1])
+    S = eye + np.where(is_used, -1.0, 1.0)[:, None, None] * leverage
+    return np.einsum("fa,fa->f", residual, np.linalg.solve(S, residual[:, :, None])[:, :, 0])
+
+
+def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
     """Solution at the anchors (n + 1, 4), and the rotation (an angle; of a vector its direction)."""
-    solution = _graph(rows).optimize(gtsam.EliminateQR)
+    solution = graph.optimize(gtsam.EliminateQR)
     state = np.array([solution.at(j) for j in range(problem.n_nodes)])
     if len(problem.offsets) == 0:
         return state, 0.0
     turn = solution.at(problem.n_nodes)
     return state, float(turn[0]) if len(turn) == 1 else float(np.arctan2(turn[1], turn[0]))
-
-
-def _eliminated(rows: Sequence[Rows]) -> gtsam.GaussianBayesTree:
-    return _graph(rows).eliminateMultifrontal(gtsam.Ordering.OrderingType.COLAMD, gtsam.EliminateQR)
-
-
-def _cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
-    """Joint covariance by QR: GTSAM's own, by Cholesky, takes what is known within a kilometre for unknown."""
-    R, _ = tree.jointBayesNet(list(keys), gtsam.EliminateQR).matrix()
-    inverse = np.linalg.inv(R)
-    return inverse @ inverse.T
-
-
-@dataclass(slots=True)
-class Rows:
-    """Whitened linear equations A x_a + B x_b = rhs, one block for each pair of keys."""
-
-    a: IntArray
-    A: FloatArray  # (n, m, da)
-    rhs: FloatArray  # (n, m)
-    b: IntArray  # the second key; -1 for none
-    B: FloatArray  # (n, m, db)
-    weight: FloatArray = field(default_factory=lambda: np.zeros(0))  # (n,); empty for weight one
-
-    @classmethod
-    def of_one(cls, key: int, A: FloatArray, rhs: FloatArray) -> Rows:
-        """A block with a single key."""
-        return cls(np.full(1, key), A[None], rhs[None], np.full(1, -1), np.zeros((0, 0, 0)))
-
-    def chosen(self, keep: BoolArray) -> Rows:
-        """Some of the blocks."""
-        B = self.B[keep] if len(self.B) else self.B
-        weight = self.weight[keep] if len(self.weight) else self.weight
-        return Rows(self.a[keep], self.A[keep], self.rhs[keep], self.b[keep], B, weight)
-
-
-def _graph(rows: Sequence[Rows]) -> gtsam.GaussianFactorGraph:
-    """Linear factors of GTSAM, one for each block of rows; blocks of weight zero are left out."""
-    graph = gtsam.GaussianFactorGraph()
-    for block in rows:
-        model = gtsam.noiseModel.Unit.Create(block.rhs.shape[1])
-        root = np.sqrt(block.weight) if len(block.weight) else np.ones(len(block.a))
-        a, b = block.a.tolist(), block.b.tolist()
-        for i, w in enumerate(root.tolist()):
-            if w == 0:
-                continue
-            A, rhs = w * block.A[i], w * block.rhs[i]
-            if b[i] < 0:
-                graph.push_back(gtsam.JacobianFactor(a[i], A, rhs, model))
-            else:
-                graph.push_back(gtsam.JacobianFactor(a[i], A, b[i], w * block.B[i], rhs, model))
-    return graph
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
@@ -244,17 +233,18 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
 
 def _position_residuals(positions: ObservedPositions, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d - p_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
+    """Whitened p + e^s R(theta) d - G x_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
     at, relative = mean[positions.node], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
-    origin = np.where(relative[:, None], mean[positions.other, :2], 0.0)
+    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other])
+    origin = np.where(relative[:, None], followed, 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H_other = -H.copy()
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
     H[:, :, LOG_SCALE] = moved
-    return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, positions.whiten @ H_other
+    by_other = -(positions.whiten @ positions.follow)
+    return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -267,13 +257,15 @@ def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tu
     return error[:, None], H / (square * directions.std_rad)[:, None, None]
 
 
-def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed."""
+def _relaxed(problem: Problem) -> list[Rows]:
+    """Equations in (p, z), z = e^s (cos theta, sin theta), linear, isotropic covariances: no start is needed.
+
+    Those that hold whatever was observed.
+    """
     intervals, n = problem.intervals, len(problem.intervals)
-    _, _, theta, s = problem.start_mean
     spread = min(problem.start_cov[HEADING_OFFSET, HEADING_OFFSET], MAX_HEADING_VARIANCE)
     spread += problem.start_cov[LOG_SCALE, LOG_SCALE]
-    known = np.array([*problem.start_mean[:2], np.exp(s) * np.cos(theta), np.exp(s) * np.sin(theta)])
+    known = np.concatenate([problem.start_mean[_POSITION], _vector(problem.start_mean)])
     inverse = 1 / np.sqrt([problem.start_cov[0, 0], problem.start_cov[1, 1], spread, spread])
     rows = [Rows.of_one(0, np.diag(inverse), inverse * known)]
 
@@ -286,22 +278,26 @@ def _relaxed(problem: Problem, weight: FloatArray) -> list[Rows]:
     A[:, :2, 2:] = _linear(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
-    positions, directions = problem.positions, problem.directions
-    if len(positions):
-        H, H_other, target = _relaxed_positions(positions)
-        rows.append(Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]))
-    if len(directions):
-        by_last, target = _relaxed_directions(directions)
-        rows.append(Rows(directions.last, by_last, target, directions.first, -by_last, weight[len(positions) :]))
     if len(problem.offsets):
         rows += _relaxed_offsets(problem.offsets, problem.n_nodes, problem.frame_std_rad)
     return rows
 
 
+def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
+    """Those of positions and directions."""
+    positions, directions = problem.positions, problem.directions
+    H, H_other, target = _relaxed_positions(problem)
+    by_last, turn = _relaxed_directions(directions)
+    return [
+        Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]),
+        Rows(directions.last, by_last, turn, directions.first, -by_last, weight[len(positions) :]),
+    ]
+
+
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
     """Squared residuals of all observations (F + H,) for states (n + 1, 4) in (p, z)."""
     positions, directions = problem.positions, problem.directions
-    H, H_other, target = _relaxed_positions(positions)
+    H, H_other, target = _relaxed_positions(problem)
     other = np.where((positions.other >= 0)[:, None], state[positions.other], 0.0)
     residual = np.einsum("nab,nb->na", H, state[positions.node]) + np.einsum("nab,nb->na", H_other, other)
     residual -= target
@@ -316,13 +312,26 @@ def _linear(sum_m: FloatArray) -> FloatArray:
     return np.stack([np.stack([east, north], axis=-1), np.stack([north, -east], axis=-1)], axis=-2)
 
 
-def _relaxed_positions(positions: ObservedPositions) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatArray]:
+    positions = problem.positions
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
-    H_other = -H.copy()
     H[:, :, 2:] = _linear(positions.ahead_m)
-    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m)
-    return positions.whiten @ H, positions.whiten @ H_other, target
+    # What follows theta and s of the start follows z through d(theta, s) / dz; only returns do.
+    z = _vector(problem.start_mean)
+    follow = positions.follow.copy()
+    follow[:, :, 2:] = positions.follow[:, :, 2:] @ np.array([[-z[1], z[0]], [z[0], z[1]]]) / (z @ z)
+    known = np.concatenate([problem.start_mean[_POSITION], z])
+    shift = positions.follow @ problem.start_mean - follow @ known
+    is_relative = (positions.other >= 0)[:, None]
+    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m + np.where(is_relative, shift, 0.0))
+    return positions.whiten @ H, -(positions.whiten @ follow), target
+
+
+def _vector(state: FloatArray) -> FloatArray:
+    """Z = e^s (cos theta, sin theta) of a state (4,)."""
+    theta, s = state[HEADING_OFFSET], state[LOG_SCALE]
+    return np.exp(s) * np.array([np.cos(theta), np.sin(theta)])
 
 
 def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, FloatArray]:

@@ -19,9 +19,9 @@ from pdr_filter.filter.step_length import (
     length_and_jacobian,
 )
 from pdr_filter.io.recording import Recording, Subject, Truth
-from pdr_filter.offline.calibration import estimation
+from pdr_filter.offline.calibration import estimation, forms
 from pdr_filter.offline.calibration.estimation import Hierarchy, estimate_parameters
-from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments, compare_models
+from pdr_filter.offline.calibration.fit import calibrate, calibrate_segments
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, eq12_priors, prior, weak_prior
 from pdr_filter.offline.calibration.segments import Segment, SegmentSums, integrate, segments_of
 from pdr_filter.simulate import Leg, simulate
@@ -585,12 +585,25 @@ def test_position_fixes_calibrate_a_walk_without_any_truth(walk: tuple[Recording
     assert found.subjects["simulated"].k0 == pytest.approx(exact.subjects["simulated"].k0, rel=0.08)
 
 
-def test_recordings_without_subject_are_people_of_their_own(walk: tuple[Recording, Track]) -> None:
+def test_recordings_without_subject_are_of_one_person_unless_somebody_says_otherwise(
+    walk: tuple[Recording, Track],
+) -> None:
     recording, track = walk
     nameless = [replace(recording, meta={}, name=name) for name in ("a", "b")]
-    found = calibrate(nameless, tracks=[track, track])
-    assert set(found.subjects) == {"a", "b"}
-    assert any("2 recordings have no subject id" in note for note in found.notes)
+    one = calibrate(nameless, tracks=[track, track])
+    assert set(one.subjects) == {"unnamed"}
+    assert any('2 recordings have no subject id: taken for one person, "unnamed"' in note for note in one.notes)
+    assert any("each_a_person (--each-a-person)" in note for note in one.notes)
+    anna = calibrate(nameless, tracks=[track, track], subject="anna")
+    assert set(anna.subjects) == {"anna"}
+    np.testing.assert_array_equal(anna.people, one.people)
+    each = calibrate(nameless, tracks=[track, track], each_a_person=True)
+    assert set(each.subjects) == {"a", "b"}
+    assert any("each is taken for a person of its own" in note for note in each.notes)
+    named = calibrate([recording, nameless[0]], tracks=[track, track], subject="anna")
+    assert set(named.subjects) == {"simulated", "anna"}
+    with pytest.raises(ValueError, match="'anna' names one person, and each_a_person says that there are several"):
+        calibrate(nameless, tracks=[track, track], subject="anna", each_a_person=True)
 
 
 # --- what the filter takes of it ------------------------------------------------------------------------------------
@@ -647,7 +660,29 @@ def test_the_filter_walks_a_calibrated_length_with_its_uncertainty(walk: tuple[R
 def test_a_fit_is_for_the_height_of_the_person(calibration: Calibration) -> None:
     assert calibration.fits("simulated")["walking"].model == BounceStepLength(1.75)
     assert calibration.fits(Subject(height_m=1.6))["walking"].model == BounceStepLength(1.6)
-    assert calibration.fits()["walking"].model == BounceStepLength()
+    assert calibration.fits(Subject(id="somebody"))["walking"].model == BounceStepLength()
+
+
+def test_a_calibrated_track_says_whose_step_lengths_it_has(walk: tuple[Recording, Track]) -> None:
+    recording, track = walk
+    twice = [replace(recording, meta={}, name=name) for name in ("a", "b")]
+    one, two = (calibrate(twice, tracks=[track] * 2, each_a_person=each) for each in (False, True))
+
+    def noted(found: Calibration, subject: Subject) -> str:
+        notes = found.config(pdr.recipes.default(), subject).notes
+        return next(n.text for n in notes if n.about == "step lengths")
+
+    assert "of unnamed, the calibrated person, as the recording does not say whose it is" in noted(one, Subject())
+    assert "of the calibrated population (1 person), as bob was not calibrated" in noted(one, Subject(id="bob"))
+    assert "of the calibrated population (2 people), as the recording does not say" in noted(two, Subject())
+    assert noted(two, Subject(id="b")) == "step lengths of b: walking"
+    np.testing.assert_array_equal(one.fits()["walking"].theta, one.subjects["unnamed"].k["walking"])
+    anna = calibrate(twice, tracks=[track] * 2, subject="anna")
+    assert "of anna, the calibrated person, as the recording does not say whose it is" in noted(anna, Subject())
+    assert one.scale_std() < one.scale_std("bob")
+    tall = calibrate([replace(r, meta={"subject": {"height_m": 1.9}}) for r in twice], tracks=[track] * 2)
+    assert tall.person_of(Subject(height_m=1.89)) == "unnamed"
+    assert tall.person_of(Subject(height_m=1.6)) is None
 
 
 def test_the_report_has_people_errors_and_doubts_and_the_figure_is_drawn(
@@ -678,18 +713,49 @@ def test_loading_a_calibration_and_filtering_with_it_needs_no_gtsam(calibration:
     subprocess.run([sys.executable, "-c", code], check=True, capture_output=True)
 
 
-def test_comparing_models_puts_the_one_first_that_made_the_segments() -> None:
+@pytest.mark.parametrize(
+    ("name", "model", "theta"),
+    [("kim", KimStepLength(), [0.55]), ("eq12", FrequencyVarianceStepLength(), [0.1, 0.2, 0.06])],
+)
+def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default(
+    name: str, model: StepLengthModel, theta: list[float]
+) -> None:
     rng = np.random.default_rng(21)
-    made = {"kim": KimStepLength(), "eq12": FrequencyVarianceStepLength()}
-    theta = {"kim": np.array([0.55]), "eq12": np.array([0.1, 0.2, 0.06])}
-    for name, model in made.items():
-        segments = [segment(rng, model, theta[name], error_m=float(rng.normal(0, 0.1))) for _ in range(30)]
-        found = compare_models(segments)
-        assert set(found) == {"bounce", "eq12", "kim", "tian", "weinberg"}
-        assert next(iter(found)) == name
+    segments = [
+        segment(rng, model, np.array(theta), error_m=float(rng.normal(0, 0.1)), recording=f"r{i % 6}")
+        for i in range(60)
+    ]
+    found = calibrate_segments(segments)
+    assert type(found.models["walking"]) is type(model)
+    assert any(f"walking by {name}, the best of 5 forms" in note for note in found.notes)
+    assert "6 recordings" in found.report()
+    few = calibrate_segments(segments[:29])
+    in_one = calibrate_segments([replace(s, recording="r") for s in segments])
+    asked = calibrate_segments(segments, model="bounce")
+    for kept in (few, in_one, asked):
+        assert type(kept.models["walking"]) is BounceStepLength
+        assert not any("forms" in note for note in kept.notes)
+    assert type(calibrate_segments(segments[:5], model=name).models["walking"]) is type(model)
+    with pytest.raises(ValueError, match=r"model must be one of bounce, eq12, kim, tian, weinberg, got 'guess'"):
+        calibrate_segments(segments, model="guess")
+    with pytest.raises(ValueError, match="leave out one of them"):
+        calibrate_segments(segments, {"walking": DEFAULT_PRIORS["walking"]}, model="kim")
 
 
 # --- real walks -----------------------------------------------------------------------------------------------------
+
+
+def test_of_a_large_cohort_some_people_choose_the_form(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(forms, "_MAX_SEGMENTS", 20)
+    rng = np.random.default_rng(22)
+    segments = [
+        segment(rng, KimStepLength(), np.array([0.55]), f"s{i % 12}", error_m=float(rng.normal(0, 0.1)))
+        for i in range(60)
+    ]
+    found = calibrate_segments(segments)
+    assert type(found.models["walking"]) is KimStepLength
+    assert len(found.subjects) == 12
+    assert any("6 people)" in note for note in found.notes)  # not four: five at least
 
 
 @pytest.mark.recordings

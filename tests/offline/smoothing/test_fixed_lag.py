@@ -10,7 +10,7 @@ import pdr_filter as pdr
 from pdr_filter import serialise
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
-from pdr_filter.offline.smoothing.observations import Observations
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
 from pdr_filter.offline.smoothing.problem import pose_problem
 from pdr_filter.offline.smoothing.solve import solve
@@ -39,10 +39,13 @@ def run(
     return outputs, held
 
 
-def whole(walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother) -> tuple[np.ndarray, np.ndarray]:
+def whole(
+    walk: Walk, fixes: list[PositionFix], smoother: FixedLagSmoother, loops: list[LoopClosure] | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     start = smoother.init()
     mean = np.array([*fixes[0].position_m, 0.0, 0.0])
-    problem = pose_problem(walk.steps, mean, start.start_cov, Observations(tuple(fixes)), anchor_interval_s=10.0)
+    observed = Observations(tuple(fixes), tuple(loops or ()))
+    problem = pose_problem(walk.steps, mean, start.start_cov, observed, anchor_interval_s=10.0)
     found = solve(problem)
     return bridge(problem.intervals, found.mean, found.joint_cov)
 
@@ -143,3 +146,84 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
 def test_impossible_times_are_refused() -> None:
     with pytest.raises(ValueError, match="must not be negative"):
         FixedLagSmoother((), NOISE, lag_s=-1.0)
+
+
+def crossings(walk: Walk, apart: int = 150) -> list[LoopClosure]:
+    """Where the walk comes back within 0.3 m to a place that it left at least so many steps before."""
+    place, time_s = walk.position_m[1:], walk.steps.time_s
+    closures: list[LoopClosure] = []
+    for j in range(apart, len(place)):
+        distance = np.hypot(*(place[: j - apart + 1] - place[j]).T)
+        if distance.min() < 0.3 and (not closures or time_s[j] - closures[-1].second_s > 10.0):
+            closures.append(LoopClosure(float(time_s[distance.argmin()]), float(time_s[j]), 0.5))
+    return closures
+
+
+def with_loops(
+    smoother: FixedLagSmoother, walk: Walk, fixes: list[PositionFix], loops: list[LoopClosure]
+) -> tuple[np.ndarray, np.ndarray, list[object]]:
+    """Means and covariances of all steps, and what was rejected; loop closures arrive when they happen."""
+    state = smoother.init()
+    outputs: list[LateSteps] = []
+    for first in range(0, len(walk.steps), 10):
+        part = walk.steps.part(first, min(first + 10, len(walk.steps)))
+        since, until = walk.steps.time_s[first - 1] if first else -1.0, part.time_s[-1]
+        new = [f for f in fixes if since < f.time_s <= until]
+        closed = [c for c in loops if since < c.second_s <= until]
+        state, out = smoother.step_increments(state, part, new, closed)
+        state = serialise.from_bytes(serialise.to_bytes(state))
+        outputs.append(out)
+    outputs.append(smoother.finish(state)[1])
+    mean, cov = (np.concatenate([getattr(o, name) for o in outputs]) for name in ("mean", "cov"))
+    return mean, cov, [r for o in outputs for r in o.rejected]
+
+
+@pytest.mark.parametrize("seed", [0, 3, 7])
+def test_a_place_that_left_the_window_minutes_ago_is_found_again_as_well_as_by_the_smoother_of_the_whole(
+    seed: int,
+) -> None:
+    """Fixes end after 100 of 600 steps, the window has 60. Where headings are known, nothing is lost by forgetting."""
+    rng = np.random.default_rng(seed)
+    walk = simulated_walk(600, rng, drift_rad_per_sqrt_s=0.02)
+    fixes, loops = walk.fixes(10, 1.0, rng)[:10], crossings(walk)
+    assert len(loops) >= 2
+    smoother = FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=30.0)
+    mean, cov, rejected = with_loops(smoother, walk, fixes, loops)
+    assert not rejected
+    expected, expected_cov = whole(walk, fixes, smoother, loops)
+    assert np.hypot(*(mean - expected)[-1, :2]) < 0.25
+    np.testing.assert_allclose(np.trace(cov[-1, :2, :2]), np.trace(expected_cov[-1, :2, :2]), rtol=0.15)
+    without, _, _ = with_loops(smoother, walk, fixes, [])
+    assert np.hypot(*(without - expected)[-1, :2]) > 2.0
+
+
+def test_a_loop_closure_that_cannot_be_is_rejected_and_one_in_the_window_counts() -> None:
+    rng = np.random.default_rng(3)
+    walk = simulated_walk(300, rng)
+    fixes = walk.fixes(10, 1.0, rng)
+    time_s = walk.steps.time_s
+    wrong = LoopClosure(float(time_s[20]), float(time_s[280]), 0.5)
+    assert np.hypot(*(walk.position_m[21] - walk.position_m[281])) > 20.0
+    smoother = FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=30.0)
+    mean, _, rejected = with_loops(smoother, walk, fixes, [wrong])
+    assert rejected == [wrong]
+    np.testing.assert_allclose(mean, with_loops(smoother, walk, fixes, [])[0], atol=2e-3)
+    state, _ = smoother.step_increments(smoother.init(), walk.steps.part(0, 200), fixes[:20])
+    state, out = smoother.step_increments(state, walk.steps.part(200, 210))
+    too_late = LoopClosure(0.5, state.start_s - 1.0, 0.5)
+    state, out = smoother.step_increments(state, walk.steps.part(210, 211), (), [too_late])
+    assert too_late in out.rejected
+
+
+def test_loop_closures_within_the_window_are_those_of_the_smoother_of_the_whole_walk() -> None:
+    rng = np.random.default_rng(6)
+    walk = simulated_walk(300, rng)
+    fixes, loops = walk.fixes(20, 2.0, rng)[:3], crossings(walk, 25)
+    assert len(loops) == 3
+    smoother = FixedLagSmoother((), NOISE, lag_s=1e4)
+    mean, cov, rejected = with_loops(smoother, walk, fixes, loops)
+    expected = whole(walk, fixes, smoother, loops)
+    np.testing.assert_allclose(mean, expected[0], atol=1e-9)
+    np.testing.assert_allclose(cov, expected[1], atol=1e-9)
+    assert not rejected
+    assert np.abs(mean - whole(walk, fixes, smoother)[0]).max() > 0.05

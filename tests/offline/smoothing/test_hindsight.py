@@ -12,7 +12,7 @@ from pdr_filter.filter import imm
 from pdr_filter.offline.smoothing.hindsight import in_hindsight, knowing_the_device
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Leg, demo_walk, simulate
-from pdr_filter.values import PositionFix
+from pdr_filter.values import HeadingFix, PositionFix
 
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
@@ -139,6 +139,60 @@ def test_smooth_without_observations_is_hindsight() -> None:
     assert len(smoothed.observations) == 0
 
 
-def test_a_track_in_a_world_frame_is_refused() -> None:
-    with pytest.raises(ValueError, match="in the frame of the start"):
-        in_hindsight(demo_walk(), pdr.recipes.default().in_world_frame())
+def in_the_world(place_m: np.ndarray, angle_rad: float = 2.0) -> np.ndarray:
+    """Places (..., 2) in a frame that is turned clockwise and far away."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return place_m @ np.array([[c, -s], [s, c]]) + [500.0, -300.0]
+
+
+def fixes_in_the_world(walk: pdr.Recording, seed: int = 0, angle_rad: float = 2.0) -> list[PositionFix]:
+    """As `fixes_of`, whose errors are the same in all directions."""
+    return [replace(f, position_m=in_the_world(f.position_m, angle_rad)) for f in fixes_of(walk, seed)]
+
+
+def test_in_a_world_frame_hindsight_is_closer_to_the_truth_also_before_north_was_known() -> None:
+    """As close, and as sure of it, as the least squares, which know of no frame of the start."""
+    squares: dict[str, list[list[float]]] = {"filter": [], "hindsight": [], "least squares": []}
+    inside: list[np.ndarray] = []
+    for seed in range(6):
+        walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=60.0, turn_rad=1.5)], seed=seed)
+        there, config = fixes_in_the_world(walk, seed), pdr.recipes.default(walk.subject)
+        tracks = {
+            "filter": pdr.track(walk, config.in_world_frame(), fixes=there),
+            "hindsight": in_hindsight(walk, config.in_world_frame(), there).track,
+            "least squares": pdr.smooth(walk, there, config=config).track,
+        }
+        truth = walk.truth.position
+        for name, track in tracks.items():
+            at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+            error = track.position_m - in_the_world(at)
+            early = track.time_s < 20.0
+            squares[name].append([np.square(error[part]).sum(axis=1).mean() for part in (early, ~early)])
+            if name == "hindsight":
+                cov = track.position_cov_m2
+                inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error) < 5.99)
+    rms = {name: np.sqrt(np.mean(values, axis=0)) for name, values in squares.items()}
+    assert (rms["hindsight"] < 0.8 * rms["filter"]).all()
+    assert (rms["hindsight"] < 1.15 * rms["least squares"]).all()
+    assert np.concatenate(inside).mean() > 0.9
+
+
+def test_hindsight_does_not_depend_on_where_the_world_s_north_is() -> None:
+    walk = simulate([Leg("walking", distance_m=60.0)], seed=1)
+    config = pdr.recipes.default(walk.subject).in_world_frame()
+    first, other = (in_hindsight(walk, config, fixes_in_the_world(walk, 0, angle)).track for angle in (0.3, -2.5))
+    np.testing.assert_allclose(other.step_length_m, first.step_length_m, atol=1e-9)
+    turn = np.angle(np.exp(1j * (other.walking_heading_rad - first.walking_heading_rad + 2.8)))
+    np.testing.assert_allclose(turn, 0.0, atol=1e-9)
+
+
+def test_without_enough_fixes_for_north_hindsight_stays_in_the_frame_of_the_start() -> None:
+    walk = simulate([Leg("walking", distance_m=30.0)], seed=1)
+    config = pdr.recipes.default(walk.subject).in_world_frame()
+    found, plain = in_hindsight(walk, config, fixes_of(walk)[:1]), in_hindsight(walk)
+    np.testing.assert_allclose(found.track.position_m, plain.track.position_m, atol=1e-9)
+
+
+def test_a_heading_fix_on_the_way_to_the_world_is_refused() -> None:
+    with pytest.raises(ValueError, match="got a HeadingFix, which turns the track on the way"):
+        in_hindsight(demo_walk(), pdr.recipes.default().in_world_frame(), [HeadingFix(5.0, 0.0, 0.1)])
