@@ -8,13 +8,13 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 
-walk = simulate([Leg("walking", distance_m=70.0), Leg("walking", distance_m=60.0, turn_rad=1.2)], seed=4)
+walk = simulate([Leg("walking", distance_m=110.0), Leg("walking", distance_m=60.0, turn_rad=1.2)], seed=4)
 truth, rng = walk.truth.position, np.random.default_rng(0)
 here, north_rad = pdr.Origin(48.137, 11.575), 0.7  # where the walk begins, and how it is turned
 turn = np.array([[np.cos(north_rad), np.sin(north_rad)], [-np.sin(north_rad), np.cos(north_rad)]])
 true_m = np.column_stack([truth.east_m, truth.north_m]) @ turn.T
 
-time_s = np.arange(1.0, 45.0)  # the door is reached after 45 s
+time_s = np.arange(1.0, 75.0)  # the door is reached after 75 s
 place_m = np.column_stack([np.interp(time_s, truth.time_s, true_m[:, k]) for k in (0, 1)])
 latitude_deg, longitude_deg = here.latitude_longitude_deg(place_m + rng.normal(0.0, 3.0, place_m.shape))
 accuracy_m = np.full(len(time_s), 5.0)  # what the phone says: 68 % are within
@@ -25,7 +25,7 @@ print(track.report())
 track.to_geojson("gnss_then_indoors.geojson")
 on_map = here.east_north_m(track.latitude_deg, track.longitude_deg)
 end_m = np.linalg.norm(on_map[-1] - true_m[-1])
-print(f"{end_m:.1f} m from the truth, {track.time_s[-1] - 45:.0f} s after the last fix")
+print(f"{end_m:.1f} m from the truth, {track.time_s[-1] - 75:.0f} s after the last fix")
 
 figure, axes = plt.subplots()
 axes.plot(*true_m.T, "k--", label="truth")
