@@ -263,7 +263,7 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
 
 def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:
     """A step that was reported before the turn was settled, by what is known in the end."""
-    if update.of_start is None or not frame.is_known:
+    if update.of_start is None:
         return update
     place = frame.world(update.of_start)
     return replace(

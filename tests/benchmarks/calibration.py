@@ -270,7 +270,7 @@ def unlike_the_prior(
     n = n_people * per_person
     person, recording = np.repeat(np.arange(n_people), per_person), np.arange(n) // max(per_person // 3, 1)
     n_steps = rng.integers(12, 20, n).astype(float)
-    row = n_steps * rng.normal(2.63, 0.12, n)
+    row = n_steps * rng.normal(2.27, 0.104, n)
     distance = row * own[person] * (1 + rng.normal(0, RECORDING_STD, recording[-1] + 1)[recording])
     distance += rng.normal(size=n) * np.sqrt(0.35**2 + n_steps * prior.step_std_m**2)
     is_wrong = rng.random(n) < wrong

@@ -131,6 +131,16 @@ def test_two_fixes_two_metres_apart_leave_the_track_inside_of_its_ellipse(walk: 
     assert np.mean(inside) > 0.85
 
 
+def test_a_heading_alone_turns_the_whole_track_and_not_only_what_comes_after_it(walk: Recording) -> None:
+    config = recipes.for_recording("default", walk).in_world_frame()
+    fix = HeadingFix(20.0, 0.9, 0.01)
+    track, alone = (pdr.track(walk, config, fixes=fixes) for fixes in ([fix], []))
+    turn_rad = wrap_angle(track.walking_heading_rad - alone.walking_heading_rad)
+    np.testing.assert_allclose(turn_rad, turn_rad[0], atol=0.02)
+    assert float(np.interp(20.0, track.time_s, np.unwrap(track.walking_heading_rad))) == pytest.approx(0.9, abs=0.1)
+    np.testing.assert_allclose(track.position_m, alone.position_m @ clockwise(turn_rad[0]).T, atol=1.0)
+
+
 def test_wrong_first_fixes_are_outvoted(walk: Recording) -> None:
     shift, angle_rad = np.array([50.0, 80.0]), 1.9
     fixes = fixes_in(walk, angle_rad, shift, every_s=6.0)

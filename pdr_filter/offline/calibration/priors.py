@@ -20,12 +20,13 @@ from pdr_filter.filter.step_length import (
     WeinbergStepLength,
     bounce_fit,
     length_and_jacobian,
+    scale_std,
 )
 from pdr_filter.values import FloatArray, Step, read_only
 
-PEOPLE_RELATIVE_STD = 0.065  # how people of known height differ in their step lengths (docs/methods/step_length.md)
+PEOPLE_RELATIVE_STD = scale_std(USUAL_HEIGHT_M)  # how people of known height differ in their step lengths, 7 %
 # How far the mean of a group of people with their phones may be from the lengths that are shipped. The step lengths of
-# four groups of unknown height are off by -10, 0, +10 and +20 %, root mean square 12.2 %: hypot(0.10, 0.065) is 12 %.
+# four groups of unknown height are off by -10, 0, +10 and +20 %, root mean square 12.2 %: hypot(0.10, 0.07).
 GROUP_RELATIVE_STD = 0.10
 
 
@@ -80,7 +81,7 @@ def weak_prior(
     """Prior for any model, of a size that only decides between parameters with the same effect.
 
     Each term of a typical step is 0 +- 0.7 m, the first one 0.7 +- 0.7 m; with a `mean`, each term is uncertain by
-    0.35 m. People differ by 6.5 % of a step in each of the `personal` parameters, if there is one, and by less in each
+    0.35 m. People differ by 7 % of a step in each of the `personal` parameters, if there is one, and by less in each
     of several.
     """
     start = np.ones(model.n_params) if mean is None else np.array(mean, dtype=float)

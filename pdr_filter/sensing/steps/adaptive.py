@@ -94,9 +94,9 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     frequency_exponent: float = 0.3
     before_s: float = 1.0
     after_s: float = 0.75
-    sine_ratio: float = 1.1
+    sine_ratio: float = 1.12
     sine_share: float = 0.8
-    max_sine_hz: float = 3.2
+    max_sine_hz: float = 2.9
     power_low_pass_hz: float = 5.5
     low_pass_hz: float = 4.0
     min_peak_mps2: float = 0.15

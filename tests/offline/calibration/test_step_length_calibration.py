@@ -422,10 +422,10 @@ def test_recordings_of_one_person_count_for_less_than_as_many_independent_segmen
 
 def test_one_person_with_one_corridor_gets_a_k_between_the_corridor_and_the_prior() -> None:
     rng = np.random.default_rng(16)
-    only = segment(rng, BounceStepLength(), np.array([0.33]))
+    only = segment(rng, BounceStepLength(), np.array([0.383]))
     found = calibrate_segments([only])
     prior_k = DEFAULT_PRIORS["walking"].mean[0]
-    assert prior_k < found.k["walking"][0] < found.subjects["anna"].k0 < 0.33
+    assert prior_k < found.k["walking"][0] < found.subjects["anna"].k0 < 0.383
     own, population = found.subjects["anna"].k_cov["walking"][0, 0], found.between["walking"][0, 0]
     assert 0 < own < population + found.k_cov["walking"][0, 0]
     assert found.fits("anna")["walking"].theta[0] == found.subjects["anna"].k0

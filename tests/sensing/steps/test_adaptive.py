@@ -102,7 +102,7 @@ def test_the_power_is_the_deviation_of_the_low_passed_magnitude_around_a_sample(
 
 def test_a_sine_tells_its_own_frequency_and_heel_strikes_do_not() -> None:
     time_s = (np.arange(1000) + 0.5) / 100
-    for frequency_hz, amplitude_mps2 in ((2.3, 1.5), (2.6, 2.0), (3.0, 2.0)):
+    for frequency_hz, amplitude_mps2 in ((2.3, 1.5), (2.6, 2.0), (2.8, 2.0)):
         sine = amplitude_mps2 * np.cos(2 * np.pi * frequency_hz * time_s)
         np.testing.assert_allclose(DETECTOR._sine_hz(sine), 0.8 * frequency_hz, rtol=0.05)
     heel_strikes = 1.5 * np.cos(2 * np.pi * 1.4 * time_s) + 0.8 * np.cos(2 * np.pi * 2.8 * time_s)
