@@ -28,6 +28,7 @@ from .values.fixes import HeadingFix as HeadingFix
 from .values.fixes import PositionFix as PositionFix
 from .values.fixes import SpeedFix as SpeedFix
 from .values.fixes import Standstill as Standstill
+from .values.origin import Origin as Origin
 from .values.samples import Samples as Samples
 from .values.step import Step as Step
 from .values.windows import Windows as Windows

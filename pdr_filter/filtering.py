@@ -13,6 +13,7 @@ import numpy as np
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.tracker import Passage, TrackerState
+from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
@@ -84,6 +85,7 @@ class State:
     seen: WindowCounts = WindowCounts()
     walked: StepCounts = StepCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
+    locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     finished: bool = False
@@ -149,6 +151,25 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
     return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
 
 
+def add_location(
+    config: Config,
+    state: State,
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    accuracy_m: FloatArray,
+) -> State:
+    """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
+    locations, fixes = position_fixes(state.locations, time_s, latitude_deg, longitude_deg, accuracy_m)
+    return add_fixes(config, replace(state, locations=locations), fixes)
+
+
+def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
+    """State with fixes that wait until they are due."""
+    waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
+    return replace(state, waiting_fixes=tuple(waiting))
+
+
 # The same of steps: a turn, or a door, is ten of them.
 _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
@@ -183,6 +204,15 @@ def notes_of(config: Config, state: State) -> list[Note]:
         words += "as in a bag: the turn of the phone alone leads there"
         notes.append(Note("heading", words))
     notes += config.notes
+    frame, where = state.tracker.pedestrian.frame, state.locations
+    if where.n_unusable:
+        words = (
+            f"{where.n_unusable} of {where.n} locations are not used: no place on Earth, no accuracy, or back in time"
+        )
+        notes.append(Note("fixes", words))
+    if state.finished and where.origin is not None and frame.alignment is None:
+        words = "the locations do not settle which way the track lies: its north is the most probable one"
+        notes.append(Note("fixes", words))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass, replace
+from dataclasses import fields, is_dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -10,10 +10,10 @@ from numpy.typing import ArrayLike
 from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
-from pdr_filter.filtering import State, add_pressure, due_s, finish, init, notes_of, step, untimely
+from pdr_filter.filtering import State, add_fixes, add_location, add_pressure, finish, init, notes_of, step, untimely
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import Fix, FloatArray, ImuBlock
+from pdr_filter.values import Fix, FloatArray, ImuBlock, Origin
 
 
 class OnlineFilter:
@@ -86,6 +86,31 @@ class OnlineFilter:
         time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
         self.state = add_pressure(self.config, self.state, time, pressure)
 
+    def push_location(
+        self, time_s: ArrayLike, latitude_deg: ArrayLike, longitude_deg: ArrayLike, accuracy_m: ArrayLike
+    ) -> None:
+        """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
+
+        For a configuration in the world frame, `config.in_world_frame()`; ValueError otherwise. East and north are
+        metres from the first location that can be used, `origin`. `accuracy_m` is the radius that holds 68 %, as phones
+        report it.
+        """
+        if self.state.finished:
+            raise ValueError("the filter is finished: start a new one for further locations")
+        if self.config.model.frame.is_joined:
+            raise ValueError(
+                "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
+                "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
+            )
+        columns = (time_s, latitude_deg, longitude_deg, accuracy_m)
+        time, latitude, longitude, accuracy = (np.atleast_1d(np.asarray(values, dtype=float)) for values in columns)
+        if not time.shape == latitude.shape == longitude.shape == accuracy.shape == (len(time),):
+            raise ValueError(
+                "time_s, latitude_deg, longitude_deg and accuracy_m must have one number for each location, got shapes "
+                f"{time.shape}, {latitude.shape}, {longitude.shape} and {accuracy.shape}"
+            )
+        self.state = add_location(self.config, self.state, time, latitude, longitude, accuracy)
+
     def finish(self) -> list[StepUpdate]:
         """Updates of the last steps, when no further sample will come."""
         self.state, output = finish(self.config, self.state)
@@ -105,8 +130,7 @@ class OnlineFilter:
         wrong = "" if np.isnan(seen.first_time_s) else untimely(fix, seen.first_time_s, seen.last_time_s)
         if wrong:
             raise ValueError(wrong)
-        waiting = sorted([*self.state.waiting_fixes, fix], key=lambda f: due_s(self.config, f))
-        self.state = replace(self.state, waiting_fixes=tuple(waiting))
+        self.state = add_fixes(self.config, self.state, (fix,))
 
     @property
     def position_m(self) -> FloatArray:
@@ -117,6 +141,11 @@ class OnlineFilter:
     def position_cov_m2(self) -> FloatArray:
         """Covariance of `position_m`, shape (2, 2)."""
         return present_position(self.state.tracker.pedestrian)[1]
+
+    @property
+    def origin(self) -> Origin | None:
+        """Where on Earth `position_m` is zero; None before a location has placed the track."""
+        return self.state.locations.origin if self.state.tracker.pedestrian.frame.is_known else None
 
     @property
     def notes(self) -> tuple[str, ...]:

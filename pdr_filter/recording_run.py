@@ -5,14 +5,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filtering import Output, State, climb_at, due_s, finish, init, notes_of, parts, step
+from pdr_filter.filtering import Output, State, add_fixes, add_location, climb_at, finish, init, notes_of, parts, step
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -25,7 +25,9 @@ from pdr_filter.values import (
     CONTEXTS,
     Fix,
     FixResult,
+    HeadingFix,
     ImuBlock,
+    PositionFix,
     Step,
     Table,
     Windows,
@@ -46,6 +48,7 @@ def track(
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
+    gnss: Literal["filter", "off"] | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -68,7 +71,12 @@ def track(
         Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     device : Device or path, optional
         `Track.device` of an earlier recording of the same phone, or where one was saved.
+    gnss : {"filter", "off"}, optional
+        Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
+        world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
+        positions or headings, which are in a frame of their own.
     """
+    with_location = _with_location(recording, fixes, gnss)
     config = config or default_config(recording)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
@@ -79,11 +87,35 @@ def track(
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))
     if weighting is not None:
         config = config.with_weighting(weighting)
-    return collected(recording, config, outputs(recording, config, fixes, progress))
+    if with_location:
+        config = config.in_world_frame()
+    return collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+
+
+def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
+    """Whether the locations of a recording are used; ValueError for what contradicts itself."""
+    if gnss not in ("filter", "off", None):
+        raise ValueError(f'gnss must be "filter" or "off", got {gnss!r}')
+    if gnss == "filter" and recording.location is None:
+        raise MissingSensorError(
+            f'{recording.name or "the recording"} has no location, got gnss="filter": leave it out'
+        )
+    if gnss == "filter" and any(isinstance(fix, PositionFix) for fix in fixes):
+        raise ValueError(
+            'gnss="filter" makes the first location of the recording the origin, and fixes has positions in a frame of '
+            'their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
+            "pdr_filter.gnss.position_fixes)"
+        )
+    own_frame = any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes)
+    return recording.location is not None and (gnss == "filter" or (gnss is None and not own_frame))
 
 
 def outputs(
-    recording: Recording, config: Config, fixes: Sequence[Fix] = (), progress: Callable[[float], None] | None = None
+    recording: Recording,
+    config: Config,
+    fixes: Sequence[Fix] = (),
+    progress: Callable[[float], None] | None = None,
+    with_location: bool = False,
 ) -> Iterator[tuple[State, Output]]:
     """What each stretch of a recording brings, with the filter's state after it; the last one is the end's.
 
@@ -95,11 +127,10 @@ def outputs(
             f"{recording.name or 'the recording'} has no {' and no '.join(missing)}, which recipe {config.name!r} "
             'needs for a track; use recipe "default", which does without'
         )
-    state = replace(
-        init(config),
-        waiting_fixes=tuple(sorted(fixes, key=lambda f: due_s(config, f))),
-        climbs=_climbs(config, recording),
-    )
+    state = add_fixes(config, replace(init(config), climbs=_climbs(config, recording)), fixes)
+    if with_location and recording.location is not None:
+        latitude_deg, longitude_deg, _, accuracy_m = recording.location.values.T
+        state = add_location(config, state, recording.location.time_s, latitude_deg, longitude_deg, accuracy_m)
     for part in _parts(merge_streams(recording), progress):
         state, output = step(config, state, part)
         yield state, output
@@ -120,14 +151,18 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     if config.on_foot or not recording.is_on_foot:
         misplaced = ()
     frame = state.tracker.pedestrian.frame
+    origin = state.locations.origin if frame.is_known else None
+    if origin is not None:
+        frame = frame.drawn()
     updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
-    origin = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
+    start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
     return replace(
         track,
         start_time_s=start_s,
-        start_position_m=read_only(origin.position_m),
+        start_position_m=read_only(start.position_m),
         frame="fixes" if frame.is_known else "start",
+        origin=origin,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
         device=config.sensing.device(state.sensing),

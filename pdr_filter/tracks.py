@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING
 from pdr_filter.io import writers
 from pdr_filter.report import trust
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import TrackRows
+from pdr_filter.values import Origin, TrackRows
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -33,11 +33,13 @@ class Track(TrackRows):
         """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""
         return writers.write_parquet(self, path)
 
-    def to_geojson(self, path: str | Path, origin: tuple[float, float]) -> Path:
-        """Write a GeoJSON line in WGS 84 and return the path; `origin` is (lat_deg, lon_deg) of the start."""
+    def to_geojson(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
+        """Write a GeoJSON line in WGS 84 and return the path; a track without `origin` needs (lat_deg, lon_deg)."""
         return writers.write_geojson(self, path, origin)
 
-    def to_gpx(self, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
+    def to_gpx(
+        self, path: str | Path, origin: Origin | tuple[float, float] | None = None, epoch_s: float = 0.0
+    ) -> Path:
         """Write a GPX 1.1 track and return the path; `epoch_s` is the unix time of time zero."""
         return writers.write_gpx(self, path, origin, epoch_s)
 

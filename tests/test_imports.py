@@ -79,6 +79,7 @@ ROOMS = [
     "config",
     "papers",
     "recipes",
+    "gnss",
     "filtering",
     "serialise",
     "online",

@@ -1,4 +1,6 @@
-"""GNSS fixes in the metres of a map until the person enters a building; the filter goes on from there."""
+"""GNSS until the person enters a building; the filter goes on from there, in the world."""
+
+from dataclasses import replace
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -6,27 +8,29 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 
-walk = simulate([Leg("walking", distance_m=70.0), Leg("walking", distance_m=60.0, turn_rad=1.2)], seed=4)
+walk = simulate([Leg("walking", distance_m=110.0), Leg("walking", distance_m=60.0, turn_rad=1.2)], seed=4)
 truth, rng = walk.truth.position, np.random.default_rng(0)
-origin_m, north_rad = np.array([350.0, 120.0]), 0.7  # where the walk really starts on the map, and how it is turned
+here, north_rad = pdr.Origin(48.137, 11.575), 0.7  # where the walk begins, and how it is turned
 turn = np.array([[np.cos(north_rad), np.sin(north_rad)], [-np.sin(north_rad), np.cos(north_rad)]])
-on_map = np.column_stack([truth.east_m, truth.north_m]) @ turn.T + origin_m
+true_m = np.column_stack([truth.east_m, truth.north_m]) @ turn.T
 
-fixes = []
-for t in np.arange(2.0, 45.0, 2.0):  # the door is reached after 45 s
-    place = np.array([np.interp(t, truth.time_s, on_map[:, k]) for k in (0, 1)])
-    fixes.append(pdr.PositionFix(t, place + rng.normal(0.0, 3.0, 2), 9.0 * np.eye(2), received_time_s=t + 0.8))
+time_s = np.arange(1.0, 75.0)  # the door is reached after 75 s
+place_m = np.column_stack([np.interp(time_s, truth.time_s, true_m[:, k]) for k in (0, 1)])
+latitude_deg, longitude_deg = here.latitude_longitude_deg(place_m + rng.normal(0.0, 3.0, place_m.shape))
+accuracy_m = np.full(len(time_s), 5.0)  # what the phone says: 68 % are within
+location = pdr.Samples(time_s, np.column_stack([latitude_deg, longitude_deg, np.zeros(len(time_s)), accuracy_m]))
 
-config = pdr.recipes.default(walk.subject).in_world_frame()  # the filter knows neither the place nor the north
-track = pdr.track(walk, config, fixes=fixes)
+track = pdr.track(replace(walk, location=location))  # as `pdr.read` gives it
 print(track.report())
-end_m = np.linalg.norm(track.position_m[-1] - on_map[-1])
-print(f"{end_m:.1f} m from the truth, {track.time_s[-1] - 45:.0f} s after the last fix")
+track.to_geojson("gnss_then_indoors.geojson")
+on_map = here.east_north_m(track.latitude_deg, track.longitude_deg)
+end_m = np.linalg.norm(on_map[-1] - true_m[-1])
+print(f"{end_m:.1f} m from the truth, {track.time_s[-1] - 75:.0f} s after the last fix")
 
 figure, axes = plt.subplots()
-axes.plot(*on_map.T, "k--", label="truth")
-axes.plot(*np.array([fix.position_m for fix in fixes]).T, ".", label="GNSS")
-axes.plot(*track.position_m.T, label="filter")
+axes.plot(*true_m.T, "k--", label="truth")
+axes.plot(*here.east_north_m(latitude_deg, longitude_deg).T, ".", label="GNSS")
+axes.plot(*on_map.T, label="filter")
 axes.set(xlabel="east, m", ylabel="north, m", aspect="equal")
 axes.legend()
 figure.savefig("gnss_then_indoors.png")

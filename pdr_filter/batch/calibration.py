@@ -131,7 +131,7 @@ def reduced(
 
     recording = read(path, file_format)
     name = recording.name if each_a_person else subject
-    segments, notes = segments_of(recording, recording_run.track(recording), anchor_std_m, measure, name)
+    segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
     small = segments if models is None else [SummedSegment.of(segment, models) for segment in segments]
     return Reduced(tuple(small), tuple(notes), bool(segments) and not recording.subject.id)
 

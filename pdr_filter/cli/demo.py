@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from rich.console import Console
@@ -20,8 +21,8 @@ from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray
 
-# Royal Observatory, Greenwich (latitude, longitude in degrees): a recording does not say where on Earth it began, and
-# a map needs some place.
+# Royal Observatory, Greenwich (latitude, longitude in degrees): a map needs some place, and a recording without
+# location does not say where on Earth it began.
 PLACEHOLDER_ORIGIN_DEG = (51.4779, -0.0015)
 _BAR_CELLS = 30
 
@@ -59,7 +60,7 @@ class Demo:
             console.print()
         for what, path, remark in (
             ("picture", self.picture, ""),
-            ("map", self.geojson, "placed in Greenwich, only a placeholder"),
+            ("map", self.geojson, _placed(result)),
             ("table", self.csv, "one line a step"),
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
@@ -67,11 +68,16 @@ class Demo:
         console.print("Next, with your own recording:  pdr-filter track YOUR.zip --out results")
 
 
-def run_demo(file: Path | None, out_dir: Path, progress: Callable[[float], None] | None = None) -> Demo:
+def run_demo(
+    file: Path | None,
+    out_dir: Path,
+    progress: Callable[[float], None] | None = None,
+    gnss: Literal["filter", "off"] | None = None,
+) -> Demo:
     """Track a file, or the simulated walk, and write NAME.png, NAME.geojson and NAME.csv to a folder."""
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
-    result = track(recording, progress=progress)
+    result = track(recording, progress=progress, gnss=gnss)
     picture = out_dir / f"{result.name}.png"
     plot_track(result, picture, _true_way(recording) if is_simulated else None)
     return Demo(
@@ -79,9 +85,16 @@ def run_demo(file: Path | None, out_dir: Path, progress: Callable[[float], None]
         track=result,
         is_simulated=is_simulated,
         picture=picture,
-        geojson=result.to_geojson(out_dir / f"{result.name}.geojson", PLACEHOLDER_ORIGIN_DEG),
+        geojson=result.to_geojson(out_dir / f"{result.name}.geojson", result.origin or PLACEHOLDER_ORIGIN_DEG),
         csv=result.to_csv(out_dir / f"{result.name}.csv"),
     )
+
+
+def _placed(result: Track) -> str:
+    """How the map is placed."""
+    if result.origin is None:
+        return "placed in Greenwich, only a placeholder"
+    return "placed by the recording's own locations"
 
 
 def _true_way(recording: Recording) -> FloatArray:

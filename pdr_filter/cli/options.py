@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any, get_type_hints
 
@@ -17,6 +18,19 @@ Format = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
 CalibrationFile = Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
+
+
+class GnssUse(StrEnum):
+    """What becomes of a recording's own locations."""
+
+    FILTER = "filter"
+    OFF = "off"
+
+
+Gnss = Annotated[
+    GnssUse | None,
+    typer.Option(help="Whether its locations place and turn the track; if not given, where it has some."),
+]
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
 
 

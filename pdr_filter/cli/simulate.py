@@ -11,6 +11,7 @@ import typer
 from rich.console import Console
 
 from pdr_filter.cli import console
+from pdr_filter.cli.options import Gnss
 
 if TYPE_CHECKING:
     from pdr_filter.io.recording import Recording
@@ -46,12 +47,13 @@ def simulate(
 def demo(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A recording; else a simulated walk.")] = None,
     out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo_output"),
+    gnss: Gnss = None,
 ) -> None:
     """Track a walk, draw it and say what came out."""
     from pdr_filter.cli.demo import run_demo
 
     with console.one_line_errors(), console.progress("tracking") as show:
-        result = run_demo(file, out, show)
+        result = run_demo(file, out, show, None if gnss is None else gnss.value)
     result.print(Console(highlight=False))
 
 

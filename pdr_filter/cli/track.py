@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pdr_filter.cli import console
-from pdr_filter.cli.options import AsJson, CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.cli.options import AsJson, CalibrationFile, Files, Folder, Format, Gnss, Scheduler
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -41,6 +41,7 @@ class Method:
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
     ] = None
+    gnss: Gnss = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -87,7 +88,9 @@ class Output:
     """Files that are written."""
 
     out: Folder = None
-    origin: Annotated[str | None, typer.Option(metavar="LAT,LON", help="Start in degrees: also NAME.geojson.")] = None
+    origin: Annotated[
+        str | None, typer.Option(metavar="LAT,LON", help="Start in degrees, if no location says it: also NAME.geojson.")
+    ] = None
     report: Annotated[bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")] = False
     parquet: Annotated[bool, typer.Option("--parquet", help="Also NAME.parquet, or the table of many so.")] = False
 
@@ -111,9 +114,9 @@ class Output:
         """The files of one track."""
         if self.out is not None:
             console.write_track(result, self.out, name)
-            start = _origin(self.origin)
-            if start is not None:
-                result.to_geojson(self.out / f"{name}.geojson", start)
+            origin = _origin(self.origin) or result.origin
+            if origin is not None:
+                result.to_geojson(self.out / f"{name}.geojson", origin)
             if self.parquet:
                 result.to_parquet(self.out / f"{name}.parquet")
         if self.report:
@@ -149,10 +152,19 @@ def track(
 
     with console.one_line_errors():
         if workers.make_one_table(files):
-            if any((method.model, method.transitions, method.device, output.origin, output.report, as_json)):
+            of_one = (
+                method.model,
+                method.transitions,
+                method.device,
+                method.gnss,
+                output.origin,
+                output.report,
+                as_json,
+            )
+            if any(of_one):
                 raise ValueError(
-                    "many recordings make one table: leave out --model, --transitions, --device, --origin, --report "
-                    "and --json"
+                    "many recordings make one table: leave out --model, --transitions, --device, --gnss, --origin, "
+                    "--report and --json"
                 )
             _track_many(files, method, source, output.table, workers)
             return
@@ -165,7 +177,13 @@ def track(
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
         known = method.device if method.device is not None and method.device.exists() else None
         result = pdr.track(
-            recording, config, method.weighting_name, progress=progress, calibration=method.calibration, device=known
+            recording,
+            config,
+            method.weighting_name,
+            progress=progress,
+            calibration=method.calibration,
+            device=known,
+            gnss=None if method.gnss is None else method.gnss.value,
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)

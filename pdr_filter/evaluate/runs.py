@@ -33,7 +33,7 @@ def weighting_tracks(
             if progress is not None:
                 progress((i + fraction) / len(WEIGHTINGS))
 
-        tracks[name] = track(recording, config, name, progress=show)
+        tracks[name] = track(recording, config, name, progress=show, gnss="off")
     return tracks
 
 
@@ -50,8 +50,8 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
     config = config or default_config(recording)
     model = config.model
     model.check_one_mode_for_each_context()
-    weighted = {name: track(recording, config, name) for name in ("hc", "wc", "imm")}
-    weighted["wc, always"] = track(recording, replace(config, tracker=WeightedTracker(model, 0.0)))
+    weighted = {name: track(recording, config, name, gnss="off") for name in ("hc", "wc", "imm")}
+    weighted["wc, always"] = track(recording, replace(config, tracker=WeightedTracker(model, 0.0)), gnss="off")
     imm = weighted.pop("imm")
     label = np.full(imm.n_steps, -1)
     for row in () if labels is None else labels:
@@ -63,7 +63,7 @@ def weighting_errors(recording: Recording, config: Config | None = None, lag_ste
         raise ValueError(f"no step of {recording.name} is inside a truth label with a known context: label it first")
     length_m = np.array([model.lengths(step)[0] for step in steps_of(imm.steps)]).reshape(-1, len(model.modes))[use]
     known_m = length_m[np.arange(len(length_m)), label[use]].sum()
-    in_hindsight = track(recording, config.in_hindsight().with_weighting("imm")).mode_prob
+    in_hindsight = track(recording, config.in_hindsight().with_weighting("imm"), gnss="off").mode_prob
     prob = {
         "imm": smoothed_mode_prob(imm.mode_prob, model.transition_prob),
         "imm, lagged": smoothed_mode_prob(imm.mode_prob, model.transition_prob, lag_steps),
@@ -87,7 +87,10 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
     0 is always WC, 1 is HC (Martinelli et al. 2018, Fig. 14).
     """
-    tracks = [track(recording, replace(config, tracker=WeightedTracker(config.model, float(t)))) for t in thresholds]
+    tracks = [
+        track(recording, replace(config, tracker=WeightedTracker(config.model, float(t))), gnss="off")
+        for t in thresholds
+    ]
     return table({"threshold": np.asarray(thresholds, float), "distance_m": np.array([t.distance_m for t in tracks])})
 
 

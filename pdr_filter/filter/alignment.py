@@ -90,6 +90,7 @@ class OpenTurn:
     prob: FloatArray  # (A,) of `_ANGLES_RAD`
     origin_m: FloatArray  # (A, 2) in the world
     origin_var_m2: float
+    drawn: int | None = None  # the one turn under which places are reported, with mean squares about them; else means
 
     @property
     def direction(self) -> complex:
@@ -100,12 +101,14 @@ class OpenTurn:
         """A place in the world: mean and covariance over all turns."""
         R = _rotations(_ANGLES_RAD)
         each = R @ place.position_m + self.origin_m
-        mean = self.prob @ each
-        away = each - mean
+        if self.drawn is None:
+            reported, angle_rad = self.prob @ each, cmath.phase(self.direction)
+        else:
+            reported, angle_rad = each[self.drawn], float(_ANGLES_RAD[self.drawn])
+        away = each - reported
         cov = np.einsum("a,aij,jk,alk->il", self.prob, R, place.cov_m2, R)
         cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
-        heading_rad = place.heading_rad + cmath.phase(self.direction)
-        return replace(place, position_m=mean, cov_m2=cov, heading_rad=heading_rad)
+        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + angle_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -135,6 +138,14 @@ class Frame:
         if self.alignment is not None:
             return self.alignment.world(place)
         return place if self.turn is None else self.turn.world(place)
+
+    def drawn(self) -> Frame:
+        """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
+        if self.turn is None:
+            return self
+        # of equal ones the smallest: after one fix all are, but for rounding
+        best = int(np.argmax(self.turn.prob - 1e-9 * np.abs(_ANGLES_RAD)))
+        return replace(self, turn=replace(self.turn, drawn=best))
 
     def with_pair(self, pair: PairedPoint) -> Frame:
         """With one more pair: the first of them and the latest are kept."""

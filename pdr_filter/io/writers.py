@@ -5,17 +5,15 @@ from __future__ import annotations
 import csv
 import io
 import json
-from collections.abc import Sequence
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
-import pymap3d
 
 from pdr_filter.io import limits
-from pdr_filter.values import FloatArray, TrackRows, yaw_from_heading
+from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
 _NORTH = (
@@ -24,6 +22,7 @@ _NORTH = (
 )
 _FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
 FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
+_PLACED = "East and north are metres from the first location of the recording, which show where north is."
 
 
 def write_csv(track: TrackRows, path: str | Path) -> Path:
@@ -50,7 +49,7 @@ def write_parquet(track: TrackRows, path: str | Path) -> Path:
         "start_time_s": float(track.start_time_s),
         "duration_s": float(track.duration_s),
         "notes": list(track.notes),
-        "frame": _FRAME,
+        "frame": _FRAME if track.origin is None else _PLACED,
         "pdr_filter": __version__,
     }
     frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)
@@ -89,12 +88,13 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
     }
 
 
-def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float]) -> Path:
+def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write a FeatureCollection with the track as one LineString in WGS 84, and return the path.
 
-    The line begins at the start of the walk, `origin` (latitude and longitude in degrees), and has one vertex for each
-    step; a track without steps is a Point. Properties for each vertex: `coordTimes` (seconds of the recording) and
-    `covariance_m2` ([ee, en, nn]).
+    The line begins at the start of the walk and has one vertex for each step; a track without steps is a Point.
+    `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
+    track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
+    each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
     """
     lat_deg, lon_deg = _geodetic(track, origin)
     vertices = [[round(lon, 9), round(lat, 9)] for lat, lon in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)]
@@ -110,17 +110,19 @@ def write_geojson(track: TrackRows, path: str | Path, origin: tuple[float, float
             "n_steps": track.n_steps,
             "coordTimes": np.round(_vertex_times(track), 6).tolist(),
             "covariance_m2": np.round(covariance, 6).tolist(),
-            "frame": FRAME_NOTE,
+            "frame": FRAME_NOTE if track.origin is None else _PLACED,
             "notes": list(track.notes),
         },
     }
     return _write(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
 
 
-def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], epoch_s: float = 0.0) -> Path:
+def write_gpx(
+    track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None, epoch_s: float = 0.0
+) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
-    The walk starts at `origin` (latitude and longitude in degrees), and time zero of the recording is the unix time
+    `origin` is that of `write_geojson`, and time zero of the recording is the unix time
     `epoch_s`; with 0 the walk is in January 1970.
     """
     times_s = _vertex_times(track)
@@ -130,9 +132,10 @@ def write_gpx(track: TrackRows, path: str | Path, origin: tuple[float, float], e
         "gpx", version="1.1", creator=f"pdr_filter {__version__}", xmlns="http://www.topografix.com/GPX/1/1"
     )
     line = ElementTree.SubElement(root, "trk")
+    frame = FRAME_NOTE if track.origin is None else _PLACED
     # XML cannot hold control characters, not even escaped
     ElementTree.SubElement(line, "name").text = "".join(c for c in track.name if c.isprintable())
-    ElementTree.SubElement(line, "desc").text = f"{track.n_steps} steps, {track.distance_m:.1f} m. {FRAME_NOTE}"
+    ElementTree.SubElement(line, "desc").text = f"{track.n_steps} steps, {track.distance_m:.1f} m. {frame}"
     segment = ElementTree.SubElement(line, "trkseg")
     for lat, lon, time_s in zip(*_geodetic(track, origin), times_s, strict=True):
         point = ElementTree.SubElement(segment, "trkpt", lat=f"{lat:.9f}", lon=f"{lon:.9f}")
@@ -167,17 +170,9 @@ def _vertex_times(track: TrackRows) -> FloatArray:
     return np.concatenate([[track.start_time_s], track.time_s])
 
 
-def _geodetic(track: TrackRows, origin: Sequence[float]) -> tuple[FloatArray, FloatArray]:
+def _geodetic(track: TrackRows, origin: Origin | tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Latitude and longitude in degrees of the start and of all steps, (K + 1,) each."""
-    lat_deg, lon_deg = origin
-    if not (-90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
-        raise ValueError(
-            f"origin must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({lat_deg}, {lon_deg}); "
-            "are the two exchanged, or in radians?"
-        )
-    east_m, north_m = np.vstack([track.start_position_m, track.position_m]).T
-    lat, lon, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), lat_deg, lon_deg, 0.0)
-    return np.asarray(lat, dtype=float), np.asarray(lon, dtype=float)
+    return track.placed_at(origin).latitude_longitude_deg(np.vstack([track.start_position_m, track.position_m]))
 
 
 def _write(path: str | Path, text: str) -> Path:

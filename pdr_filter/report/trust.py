@@ -80,7 +80,8 @@ def report(track: TrackRows) -> str:
         lines.append("contexts: " + ", ".join(f"{name} {s:.0f} s" for name, s in seconds.items()))
     used = [fix.nis for fix in track.fixes if fix.accepted and np.isfinite(fix.nis)]
     if used:
-        mean = f"mean squared innovation {np.mean(used):.1f}, about 2 for positions that fit"
+        fit = "about 2 for positions that fit" if track.origin is None else "below 2 where locations fit"
+        mean = f"mean squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
     problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]

@@ -15,6 +15,7 @@ from pdr_filter.values.fixes import (
 )
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
+from pdr_filter.values.origin import Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
@@ -37,6 +38,7 @@ __all__ = [
     "IntArray",
     "Note",
     "NoteSubject",
+    "Origin",
     "PositionFix",
     "Samples",
     "SpeedFix",

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
+from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.windows import Windows
 
@@ -56,6 +57,7 @@ class TrackRows:
     fixes: tuple[FixResult, ...] = field(default=())
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
     frame: str = "start"  # of positions and headings: "start" or "fixes"
+    origin: Origin | None = None  # where its zero is, if the recording's own locations placed the track
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
@@ -69,6 +71,27 @@ class TrackRows:
     def distance_m(self) -> float:
         """Walked distance after the last step; with `imm` not quite the sum of the step lengths, see `walked_m`."""
         return float(self.walked_m[-1]) if self.n_steps else 0.0
+
+    @property
+    def latitude_deg(self) -> FloatArray:
+        """Latitude of each step on WGS 84, shape (K,); ValueError if the track has no `origin`."""
+        return self.placed_at(None).latitude_longitude_deg(self.position_m)[0]
+
+    @property
+    def longitude_deg(self) -> FloatArray:
+        """Longitude of each step, shape (K,); ValueError if the track has no `origin`."""
+        return self.placed_at(None).latitude_longitude_deg(self.position_m)[1]
+
+    def placed_at(self, origin: Origin | tuple[float, float] | None) -> Origin:
+        """Where its zero is: as given, Origin or (latitude_deg, longitude_deg), or else the track's own `origin`."""
+        if origin is None:
+            origin = self.origin
+        if origin is None:
+            raise ValueError(
+                f"no location says where on Earth the track {self.name!r} is: give a file origin=(latitude_deg, "
+                "longitude_deg), or the recording a location stream"
+            )
+        return origin if isinstance(origin, Origin) else Origin(*origin)
 
     @property
     def direction_trust(self) -> FloatArray:
@@ -129,6 +152,13 @@ class TrackRows:
     def summary(self) -> dict[str, Any]:
         """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts and more."""
         end = self.position_m[-1] if self.n_steps else np.zeros(2)
+        place: dict[str, float] = {}
+        if self.origin is not None:
+            latitude_deg, longitude_deg = self.origin.latitude_longitude_deg(end)
+            place = {
+                "end_latitude_deg": round(float(latitude_deg), 7),
+                "end_longitude_deg": round(float(longitude_deg), 7),
+            }
         return {
             "name": self.name,
             "n_steps": self.n_steps,
@@ -136,6 +166,7 @@ class TrackRows:
             "duration_s": round(self.duration_s, 3),
             "end_east_m": round(float(end[0]), 3),
             "end_north_m": round(float(end[1]), 3),
+            **place,
             "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
             "moving_without_steps_s": round(self.seconds_without_steps, 1),
         }

@@ -113,6 +113,27 @@ def test_out_gets_a_table_and_a_picture_and_with_an_origin_a_map_file(walk: Path
     assert line[0] == pytest.approx([-11.25, 43.77])
 
 
+def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk()
+    time_s = np.arange(1.0, walk.duration_s, 4.0)
+    values = np.tile([43.77, 11.25, 50.0, 30.0], (len(time_s), 1))
+    file = replace(walk, location=pdr.Samples(time_s, values)).save(tmp_path / "located.zip")
+    placed = run("track", file, "--out", tmp_path / "placed", "--json")
+    assert json.loads(placed.stdout)["end_latitude_deg"] == pytest.approx(43.77, abs=0.002)
+    line = json.loads(next((tmp_path / "placed").glob("*.geojson")).read_text())["features"][0]["geometry"]
+    np.testing.assert_allclose(line["coordinates"], np.tile([11.25, 43.77], (len(line["coordinates"]), 1)), atol=0.003)
+    off = run("track", file, "--out", tmp_path / "off", "--gnss", "off", "--json")
+    assert json.loads(off.stdout) == pdr.track(walk).summary()
+    assert not list((tmp_path / "off").glob("*.geojson"))
+
+
+def test_gnss_of_a_recording_without_location_or_of_a_folder_is_one_line(walk: Path, tmp_path: Path) -> None:
+    alone = run("track", walk, "--gnss", "filter")
+    assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
+    many = run("track", walk, "--jobs", "1", "--gnss", "off", "--out", tmp_path)
+    assert (many.exit_code, "leave out" in one_line(many.stderr)) == (2, True)
+
+
 def test_recordings_of_one_name_do_not_overwrite_each_other(walk: Path, tmp_path: Path) -> None:
     run("track", walk, walk, walk, "--out", tmp_path)
     assert len(list(tmp_path.glob("*.csv"))) == 3

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -73,6 +74,22 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
     text = printed(demo)
     assert str(file) in text
     assert "truth" not in text
+
+
+def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk(seed=3)
+    time_s = np.arange(1.0, walk.duration_s, 5.0)
+    truth = walk.truth.position
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    here = pdr.Origin(43.77, 11.25)
+    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 5.0)])
+    file = write_recording(replace(walk, location=pdr.Samples(time_s, values)), tmp_path / "mine.zip")
+    demo = run_demo(file, tmp_path / "out")
+    (feature,) = json.loads(demo.geojson.read_text())["features"]
+    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"]).T
+    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
+    assert "placed by the recording's own locations" in printed(demo)
+    assert "placeholder" in printed(run_demo(file, tmp_path / "off", gnss="off"))
 
 
 def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> None:

@@ -14,6 +14,7 @@ import numpy as np
 
 from pdr_filter.calibration import UNNAMED, of_height, slices_of
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
+from pdr_filter.gnss import RADIUS_68
 from pdr_filter.io.recording import Recording
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray, Step, TrackRows, steps_of
 
@@ -30,8 +31,6 @@ STRIDE_STD_M = 0.02  # strides of motion capture or of a walkway, and treads
 MIN_WAYPOINT_DISTANCE_M = 4.0
 # GNSS fixes are thinned until they are this far apart, and this many times their own standard deviation.
 MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
-# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
-_RADIUS_68 = 1.515
 # Displacement over walked distance below which a stretch of known *walked* distance has a turn in it. A step or two
 # round the corner at the ends of a leg of ten steps leave 0.92; half of the leg at a right angle 0.71.
 STRAIGHT = 0.85
@@ -396,7 +395,7 @@ def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
     earth_m = 6371008.8  # on 100 m a sphere is as good as the ellipsoid to 0.3 %, less than the fixes' own error
     north = np.radians(lat_deg) * earth_m
     east = np.radians(lon_deg) * earth_m * np.cos(np.radians(np.nanmean(lat_deg)))
-    std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / _RADIUS_68
+    std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / RADIUS_68
     usable = np.flatnonzero(np.isfinite(east) & np.isfinite(north) & np.isfinite(time_s))
     found: list[_Stretch] = []
     last = usable[0] if len(usable) else 0

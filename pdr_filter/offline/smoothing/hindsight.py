@@ -39,7 +39,7 @@ def knowing_the_device(recording: Recording, config: Config) -> Config:
     """
     if "gyroscope" not in recording.streams or config.sensing.attitude.bias.device is not None:
         return config
-    found = track(recording, config)
+    found = track(recording, config, gnss="off")
     if found.device is None or not (found.n_steps and found.steps.on_axes[-1]):
         return config
     return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))

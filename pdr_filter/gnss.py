@@ -1,0 +1,73 @@
+"""Locations of a phone to position fixes in metres that say no more than they know.
+
+What a phone calls a location is already smoothed, and reflections and the ionosphere put consecutive ones off the same
+way: the error at one time is correlated with that a time t later as exp(-t / T). Of fixes at intervals t the mean is
+then (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of independent ones, r = exp(-t / T). Each fix after
+the first gets its variance multiplied by that: any number of them in a time T is one witness.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.values import FloatArray, Origin, PositionFix
+
+# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
+RADIUS_68 = 1.515
+# Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
+# laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
+MIN_ACCURACY_M = 4.9
+# T. An assumption, between the seconds for which somebody who walks meets one reflection and the minute after which the
+# autocorrelation of a standing receiver has a bend (D. L. Wilson's twenty days of a Garmin 12XL).
+CORRELATION_S = 20.0
+# Half of it: fixes in between would hardly say more, and those that show the turn of a track are few and so reach back
+# for minutes (`filter.alignment.MAX_PAIRS`).
+INTERVAL_S = 10.0
+# A country: more is no location, and its square must stay a number.
+MAX_ACCURACY_M = 1e5
+
+
+@dataclass(frozen=True, slots=True)
+class LocationState:
+    """Where the frame of the fixes lies, and what has been seen of a stream of locations."""
+
+    origin: Origin | None = None  # the first usable location
+    last_s: float = -math.inf  # of the last fix
+    n: int = 0  # locations
+    n_unusable: int = 0
+
+
+def position_fixes(
+    state: LocationState,
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    accuracy_m: FloatArray,
+) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """New state and fixes, `INTERVAL_S` apart or more, of locations (N,) each, however they are cut into blocks.
+
+    Left out and counted are locations that are no place on Earth, that go back in time, and those without an accuracy:
+    a phone that says 0 (Android), less (iOS) or nothing does not know where it is.
+    """
+    fixes: list[PositionFix] = []
+    # one by one: the bits of a vectorised sine depend on its length
+    for row in zip(time_s, latitude_deg, longitude_deg, accuracy_m, strict=True):
+        t, latitude, longitude, accuracy = (float(value) for value in row)
+        is_usable = _is_place(latitude, longitude) and 0 < accuracy < MAX_ACCURACY_M and state.last_s < t < math.inf
+        state = replace(state, n=state.n + 1, n_unusable=state.n_unusable + (not is_usable))
+        if not is_usable or t < state.last_s + INTERVAL_S:
+            continue
+        origin = state.origin or Origin(latitude, longitude)
+        shared = 1.0 / math.tanh((t - state.last_s) / (2.0 * CORRELATION_S))
+        std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
+        fixes.append(PositionFix(t, origin.east_north_m(latitude, longitude), shared * std_m**2 * np.eye(2)))
+        state = replace(state, origin=origin, last_s=t)
+    return state, tuple(fixes)
+
+
+def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
+    """Whether it is one on Earth; apps write 0, 0 where they have none."""
+    return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
