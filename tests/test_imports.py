@@ -162,4 +162,4 @@ SCRIPTS = sorted(Path(__file__).parent.glob("benchmarks/*.py")) + sorted(Path(__
 
 @pytest.mark.parametrize("script", [s for s in SCRIPTS if not s.name.startswith("test_")], ids=lambda path: path.stem)
 def test_benchmarks_and_studies_import_what_exists(script: Path) -> None:
-    importlib.import_module(f"tests.{script.parent.name}.{script.stem}")
+    assert importlib.import_module(f"tests.{script.parent.name}.{script.stem}").__doc__

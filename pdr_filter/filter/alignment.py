@@ -117,6 +117,7 @@ class Frame:
 
     is_joined: bool
     pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
+    agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
     turn: OpenTurn | None = None  # from the first of them on
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before
@@ -152,24 +153,12 @@ class Frame:
         pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
         return replace(self, pairs=pairs)._turned()
 
-    @property
-    def agreeing(self) -> tuple[PairedPoint, ...]:
-        """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
-
-        Of two or three none is in the minority: they must be ten standard deviations apart.
-        """
-        pairs = self.pairs
-        while len(pairs) > 1 and self._best(pairs) > (
-            chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
-        ):
-            pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=self._best)
-        return pairs
-
-    def _best(self, pairs: tuple[PairedPoint, ...]) -> float:
-        return float(_squares(pairs, _least_squares(pairs), self.north_var_rad2).min())
-
     def _turned(self) -> Frame:
-        return replace(self, turn=open_turn(self.agreeing, self.north_var_rad2)) if self.pairs else self
+        """With what the pairs say of the turn."""
+        if not self.pairs:
+            return self
+        agreeing = _that_agree(self.pairs, self.north_var_rad2)
+        return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
@@ -245,6 +234,23 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
     track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
     centre_var = 2.0 / float(np.trace(fit.shift_weight))
     return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
+
+
+def _that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> tuple[PairedPoint, ...]:
+    """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
+
+    Of two or three none is in the minority: they must be ten standard deviations apart.
+    """
+
+    def best(some: tuple[PairedPoint, ...]) -> float:
+        return float(_squares(some, _least_squares(some), north_var_rad2).min())
+
+    while len(pairs) > 1:
+        limit = chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
+        if best(pairs) <= limit:
+            break
+        pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=best)
+    return pairs
 
 
 def _rotations(angle_rad: FloatArray) -> FloatArray:

@@ -154,8 +154,9 @@ def _on_first_positions(
     _, P = imm.combine(state.mean, state.cov, state.prob)
     cov = P.copy()
     cov[:2, :2] += shared_cov(state)
-    of_heading = cov[:2, HEADING_OFFSET]
-    walked_var = 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / cov[HEADING_OFFSET, HEADING_OFFSET])
+    # a heading that is known has no part in it
+    of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
+    walked_var = 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
     pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)), walked_var)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing

@@ -19,7 +19,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.config import Config
 from pdr_filter.io.recording import Recording
-from pdr_filter.recipes import default, for_recording, with_context_model
+from pdr_filter.recipes import for_recording, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event
@@ -27,13 +27,11 @@ from pdr_filter.training.protocol import label_of
 from pdr_filter.values import CONTEXTS, FloatArray, IntArray
 from tests.benchmarks.common import Tables, options, paths, recordings
 from tests.benchmarks.mixed_contexts import (
-    N_FOLDS,
-    N_WALKS,
     cached,
     context_at,
-    mixed_walk,
     model_without,
     tracked,
+    walks_left_out,
     windows_of,
 )
 
@@ -50,15 +48,9 @@ def sensed(recording: Recording, config: Config) -> Sensed:
 def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sensed]]:
     """Walks by set, each sensed with a model that has not seen its person."""
     windows = cached(cache, "windows", lambda: windows_of(data))
-    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
     found: dict[str, list[Sensed]] = {"mixed": [], "tyrex": [], "ubicomp13 pocket": [], "ubicomp13 hand, bag": []}
-    for k in range(N_FOLDS):
-        fold = tuple(people[k::N_FOLDS])
-        model = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
-        for person in fold:
-            for number in range(N_WALKS):
-                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
-                found["mixed"].append(sensed(walk, with_context_model(default(walk.subject), model)))
+    for walk, _, config in walks_left_out(data, cache, windows):
+        found["mixed"].append(sensed(walk, config))
     of_tyrex = tuple(np.unique(windows.person[windows.dataset == "tyrex"]))
     model = cached(cache, "model_tyrex", lambda: model_without(windows, of_tyrex))
     for walk in recordings(data, "tyrex"):

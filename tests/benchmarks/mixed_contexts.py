@@ -99,6 +99,23 @@ def model_without(windows: LabelledWindows, people: tuple[str, ...]) -> ContextM
 # --- Mixed walks of real recordings ----------------------------------------------------------------------------------
 
 
+def folds_of(windows: LabelledWindows) -> list[tuple[str, ...]]:
+    """People of motionsense who are left out together."""
+    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
+    return [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
+
+
+def walks_left_out(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[tuple[Recording, str, Config]]:
+    """Joined walks of everybody, each with its person and the default with a model that has not seen them."""
+    for k, fold in enumerate(folds_of(windows)):
+        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
+        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
+        for person in fold:
+            for number in range(N_WALKS):
+                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
+                yield walk, person, with_context_model(default(walk.subject), model)
+
+
 def mixed_walk(data: Path, person: str, number: int) -> Recording:
     """Recordings of one person one after the other, a still second between them, labels of each."""
 
@@ -428,18 +445,8 @@ def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:
 def real(tables: Tables, data: Path, cache: Path | None) -> None:
     """All tables."""
     windows: LabelledWindows = cached(cache, "windows", lambda: windows_of(data))
-    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
-    folds = [tuple(people[k::N_FOLDS]) for k in range(N_FOLDS)]
-    all_said: list[Said] = []
-    for k, fold in enumerate(folds):
-        model: ContextModel = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
-        for person in fold:
-            for number in range(N_WALKS):
-                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
-                config = with_context_model(default(walk.subject), model)
-                all_said.append(said_online(walk, person, config))
-        print(f"fold {k}: {', '.join(fold)} left out", flush=True)
-    all_said = [said for fold in folds for said in with_learnt(all_said, fold)]
+    all_said = [said_online(*each) for each in walks_left_out(data, cache, windows)]
+    all_said = [said for fold in folds_of(windows) for said in with_learnt(all_said, fold)]
     window_scores(tables, all_said)
     step_scores(tables, all_said)
     delays(tables, all_said)

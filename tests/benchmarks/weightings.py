@@ -47,15 +47,13 @@ from tests.benchmarks.contexts_left_out import on_the_level, without
 from tests.benchmarks.kinds_of_people import ONE_KIND, Kinds, chain, kinds_that_are_wrong, kinds_that_say_nothing
 from tests.benchmarks.mixed_contexts import (
     LAG_STEPS,
-    N_FOLDS,
     N_WALKS,
     Event,
     cached,
     context_at,
-    mixed_walk,
-    model_without,
     tracked,
     updates_of,
+    walks_left_out,
     windows_of,
 )
 
@@ -127,14 +125,8 @@ def walk_of(recording: Recording, person: str, config: Config, is_level: bool = 
 
 def joined_walks(data: Path, cache: Path | None, windows: LabelledWindows) -> Iterator[Walk]:
     """Those of `mixed_contexts.py`, with the same models."""
-    people = sorted(set(windows.person[windows.dataset == "motionsense"]))
-    for k in range(N_FOLDS):
-        fold = tuple(people[k::N_FOLDS])
-        model = cached(cache, f"model_{k}", lambda fold=fold: model_without(windows, fold))
-        for person in fold:
-            for number in range(N_WALKS):
-                walk = mixed_walk(data, "s" + person.split("/")[1][-2:], number)
-                yield walk_of(walk, person, with_context_model(default(walk.subject), model))
+    for each in walks_left_out(data, cache, windows):
+        yield walk_of(*each)
 
 
 def people_left_out(data: Path, cache: Path | None, windows: LabelledWindows, dataset: str) -> Iterator[Walk]:

@@ -141,6 +141,14 @@ def test_a_heading_alone_turns_the_whole_track_and_not_only_what_comes_after_it(
     np.testing.assert_allclose(track.position_m, alone.position_m @ clockwise(turn_rad[0]).T, atol=1.0)
 
 
+def test_a_heading_that_is_known_exactly_is_no_trouble_for_the_first_fixes(walk: Recording) -> None:
+    config = recipes.for_recording("default", walk).in_world_frame()
+    config = config.with_model(noise=replace(config.model.noise, initial_heading_offset_std_rad=0.0))
+    track = pdr.track(walk, config, fixes=[PositionFix(0.0, np.array([3.0, 4.0]), np.eye(2))])
+    assert [f.outcome for f in track.fixes] == ["placed"]
+    assert np.isfinite(track.position_m).all() and np.isfinite(track.position_cov_m2).all()
+
+
 def test_wrong_first_fixes_are_outvoted(walk: Recording) -> None:
     shift, angle_rad = np.array([50.0, 80.0]), 1.9
     fixes = fixes_in(walk, angle_rad, shift, every_s=6.0)
