@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Origin, PositionFix
+from pdr_filter.values import RADIUS_68, FloatArray, Origin, PositionFix
 
-# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
-RADIUS_68 = 1.515
 # Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
 # laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
 MIN_ACCURACY_M = 4.9

@@ -101,8 +101,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1" />'
         f"<title>{name}</title><style>{_STYLE}</style></head>\n<body>\n"
         + "\n".join(parts)
-        + "\n<footer>Made by pdr_filter. Positions are relative to the start; north is true north only where an "
-        "absolute heading was available, otherwise the direction of the phone at the start.</footer>\n</body></html>\n"
+        + f"\n<footer>Made by pdr_filter. {text(track.about_frame)}</footer>\n</body></html>\n"
     )
 
 
