@@ -115,9 +115,10 @@ def _is_placed(
     if origin is None and heading_rad is None:
         return False
     if gnss not in ("off", None):
+        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
         raise ValueError(
-            f"gnss={gnss!r} takes place and north from the recording's locations, and origin={origin} and "
-            f"heading_rad={heading_rad} say them too: leave one or the other out"
+            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
+            "one or the other out"
         )
     turn_rad = None if origin is None else Origin.of(origin).turn_rad
     if heading_rad is not None and not np.isfinite(heading_rad):

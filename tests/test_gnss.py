@@ -341,11 +341,12 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:].T
     np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
     np.testing.assert_allclose(longitude_deg, track.longitude_deg, atol=1e-8)
-    assert "first location" in feature["properties"]["frame"]
+    assert feature["properties"]["frame"] == "fixes"
+    assert "first location" in feature["properties"]["about"]
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     alone = pdr.track(bare)
-    for write in (alone.to_geojson, alone.to_gpx):
+    for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
         with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")
     with pytest.raises(ValueError, match="no location says where"):

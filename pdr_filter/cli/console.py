@@ -132,7 +132,7 @@ def print_table(table: Table) -> None:
     console.print(table)
 
 
-def in_m(value: float, spec: str = ".1f") -> str:
+def in_m(value: float, spec: str = "z.1f") -> str:
     """A length."""
     return f"{value:{spec}} m"
 

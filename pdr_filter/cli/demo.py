@@ -62,7 +62,10 @@ class Demo:
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
         console.print()
-        console.print("Next, with your own recording:  pdr-filter track YOUR.zip --out results")
+        placed = "" if result.origin else " --origin LAT,LON --heading DEG"
+        console.print(
+            f"Next, with your own recording:  pdr-filter track YOUR.zip --out results{placed}", soft_wrap=True
+        )
 
 
 def run_demo(
@@ -90,7 +93,7 @@ def run_demo(
 def _placed(result: Track) -> str:
     """How the map is placed."""
     if result.origin is None:
-        return "its shape only, not a place: nothing says where on Earth; --origin of pdr-filter track does"
+        return "only its shape: nothing says where on Earth"
     return "placed by the recording's own locations"
 
 
@@ -108,7 +111,7 @@ def _facts(demo: Demo) -> Table:
     truth = _true_facts(demo.recording, end_m) if demo.is_simulated else ("", "", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
-    table.add_row("  end", f"{end_m[0]:.1f} m east, {end_m[1]:.1f} m north", truth[2])
+    table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
     table.add_row("  how sure", result.how_sure, "")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table

@@ -184,6 +184,9 @@ def track(
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
+    The end is within the distance that is shown beside it with a probability of 95 % or more: the longer half axis of
+    its 95 % ellipse.
+
     A folder of recordings, --jobs or --scheduler make one table, tracks.csv in the folder of --out: it grows as
     recordings finish, and a run that was broken off goes on from it.
     """

@@ -92,7 +92,7 @@ def report(track: TrackRows) -> str:
 def end(track: TrackRows) -> str:
     """Where a track with steps ends, and how sure that is."""
     east_m, north_m = track.position_m[-1]
-    return f"{east_m:.1f} m east, {north_m:.1f} m north, {track.how_sure}"
+    return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
 
 
 def _has_step(track: TrackRows) -> BoolArray:

@@ -113,19 +113,24 @@ class TrackRows:
             )
         return self.origin.latitude_longitude_deg(position_m)
 
-    def turned(self, turn_rad: float, std_rad: float = 0.0) -> Self:
+    @property
+    def knows_north(self) -> bool:
+        """Whether its north is true north, as locations or somebody said it."""
+        return self.frame == "north" or (self.frame == "fixes" and self.origin is not None)
+
+    def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
         """The same turned clockwise about its zero, so that its north is true north.
 
         `turn_rad` is the true heading of what was its north: for a track in the frame of the start, the direction in
         which the person first walked. Its error turns the whole track: P' = R P R' + std^2 g g', g = (north, -east).
         """
-        if self.origin is not None or self.frame == "north":
+        if self.knows_north:
             raise ValueError(
                 f"the north of {self.name!r} is true north already, got a turn of {turn_rad} rad: leave it out"
             )
         rotation = np.array([[cos(turn_rad), sin(turn_rad)], [-sin(turn_rad), cos(turn_rad)]])
         position_m = self.position_m @ rotation.T
-        g = std_rad * np.stack([position_m[:, 1], -position_m[:, 0]], axis=1)
+        g = (std_rad or 0.0) * np.stack([position_m[:, 1], -position_m[:, 0]], axis=1)
         return replace(
             self,
             position_m=read_only(position_m),
@@ -133,19 +138,20 @@ class TrackRows:
             walking_heading_rad=read_only(wrap_angle(self.walking_heading_rad + turn_rad)),
             start_position_m=read_only(rotation @ self.start_position_m),
             frame="north",
+            origin=self.origin and replace(self.origin, turn_rad=turn_rad, turn_std_rad=std_rad),
         )
 
     def placed(self, origin: Origin | tuple[float, float]) -> Self:
         """The same with its zero at a place on Earth, an Origin or (latitude_deg, longitude_deg).
 
-        Where the origin has a turn the track is `turned` by it, with its standard deviations in the covariance. A track
-        that has a place already is put at the other one as it is.
+        Where the origin has a turn, a track that does not know north is `turned` by it. What the origin says of its
+        standard deviations is in the covariance then; a track that had a place already keeps its own.
         """
         here = Origin.of(origin)
-        if self.origin is not None:
-            return replace(self, origin=here)
-        turned = self if here.turn_rad is None else self.turned(here.turn_rad, here.turn_std_rad or 0.0)
-        var_m2 = (here.position_std_m or 0.0) ** 2
+        turned = self
+        if here.turn_rad is not None and not self.knows_north:
+            turned = self.turned(here.turn_rad, here.turn_std_rad)
+        var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
         return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
 
     @property

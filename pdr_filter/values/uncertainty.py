@@ -18,4 +18,5 @@ def uncertainty_95_m(cov_m2: FloatArray) -> FloatArray:
     RADIUS_95 sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of ((a, b), (b, c)).
     """
     a, b, c = cov_m2[..., 0, 0], cov_m2[..., 0, 1], cov_m2[..., 1, 1]
-    return RADIUS_95 * np.sqrt(np.maximum(0.5 * (a + c) + np.hypot(0.5 * (a - c), b), 0.0))
+    with np.errstate(invalid="ignore"):  # infinite ones have no axes
+        return RADIUS_95 * np.sqrt(np.maximum(0.5 * (a + c) + np.hypot(0.5 * (a - c), b), 0.0))
