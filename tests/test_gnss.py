@@ -195,6 +195,26 @@ def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, we
     assert nees.max() < chi2.isf(1e-3, 2)
 
 
+def test_the_origin_says_how_far_the_track_was_turned_and_how_well_that_and_its_place_were_known(
+    bare: Recording, walk: Recording
+) -> None:
+    known = pdr.track(walk).origin
+    assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
+    assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
+    # dead reckoning that is turned with it goes where the person walked
+    alone = pdr.track(bare).placed(known)
+    along_m = alone.position_m[-1] - alone.start_position_m
+    true_m = truth_m(bare, alone.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
+    assert np.linalg.norm(along_m - true_m) < 3.0 * known.turn_std_rad * np.linalg.norm(true_m)
+
+
+def test_after_one_location_the_turn_may_be_any_and_the_origin_says_so(bare: Recording) -> None:
+    time_s = np.array([20.0])
+    known = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s)))).origin
+    assert known.turn_std_rad == pytest.approx(np.pi / np.sqrt(3.0), rel=1e-3)
+    assert known.position_std_m == pytest.approx(6.0 / RADIUS_68, rel=0.1)
+
+
 def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording) -> None:
     track = pdr.track(located(bare, until_s=45.0))
     late = track.time_s > 60.0

@@ -379,6 +379,14 @@ def test_recordings_of_a_folder_are_found_in_it_and_below_and_broken_ones_too(tm
     assert found == [tmp_path / "broken.zip", tmp_path / "deep" / "er" / "walk_0.zip", tmp_path / "folder"]
 
 
+def test_a_folder_whose_files_were_given_a_prefix_is_one_recording(tmp_path: Path) -> None:
+    for name in ("157_Accelerometer.csv", "Gyroscope.csv", "Location.csv"):
+        (tmp_path / name).write_text("Time (s),X (m/s^2)\n0,1\n")
+    assert recordings_in(tmp_path) == [tmp_path]
+    (tmp_path / "158_Accelerometer.csv").write_text("Time (s),X (m/s^2)\n0,1\n")
+    assert recordings_in(tmp_path) != [tmp_path]
+
+
 def square_or_die(n: int) -> int:
     if n < 0:
         os.kill(os.getpid(), signal.SIGKILL)

@@ -17,7 +17,7 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
-from pdr_filter.offline.smoothing.observations import fixes_of_file
+from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 from pdr_filter.training import run as training
 
@@ -125,6 +125,47 @@ def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path:
     off = run("track", file, "--out", tmp_path / "off", "--gnss", "off", "--json")
     assert json.loads(off.stdout) == pdr.track(walk).summary()
     assert not list((tmp_path / "off").glob("*.geojson"))
+
+
+def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path, tmp_path: Path) -> None:
+    result = run("track", walk, "--origin", "-43.77,11.25", "--heading", "-90", "--json", "--out", tmp_path)
+    expected = pdr.track(pdr.read(walk), origin=(-43.77, 11.25), heading_rad=-np.pi / 2)
+    assert json.loads(result.stdout) == expected.summary()
+    assert json.loads(result.stdout)["frame"] == "north"
+    assert (tmp_path / "demo_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
+
+
+def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, tmp_path: Path) -> None:
+    kinds = ["csv", "geojson", "gpx", "kml", "tum"]
+    options = ["--export", "csv, geojson,GPX", "--export", "kml,tum", "--export", "csv", "--origin", "43.77,11.25"]
+    assert run("track", walk, walk, *options, "--out", tmp_path).exit_code == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {f"{name}.{kind}" for name in ("demo_walk", "demo_walk_2") for kind in [*kinds, "png"]}
+    track = pdr.track(pdr.read(walk), origin=(43.77, 11.25))
+    for kind in kinds:
+        written = getattr(track, f"to_{kind}")(tmp_path / "expected")
+        assert written.read_bytes() == (tmp_path / f"demo_walk.{kind}").read_bytes()
+
+
+def test_a_map_that_is_asked_for_without_a_place_is_a_local_one_and_others_are_refused(
+    walk: Path, tmp_path: Path
+) -> None:
+    assert run("track", walk, "--export", "geojson", "--out", tmp_path).exit_code == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"demo_walk.csv", "demo_walk.png", "demo_walk.local.geojson"}
+    refused = run("track", walk, "--export", "kml,gpx", "--out", tmp_path / "no")
+    assert (refused.exit_code, "--origin LAT,LON" in one_line(refused.stderr)) == (2, True)
+    assert not (tmp_path / "no").exists()
+
+
+def test_points_of_gpx_have_the_time_at_which_they_were_walked_if_the_file_says_it(tmp_path: Path) -> None:
+    recording = pdr.simulate.demo_walk()
+    for name, value in (("epoch_s", 1.7e9), ("epoch_ms", 1_700_000_000_000), ("epoch_ns", 1_700_000_000 * 10**9)):
+        timed = replace(recording, name=name, meta={**recording.meta, name: value})
+        assert timed.epoch_s == pytest.approx(1.7e9, abs=1e-3)
+    assert recording.epoch_s is None
+    file = timed.save(tmp_path / "walk.zip")
+    assert run("track", file, "--origin", "43.77,11.25", "--export", "gpx", "--out", tmp_path).exit_code == 0
+    assert "<time>2023-11-14T22:13:20" in (tmp_path / "epoch_ns.gpx").read_text()
 
 
 def test_gnss_of_a_recording_without_location_or_of_a_folder_is_one_line(walk: Path, tmp_path: Path) -> None:
@@ -358,6 +399,40 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
         result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")
         assert result.exit_code == 2
         assert words in result.stderr
+
+
+def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "loops.csv").write_text("first_s,second_s\n3,120\n", encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "loops.csv", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "1 observations, 0 not used" in result.stdout
+    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(3.0, 120.0)])
+    smoothed.track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
+    both = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--loop-closures", tmp_path / "loops.csv")
+    assert "3 observations" in both.stdout
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("first_s,std_m\n1,2\n", "no column 'second_s'"),
+        ("first_s,second_s\n", "no loop closures"),
+        ("first_s,second_s\n1,\n", "row 1: first_s,second_s must all be numbers"),
+        ("first_s,second_s\n1,x\n", "'x' is not a number"),
+        ("first_s,second_s\n1,9\n9,9\n", "row 2: first_s must be before second_s, got 9 and 9"),
+        ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m must be positive"),
+        ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to 127"),
+    ],
+)
+def test_a_file_of_loop_closures_that_cannot_be_used_is_one_line(
+    walk: Path, tmp_path: Path, content: str, words: str
+) -> None:
+    (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "bad.csv")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in one_line(result.stderr)
 
 
 def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:
