@@ -120,6 +120,7 @@ def test_what_an_origin_says_of_its_turn_and_shift_is_in_the_covariance(alone: p
 def test_a_place_without_a_heading_says_that_north_is_not_known(walk: Recording) -> None:
     track = pdr.track(walk, origin=HERE)
     assert track.frame == "start"
+    assert "from the start of the walk at 48.137000, 11.575000; north is the direction" in track.about_frame
     assert "nothing says which way is true north" in track.about_frame
 
 
@@ -152,7 +153,8 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
     track, placed = (pdr.track(walk, config, fixes=fixes, origin=origin) for origin in (None, HERE))
     np.testing.assert_array_equal(track.position_m, placed.position_m)
     assert placed.frame == "fixes"
-    assert placed.about_frame == "East and north are metres in the frame of the fixes."
+    assert track.about_frame == "East and north are metres in the frame of the fixes."
+    assert placed.about_frame.endswith("in the frame of the fixes, whose origin is at 48.137000, 11.575000.")
 
 
 @pytest.mark.parametrize(

@@ -157,16 +157,18 @@ class TrackRows:
     @property
     def about_frame(self) -> str:
         """Where its zero is and what its north is, in words."""
-        turn_std_rad = None if self.origin is None else self.origin.turn_std_rad
-        sure = "" if turn_std_rad is None else f", within {min(1.96 * degrees(turn_std_rad), 180.0):.0f} degrees (95 %)"
+        place, sure = self.origin, ""
+        at = "" if place is None else f" at {place.latitude_deg:.6f}, {place.longitude_deg:.6f}"
+        if place is not None and place.turn_std_rad is not None:
+            sure = f", within {min(1.96 * degrees(place.turn_std_rad), 180.0):.0f} degrees (95 %)"
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
-            return f"East and north are metres from {zero}; north is true north as it was given{sure}."
+            return f"East and north are metres from {zero}{at}; north is true north as it was given{sure}."
         if self.frame == "fixes" and sure:
-            return f"East and north are metres from the first location; locations turned it to true north{sure}."
+            return f"East and north are metres from the first location{at}; locations turned it to true north{sure}."
         if self.frame == "fixes":
-            return "East and north are metres in the frame of the fixes."
-        words = "East and north are metres from the start of the walk; north is the direction of the first heading"
+            return f"East and north are metres in the frame of the fixes{at and f', whose origin is{at}'}."
+        words = f"East and north are metres from the start of the walk{at}; north is the direction of the first heading"
         return f"{words}: nothing says which way is true north."
 
     @property
