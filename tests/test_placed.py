@@ -203,6 +203,15 @@ def test_a_fix_in_degrees_is_the_one_in_metres() -> None:
         assert (fix.time_s, fix.received_time_s) == (7.0, 8.0)
 
 
+def test_higher_up_a_degree_is_longer() -> None:
+    low, high = (Origin(*HERE, height_m=h).east_north_m(HERE[0] + 0.01, HERE[1])[1] for h in (None, 6371.0))
+    assert high / low == pytest.approx(1.001, abs=1e-5)
+    at = Origin(*HERE, height_m=6371.0)
+    np.testing.assert_allclose(
+        at.east_north_m(*at.latitude_longitude_deg(np.array([30.0, 40.0]))), [30.0, 40.0], atol=1e-3
+    )
+
+
 def test_68_percent_are_within_the_accuracy_of_a_fix() -> None:
     fix = PositionFix.from_lat_lon(7.0, *HERE, HERE, accuracy_m=9.0)
     assert chi2.cdf(9.0**2 / fix.cov_m2[0, 0], 2) == pytest.approx(0.6827, abs=1e-3)

@@ -62,15 +62,19 @@ class Origin:
             raise ValueError(f"origin must be an Origin, or (latitude, longitude) in degrees, got {place!r}")
         return cls(float(numbers[0]), float(numbers[1]))
 
+    @property
+    def _here(self) -> tuple[float, float, float]:
+        """Latitude, longitude and height: at 1,000 m above the ellipsoid a metre is 0.02 % fewer degrees."""
+        return self.latitude_deg, self.longitude_deg, self.height_m or 0.0
+
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""
-        here = (self.latitude_deg, self.longitude_deg, 0.0)
-        east_m, north_m, _ = pymap3d.geodetic2enu(np.asarray(latitude_deg), np.asarray(longitude_deg), 0.0, *here)
+        latitude, longitude = np.asarray(latitude_deg), np.asarray(longitude_deg)
+        east_m, north_m, _ = pymap3d.geodetic2enu(latitude, longitude, self._here[2], *self._here)
         return np.stack([np.asarray(east_m, dtype=float), np.asarray(north_m, dtype=float)], axis=-1)
 
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (...) of positions (..., 2) in the frame."""
         east_m, north_m = position_m[..., 0], position_m[..., 1]
-        here = (self.latitude_deg, self.longitude_deg, 0.0)
-        latitude_deg, longitude_deg, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), *here)
+        latitude_deg, longitude_deg, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), *self._here)
         return np.asarray(latitude_deg, dtype=float), np.asarray(longitude_deg, dtype=float)
