@@ -414,6 +414,22 @@ def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: P
     assert "3 observations" in both.stdout
 
 
+def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Path) -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)], seed=2, name="located")
+    truth, here = walk.truth.position, pdr.Origin(43.77, 11.25)
+    time_s = np.arange(1.0, walk.duration_s, 2.0)
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("north_m", "east_m")])  # to the east
+    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 4.0)])
+    located = replace(walk, location=pdr.Samples(time_s, values), truth=replace(walk.truth, waypoints=None))
+    result = run("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
+    assert result.exit_code == 0
+    line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
+    longitude_deg, latitude_deg = np.array(line).T
+    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
+    bare = run("smooth", replace(located, location=None).save(tmp_path / "bare.zip"))
+    assert (bare.exit_code, "located has no waypoints; give fixes" in one_line(bare.stderr)) == (2, True)
+
+
 @pytest.mark.parametrize(
     ("content", "words"),
     [
