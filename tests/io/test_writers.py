@@ -208,7 +208,7 @@ def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -
     assert properties["coordTimes"] == [1.0, 1.5, 2.0, 2.5]
     assert properties["covariance_m2"] == [[0, 0, 0], [0.1, 0.02, 0.2], [0.2, 0.04, 0.4], [0.3, 0.06, 0.6]]
     assert properties["distance_m"] == 2.2
-    assert (properties["frame"], properties["about"]) == ("start", track.about_frame)
+    assert (properties["frame"], properties["about"]) == ("start", track.placed(ORIGIN).about_frame)
     assert properties["end_uncertainty_95_m"] == pytest.approx(track.uncertainty_95_m[-1], abs=1e-3)
     assert properties["notes"] == ["only a test"]
 
@@ -251,7 +251,7 @@ def test_kml_has_the_way_its_start_and_its_end_with_how_far_and_how_sure(tmp_pat
     root = ElementTree.parse(track.to_kml(tmp_path / "t.kml", ORIGIN)).getroot()
     assert root.findtext("k:Document/k:name", namespaces=KML) == "small <walk>"
     about = root.findtext("k:Document/k:description", "", KML)
-    for words in ("3 steps, 2.2 m", track.how_sure, track.about_frame, "Note: only a test."):
+    for words in ("3 steps, 2.2 m", track.how_sure, track.placed(ORIGIN).about_frame, "Note: only a test."):
         assert words in about
     places = {
         placemark.findtext("k:name", "", KML): [
