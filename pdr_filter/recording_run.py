@@ -130,7 +130,7 @@ def _is_placed(
     if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
         raise ValueError(
             f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
-            "own: leave it out, or give an Origin with the turn of that frame"
+            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
         )
     return True
 

@@ -110,7 +110,7 @@ def test_the_commands_of_a_page_run_as_they_are_typed(page: str, recording: pdr.
             check=False,
         )
         assert done.returncode == 0, done.stderr
-    for name in re.findall(r"# .*?((?:results|smoothed)/\S+)", PAGES[page]):
+    for name in re.findall(r"# .*?((?:results|local|smoothed)/\S+)", PAGES[page]):
         assert (tmp_path / name).is_file()
 
 

@@ -155,6 +155,11 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
     assert placed.frame == "fixes"
     assert track.about_frame == "East and north are metres in the frame of the fixes."
     assert placed.about_frame.endswith("in the frame of the fixes, whose origin is at 48.137000, 11.575000.")
+    # how the frame of the start lay is no matter of the fixes; a map that is not north up is turned in words
+    as_it_is = track.placed(Origin(*HERE, turn_rad=1.0, turn_std_rad=0.2, position_std_m=9.0))
+    np.testing.assert_array_equal(as_it_is.position_m, track.position_m)
+    np.testing.assert_array_equal(as_it_is.position_cov_m2, track.position_cov_m2)
+    assert track.turned(1.0).placed(HERE).frame == "north"
 
 
 @pytest.mark.parametrize(

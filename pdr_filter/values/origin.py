@@ -27,14 +27,15 @@ def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
 class Origin:
     """The place where east and north are zero, on WGS 84; north is true north there.
 
-    A track that was put there knows how: `turn_rad` is the angle by which its own north was turned, and the standard
-    deviations say how well turn and shift were known then. `Track.placed` takes them from an origin that is given.
+    A track that was put there knows how: `turn_rad` is the true heading of the first heading, by which the frame of its
+    start was turned, and the standard deviations say how well turn and shift were known then. `Track.placed` takes them
+    from an origin that is given.
     """
 
     latitude_deg: float
     longitude_deg: float
     height_m: float | None = None  # above the ellipsoid, where it is known
-    turn_rad: float | None = None  # true heading of what was the track's north before, clockwise; None if not known
+    turn_rad: float | None = None  # of the frame of the start, clockwise; None if not known
     turn_std_rad: float | None = None  # None if nobody said it
     position_std_m: float | None = None  # of the shift along each axis; None if nobody said it
 

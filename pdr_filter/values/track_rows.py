@@ -144,12 +144,14 @@ class TrackRows:
     def placed(self, origin: Origin | tuple[float, float]) -> Self:
         """The same with its zero at a place on Earth, an Origin or (latitude_deg, longitude_deg).
 
-        Where the origin has a turn, a track that does not know north is `turned` by it. What the origin says of its
-        standard deviations is in the covariance then; a track that had a place already keeps its own.
+        A track in the frame of its start is `turned` by the turn of the origin, if it has one, and its covariance grows
+        by what the origin says of its standard deviations. One in the frame of fixes stays as it is.
         """
         here = Origin.of(origin)
+        if self.frame == "fixes":
+            return replace(self, origin=here)
         turned = self
-        if here.turn_rad is not None and not self.knows_north:
+        if here.turn_rad is not None and self.frame == "start":
             turned = self.turned(here.turn_rad, here.turn_std_rad)
         var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
         return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
