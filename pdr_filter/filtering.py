@@ -213,6 +213,12 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         notes.append(Note("fixes", words))
+    if frame.moves:
+        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
+        words = (
+            f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
+        )
+        notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:

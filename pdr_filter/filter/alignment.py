@@ -41,6 +41,11 @@ class PairedPoint:
     world_m: FloatArray  # (2,)
     var_m2: float  # of the fix, mean of both axes
     walked_var_m2: float = 0.0  # of the track since its start, but for its heading: it only grows
+    time_s: float = math.nan
+
+    def moved(self, alignment: Alignment) -> PairedPoint:
+        """With the place of the track moved."""
+        return replace(self, track_m=read_only(alignment.positions(self.track_m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +126,7 @@ class Frame:
     turn: OpenTurn | None = None  # from the first of them on
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before
+    moves: tuple[Alignment, ...] = ()  # how fixes moved the track later on, each from its step on (`doubt`)
 
     @property
     def north_var_rad2(self) -> float:
@@ -166,8 +172,7 @@ class Frame:
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
-        pairs = tuple(replace(p, track_m=read_only(alignment.positions(p.track_m))) for p in self.pairs)
-        return replace(self, pairs=pairs)._turned()
+        return replace(self, pairs=tuple(pair.moved(alignment) for pair in self.pairs))._turned()
 
 
 START_FRAME = Frame(is_joined=True)
@@ -236,6 +241,11 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
     return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
 
 
+def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
+    """Sum of squared errors over their covariance that the best shift and turn leave, chi-square distributed."""
+    return float(_squares(pairs, _least_squares(pairs), north_var_rad2).min())
+
+
 def _that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> tuple[PairedPoint, ...]:
     """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
 
@@ -243,7 +253,7 @@ def _that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> tuple[
     """
 
     def best(some: tuple[PairedPoint, ...]) -> float:
-        return float(_squares(some, _least_squares(some), north_var_rad2).min())
+        return least_squares_error(some, north_var_rad2)
 
     while len(pairs) > 1:
         limit = chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2

@@ -8,9 +8,10 @@ import numpy as np
 
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align
+from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
 from pdr_filter.filter.pedestrian import (
     TRAIL_HEADING,
     TRAIL_POSITION,
@@ -19,6 +20,7 @@ from pdr_filter.filter.pedestrian import (
     PedestrianState,
     in_other_frame,
     own_place,
+    parameters_cov,
     shared_cov,
 )
 from pdr_filter.values import (
@@ -58,7 +60,7 @@ def use_fix(
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, then[:2])
-    return _on_position(model, arithmetic, state, fix, then[:2])
+    return _on_known_frame(model, arithmetic, state, fix, then[:2])
 
 
 def _on_position(
@@ -71,10 +73,31 @@ def _on_position(
     cov = state.cov.copy()
     cov[:, :2, :2] += shared_cov(state)
     updated = arithmetic.update(state.mean, cov, fix.position_m + since_m, np.eye(2, N_STATES), R)
-    state, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
+    after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
     if outcome == "used":
-        state = replace(state, shared_m=np.zeros_like(state.shared_m))
+        return replace(after, shared_m=np.zeros_like(state.shared_m), doubt=Doubt()), outcome, nis
     return state, outcome, nis
+
+
+def _on_known_frame(
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+) -> _Result:
+    """As `_on_position`; a track that many rejected fixes contradict is moved to where they show it."""
+    after, outcome, nis = _on_position(model, arithmetic, state, fix, then_m)
+    if outcome == "used":
+        return after, outcome, nis
+    pair, heading_var = _paired(state, fix, then_m)
+    state = replace(state, doubt=state.doubt.with_rejected(pair))
+    alignment = state.doubt.alignment(heading_var, state.n_final, state.frame.alignment is not None)
+    if alignment is None:
+        return state, outcome, nis
+    # what was known of the heading is in the alignment
+    known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
+    state = in_other_frame(known, alignment)
+    state = replace(state, frame=replace(state.frame, moves=(*state.frame.moves, alignment)))
+    now_m = alignment.positions(then_m)
+    state, _, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
+    return state, "moved", nis
 
 
 def _on_heading(
@@ -151,13 +174,7 @@ def _on_first_positions(
     The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
     it knows.
     """
-    _, P = imm.combine(state.mean, state.cov, state.prob)
-    cov = P.copy()
-    cov[:2, :2] += shared_cov(state)
-    # a heading that is known has no part in it
-    of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
-    walked_var = 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
-    pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)), walked_var)
+    pair, _ = _paired(state, fix, then_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
     if agreeing[-1] is not pair:
@@ -171,6 +188,17 @@ def _on_first_positions(
     now_m = alignment.positions(then_m)
     state, _, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
     return state, "turned", nis
+
+
+def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:
+    """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
+    _, P = imm.combine(state.mean, state.cov, state.prob)
+    # a heading that is known exactly divides nothing
+    of_heading, heading_var = P[:2, HEADING_OFFSET], max(float(P[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
+    walked = P[:2, :2] + parameters_cov(state)
+    walked_var = 0.5 * float(np.trace(walked) - of_heading @ of_heading / heading_var)
+    fix_var = 0.5 * float(np.trace(fix.cov_m2))
+    return PairedPoint(read_only(then_m), fix.position_m, fix_var, walked_var, fix.time_s), heading_var
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:

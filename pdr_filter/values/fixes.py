@@ -101,7 +101,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -112,8 +112,9 @@ class FixResult:
     time_s: float  # when it was true
     used_s: float  # when the filter took it
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
-    # those that show which way the track lies there; "rejected": it does not fit, or is of another time; "waiting": for
-    # samples of its time; "nothing to compare": no step yet that it says something of.
+    # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
+    # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
+    # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
@@ -127,4 +128,4 @@ class FixResult:
     @property
     def accepted(self) -> bool:
         """Whether the filter used it."""
-        return self.outcome in ("used", "placed", "turned")
+        return self.outcome in ("used", "placed", "turned", "moved")
