@@ -12,6 +12,7 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -25,6 +26,8 @@ from pdr_filter.values import (
     FloatArray,
     ImuBlock,
     Note,
+    PositionFix,
+    SpeedFix,
     Standstill,
     Step,
     received_s,
@@ -88,6 +91,7 @@ class State:
     locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
+    n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
     finished: bool = False
 
 
@@ -168,6 +172,14 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     """State with fixes that wait until they are due."""
     waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
     return replace(state, waiting_fixes=tuple(waiting))
+
+
+def person_of(config: Config, state: State) -> Person | None:
+    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
+    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    if session is None:
+        return config.person
+    return (config.person or Person()).pooled(Person((session,)))
 
 
 # The same of steps: a turn, or a door, is ten of them.
@@ -306,8 +318,13 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
-    state = replace(state, n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"))
-    return state, FixResult.of(fix, now_s, outcome, nis)
+    result = FixResult.of(fix, now_s, outcome, nis)
+    state = replace(
+        state,
+        n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+    )
+    return state, result
 
 
 def untimely(fix: Fix, first_s: float, last_s: float) -> str:

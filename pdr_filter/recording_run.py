@@ -12,7 +12,20 @@ import numpy as np
 from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filtering import Output, State, add_fixes, add_location, climb_at, finish, init, notes_of, parts, step
+from pdr_filter.filter.person import Person
+from pdr_filter.filtering import (
+    Output,
+    State,
+    add_fixes,
+    add_location,
+    climb_at,
+    finish,
+    init,
+    notes_of,
+    parts,
+    person_of,
+    step,
+)
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -48,6 +61,7 @@ def track(
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
+    person: Person | str | Path | None = None,
     gnss: Literal["filter", "off"] | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
@@ -71,6 +85,8 @@ def track(
         Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     device : Device or path, optional
         `Track.device` of an earlier recording of the same phone, or where one was saved.
+    person : Person or path, optional
+        `Track.person` of an earlier recording of the same person, or where one was saved: step lengths from its fixes.
     gnss : {"filter", "off"}, optional
         Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
         world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
@@ -85,6 +101,8 @@ def track(
         config = known.config(config, recording.subject)
     if device is not None:
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))
+    if person is not None:
+        config = config.with_person(person if isinstance(person, Person) else Person.load(person))
     if weighting is not None:
         config = config.with_weighting(weighting)
     if with_location:
@@ -166,6 +184,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
         device=config.sensing.device(state.sensing),
+        person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
 

@@ -41,6 +41,9 @@ class Method:
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
     ] = None
+    person: Annotated[
+        Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
+    ] = None
     gnss: Gnss = None
 
     @property
@@ -156,6 +159,7 @@ def track(
                 method.model,
                 method.transitions,
                 method.device,
+                method.person,
                 method.gnss,
                 output.origin,
                 output.report,
@@ -163,8 +167,8 @@ def track(
             )
             if any(of_one):
                 raise ValueError(
-                    "many recordings make one table: leave out --model, --transitions, --device, --gnss, --origin, "
-                    "--report and --json"
+                    "many recordings make one table: leave out --model, --transitions, --device, --person, --gnss, "
+                    "--origin, --report and --json"
                 )
             _track_many(files, method, source, output.table, workers)
             return
@@ -175,18 +179,23 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        known = method.device if method.device is not None and method.device.exists() else None
+        device, person = (
+            path if path is not None and path.exists() else None for path in (method.device, method.person)
+        )
         result = pdr.track(
             recording,
             config,
             method.weighting_name,
             progress=progress,
             calibration=method.calibration,
-            device=known,
+            device=device,
+            person=person,
             gnss=None if method.gnss is None else method.gnss.value,
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
+        if method.person is not None and result.person is not None:
+            result.person.save(method.person)
         output.write(result, recording, _unused(result.name, written))
         if as_json:
             console.print_json(result.summary())
