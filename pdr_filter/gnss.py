@@ -46,8 +46,9 @@ def position_fixes(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
+    interval_s: float = INTERVAL_S,
 ) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """New state and fixes, `INTERVAL_S` apart or more, of locations (N,) each, however they are cut into blocks.
+    """New state and fixes, `interval_s` apart or more, of locations (N,) each, however they are cut into blocks.
 
     Left out and counted are locations that are no place on Earth, that go back in time, and those without an accuracy:
     a phone that says 0 (Android), less (iOS) or nothing does not know where it is.
@@ -58,7 +59,7 @@ def position_fixes(
         t, latitude, longitude, accuracy = (float(value) for value in row)
         is_usable = _is_place(latitude, longitude) and 0 < accuracy < MAX_ACCURACY_M and state.last_s < t < math.inf
         state = replace(state, n=state.n + 1, n_unusable=state.n_unusable + (not is_usable))
-        if not is_usable or t < state.last_s + INTERVAL_S:
+        if not is_usable or t < state.last_s + interval_s:
             continue
         origin = state.origin or Origin(latitude, longitude)
         shared = 1.0 / math.tanh((t - state.last_s) / (2.0 * CORRELATION_S))

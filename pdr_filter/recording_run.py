@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from pdr_filter.aligned import aligned
 from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
@@ -53,6 +54,9 @@ from pdr_filter.values import (
 if TYPE_CHECKING:
     from pdr_filter.calibration import Calibration
 
+# What becomes of a recording's own locations.
+GnssUse = Literal["filter", "align", "off"]
+
 
 def track(
     recording: Recording,
@@ -63,7 +67,7 @@ def track(
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
     person: Person | str | Path | None = None,
-    gnss: Literal["filter", "off"] | None = None,
+    gnss: GnssUse | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -88,10 +92,12 @@ def track(
         `Track.device` of an earlier recording of the same phone, or where one was saved.
     person : Person or path, optional
         `Track.person` of an earlier recording of the same person, or where one was saved: step lengths from its fixes.
-    gnss : {"filter", "off"}, optional
-        Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
-        world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
-        positions or headings, which are in a frame of their own.
+    gnss : {"filter", "align", "off"}, optional
+        What becomes of the recording's own locations. "filter": they are fixes, in metres from the first of them, and
+        the track is in the world (`Track.origin`), with true north. "align": the track of dead reckoning keeps its
+        shape, and is turned and shifted as a whole to where all of them together show it, outliers left out. "off":
+        nothing. "filter" if not given, where there are some, unless `fixes` has positions or headings, which are in a
+        frame of their own.
     """
     with_location = _with_location(recording, fixes, gnss)
     recording, fixes = one_clock(recording, fixes)
@@ -109,25 +115,31 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
+    if gnss == "align":
+        return collected(recording, config, aligned(recording, outputs(recording, config, fixes, progress)))
     return collected(recording, config, outputs(recording, config, fixes, progress, with_location))
 
 
 def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
     """Whether the locations of a recording are used; ValueError for what contradicts itself."""
-    if gnss not in ("filter", "off", None):
-        raise ValueError(f'gnss must be "filter" or "off", got {gnss!r}')
-    if gnss == "filter" and recording.location is None:
+    if gnss is not None and gnss not in get_args(GnssUse):
+        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
+    is_asked = gnss in ("filter", "align")
+    if is_asked and recording.location is None:
         raise MissingSensorError(
-            f'{recording.name or "the recording"} has no location, got gnss="filter": leave it out'
+            f'{recording.name or "the recording"} has no location, got gnss="{gnss}": leave it out'
         )
-    if gnss == "filter" and any(isinstance(fix, PositionFix) for fix in fixes):
+    own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
+    if is_asked and own_frame:
         raise ValueError(
-            'gnss="filter" makes the first location of the recording the origin, and fixes has positions in a frame of '
-            'their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
+            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has positions in a frame '
+            'of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
             "pdr_filter.gnss.position_fixes)"
         )
-    own_frame = any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes)
-    return recording.location is not None and (gnss == "filter" or (gnss is None and not own_frame))
+    own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
+    if gnss == "align" and own_frame:
+        raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')
+    return recording.location is not None and (is_asked or (gnss is None and not own_frame))
 
 
 def outputs(

@@ -24,12 +24,13 @@ class GnssUse(StrEnum):
     """What becomes of a recording's own locations."""
 
     FILTER = "filter"
+    ALIGN = "align"
     OFF = "off"
 
 
 Gnss = Annotated[
     GnssUse | None,
-    typer.Option(help="Whether its locations place and turn the track; if not given, where it has some."),
+    typer.Option(help="Whether its locations are fixes, turn and shift the whole track, or are left out."),
 ]
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
 

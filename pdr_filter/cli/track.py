@@ -160,14 +160,13 @@ def track(
                 method.transitions,
                 method.device,
                 method.person,
-                method.gnss,
                 output.origin,
                 output.report,
                 as_json,
             )
             if any(of_one):
                 raise ValueError(
-                    "many recordings make one table: leave out --model, --transitions, --device, --person, --gnss, "
+                    "many recordings make one table: leave out --model, --transitions, --device, --person, "
                     "--origin, --report and --json"
                 )
             _track_many(files, method, source, output.table, workers)
@@ -230,6 +229,7 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
                 file_format=source.file_format,
                 height_m=source.height_m,
                 calibration=method.calibration,
+                gnss=None if method.gnss is None else method.gnss.value,
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error

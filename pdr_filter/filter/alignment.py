@@ -163,7 +163,7 @@ class Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
-        agreeing = _that_agree(self.pairs, self.north_var_rad2)
+        agreeing = that_agree(self.pairs, self.north_var_rad2)
         return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
@@ -234,11 +234,16 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
         slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
         information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2
         angle_rad -= (float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2) / information
-    of_each = fit.weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
-    of_each = of_each / of_each.sum()
+    of_each = centre_weights(pairs)
     track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
     centre_var = 2.0 / float(np.trace(fit.shift_weight))
     return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
+
+
+def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
+    of_each = _least_squares(pairs).weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
+    return of_each / of_each.sum()
 
 
 def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
@@ -246,7 +251,7 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
     return float(_squares(pairs, _least_squares(pairs), north_var_rad2).min())
 
 
-def _that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> tuple[PairedPoint, ...]:
+def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf) -> tuple[PairedPoint, ...]:
     """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
 
     Of two or three none is in the minority: they must be ten standard deviations apart.
@@ -273,6 +278,13 @@ def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatAr
     """The fixes turned back by each angle, (A, 2 N)."""
     world = np.stack([p.world_m for p in pairs])
     return np.einsum("aij,ni->anj", _rotations(angle_rad), world).reshape(len(angle_rad), -1)
+
+
+def walked_var_m2(cov: FloatArray) -> float:
+    """Variance of a position with covariance (4, 4) that its heading does not explain, mean of both axes."""
+    # a heading that is known exactly divides nothing
+    of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
+    return 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:

@@ -65,7 +65,8 @@ class Doubt:
             return None
         if (pairs[-1].time_s - pairs[0].time_s) / EPISODE_S < LOG_ODDS_BEFORE:
             return None
-        turn_var = heading_var_rad2
+        # a heading that is known exactly divides nothing
+        turn_var = max(heading_var_rad2, 1e-12)
         if least_squares_error(pairs, turn_var) - least_squares_error(pairs) > _limit(1):
             if not can_turn:
                 return None

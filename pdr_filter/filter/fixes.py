@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align
+from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
@@ -193,12 +193,11 @@ def _on_first_positions(
 def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:
     """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
     _, P = imm.combine(state.mean, state.cov, state.prob)
-    # a heading that is known exactly divides nothing
-    of_heading, heading_var = P[:2, HEADING_OFFSET], max(float(P[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
-    walked = P[:2, :2] + parameters_cov(state)
-    walked_var = 0.5 * float(np.trace(walked) - of_heading @ of_heading / heading_var)
+    cov = P.copy()
+    cov[:2, :2] += parameters_cov(state)
     fix_var = 0.5 * float(np.trace(fix.cov_m2))
-    return PairedPoint(read_only(then_m), fix.position_m, fix_var, walked_var, fix.time_s), heading_var
+    pair = PairedPoint(read_only(then_m), fix.position_m, fix_var, walked_var_m2(cov), fix.time_s)
+    return pair, float(P[HEADING_OFFSET, HEADING_OFFSET])
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:

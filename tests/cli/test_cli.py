@@ -127,11 +127,15 @@ def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path:
     assert not list((tmp_path / "off").glob("*.geojson"))
 
 
-def test_gnss_of_a_recording_without_location_or_of_a_folder_is_one_line(walk: Path, tmp_path: Path) -> None:
-    alone = run("track", walk, "--gnss", "filter")
-    assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
+def test_gnss_of_a_recording_without_location_is_one_line_and_of_many_stands_in_their_rows(
+    walk: Path, tmp_path: Path
+) -> None:
+    for gnss in ("filter", "align"):
+        alone = run("track", walk, "--gnss", gnss)
+        assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
     many = run("track", walk, "--jobs", "1", "--gnss", "off", "--out", tmp_path)
-    assert (many.exit_code, "leave out" in one_line(many.stderr)) == (2, True)
+    assert many.exit_code == 0
+    assert [row.gnss for row in pdr.batch.read_table(tmp_path / "tracks.csv")] == ["off"]
 
 
 def test_recordings_of_one_name_do_not_overwrite_each_other(walk: Path, tmp_path: Path) -> None:
