@@ -350,9 +350,9 @@ def test_fixes_in_a_frame_of_their_own_turn_the_locations_off_unless_they_are_as
     assert pdr.track(walk, fixes=[fix]).origin is None
     assert pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)]).origin is None
     assert pdr.track(walk, fixes=[SpeedFix(20.0, 1.3, 0.1)]).origin is not None
-    for gnss in ("filter", "align"):
+    for asked in ("filter", "align"):
         with pytest.raises(ValueError, match="positions in a frame of their own: leave one of them out"):
-            pdr.track(walk, fixes=[fix], gnss=gnss)
+            pdr.track(walk, fixes=[fix], gnss=asked)
     with pytest.raises(ValueError, match="finds the turn of the whole track, got a HeadingFix"):
         pdr.track(walk, fixes=[HeadingFix(20.0, 0.0, 0.1)], gnss="align")
 
