@@ -90,7 +90,7 @@ def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[Locat
 
 def _paired(way: _Way, fix: PositionFix) -> PairedPoint:
     track_m, var_m2 = way.at(fix.time_s)
-    return PairedPoint(track_m, fix.position_m, 0.5 * float(np.trace(fix.cov_m2)), var_m2, fix.time_s)
+    return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
 
 
 def _frame(pairs: Sequence[PairedPoint], agreeing: tuple[PairedPoint, ...], n_steps: int) -> Frame:

@@ -15,7 +15,15 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import gnss, recipes
-from pdr_filter.gnss import CORRELATION_S, INTERVAL_S, MIN_ACCURACY_M, RADIUS_68, LocationState, position_fixes
+from pdr_filter.gnss import (
+    CORRELATION_S,
+    INTERVAL_S,
+    MIN_ACCURACY_M,
+    RADIUS_68,
+    LocationState,
+    independent,
+    position_fixes,
+)
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples, SpeedFix
@@ -113,7 +121,10 @@ def test_the_first_location_is_the_origin_and_has_its_own_accuracy() -> None:
 
 def test_the_mean_of_many_fixes_is_as_sure_as_correlated_errors_allow() -> None:
     time_s = np.arange(0.0, 4000.0)  # one a second
-    _, fixes = fixes_of(rows(time_s, np.zeros((len(time_s), 2)), accuracy_m=RADIUS_68 * 4.0))
+    _, correlated = fixes_of(rows(time_s, np.zeros((len(time_s), 2)), accuracy_m=RADIUS_68 * 4.0))
+    fixes = independent(correlated)
+    assert {fix.correlation_s for fix in correlated} == {CORRELATION_S}
+    assert {fix.correlation_s for fix in fixes} == {0.0}
     times = np.array([fix.time_s for fix in fixes])
     assert np.diff(times).min() >= INTERVAL_S
     true_var = 16.0 * np.exp(-np.abs(times[:, None] - times) / CORRELATION_S).mean()
@@ -187,7 +198,7 @@ def test_zero_zero_is_no_place_and_locations_that_go_back_in_time_are_left_out()
 def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, weighting: str) -> None:
     track = pdr.track(walk, weighting=weighting)
     error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
-    assert np.median(error_m) < 4.0
+    assert np.median(error_m) < 5.0  # a location is off by 4 m
     assert error_m.max() < 12.0
     assert track.frame == "fixes"
     squared = in_frame_of_here(track) - truth_m(walk, track.time_s)

@@ -41,7 +41,8 @@ class PairedPoint:
     world_m: FloatArray  # (2,)
     var_m2: float  # of the fix, mean of both axes
     walked_var_m2: float = 0.0  # of the track since its start, but for its heading: it only grows
-    time_s: float = math.nan
+    time_s: float = 0.0
+    correlation_s: float = 0.0  # of the errors of fixes, see `PositionFix`
 
     def moved(self, alignment: Alignment) -> PairedPoint:
         """With the place of the track moved."""
@@ -189,14 +190,25 @@ class _LeastSquares(NamedTuple):
 
 
 def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
-    """Errors of the fixes are independent; those of the track are shared by all that came after them."""
+    """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
-    weight = np.kron(np.linalg.inv(np.diag([p.var_m2 for p in pairs]) + shared), np.eye(2))
+    weight = np.kron(np.linalg.inv(_fix_cov(pairs) + shared), np.eye(2))
     ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
     shift_weight = ones.T @ weight @ ones
     projected = weight - weight @ ones @ np.linalg.solve(shift_weight, ones.T @ weight)
     return _LeastSquares(weight, projected, shift_weight, np.concatenate([p.track_m for p in pairs]))
+
+
+def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """Covariance (N, N) of the errors of fixes along one axis."""
+    std, time_s = np.sqrt([p.var_m2 for p in pairs]), np.array([p.time_s for p in pairs])
+    correlation_s = np.array([p.correlation_s for p in pairs])
+    alike_s = np.minimum(correlation_s[:, None], correlation_s)
+    apart_s = np.abs(time_s[:, None] - time_s)
+    alike = np.exp(-apart_s / np.maximum(alike_s, 1e-9)) * (alike_s > 0)
+    np.fill_diagonal(alike, 1.0)
+    return std[:, None] * std * alike
 
 
 def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:

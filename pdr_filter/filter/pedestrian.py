@@ -21,7 +21,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, Step, read_only, wrap_angle
+from pdr_filter.values import FloatArray, PositionFix, Step, read_only, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -73,6 +73,7 @@ class PedestrianState:
     trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
     frame: Frame  # whether positions are in the frame of the fixes yet
     doubt: Doubt  # position fixes that the track does not explain
+    last_fix: PositionFix | None  # the last used one whose error the next one has a part of
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
 
@@ -94,6 +95,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         trail=np.empty((0, 4)),
         frame=model.frame,
         doubt=Doubt(),
+        last_fix=None,
         standstills=(),
         n_final=0,
     )

@@ -18,6 +18,7 @@ class PositionFix:
     position_m: FloatArray  # (2,) east, north
     cov_m2: FloatArray  # (2, 2) positive definite
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -27,7 +28,14 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if not 0 <= self.correlation_s < np.inf:
+            raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
         _check_times(self.time_s, self.received_time_s)
+
+    @property
+    def var_m2(self) -> float:
+        """Variance of one axis, the mean of both."""
+        return 0.5 * float(np.trace(self.cov_m2))
 
 
 # A standard deviation beyond this says nothing, and its square must stay a number.
