@@ -248,6 +248,31 @@ def test_jumps_of_a_kilometre_are_rejected(walk: Recording) -> None:
     assert np.linalg.norm(track.position_m - good.position_m, axis=1).max() < 6.0
 
 
+def test_locations_in_another_order_are_those_that_go_forward(walk: Recording) -> None:
+    order = np.arange(len(walk.location.time_s))
+    order[10:40] = order[10:40][::-1]
+    mixed = replace(walk, location=Samples(walk.location.time_s[order], walk.location.values[order]))
+    for asked in ("filter", "align"):
+        track = pdr.track(mixed, gnss=asked)
+        error_m = np.linalg.norm(in_frame_of_here(track) - truth_m(walk, track.time_s), axis=1)
+        assert np.median(error_m) < 6.0
+        assert any("locations are not used" in note for note in track.notes)
+
+
+def test_locations_at_one_place_for_minutes_do_not_hold_somebody_who_walks(walk: Recording) -> None:
+    """A phone that repeats its last location: from some time on, and from the start."""
+    for held_s in (lambda t: t > 40.0, lambda t: t < 40.0):
+        values = walk.location.values.copy()
+        is_held = held_s(walk.location.time_s)
+        values[is_held] = values[is_held][0]
+        track = pdr.track(replace(walk, location=Samples(walk.location.time_s, values)))
+        error = in_frame_of_here(track) - truth_m(walk, track.time_s)
+        nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
+        assert np.mean(nees < chi2.isf(1e-3, 2)) > 0.9
+        assert np.linalg.norm(error, axis=1).max() < 60.0
+        assert any(fix.outcome == "rejected" for fix in track.fixes)
+
+
 def test_a_first_location_a_kilometre_away_is_outvoted(walk: Recording) -> None:
     values = walk.location.values.copy()
     values[0, 0] += 0.009
