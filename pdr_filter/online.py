@@ -10,7 +10,19 @@ from numpy.typing import ArrayLike
 from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
-from pdr_filter.filtering import State, add_fixes, add_location, add_pressure, finish, init, notes_of, step, untimely
+from pdr_filter.filter.person import Person
+from pdr_filter.filtering import (
+    State,
+    add_fixes,
+    add_location,
+    add_pressure,
+    finish,
+    init,
+    notes_of,
+    person_of,
+    step,
+    untimely,
+)
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
@@ -158,6 +170,11 @@ class OnlineFilter:
     def device(self) -> Device:
         """What the samples so far teach of the phone, for its next walk: `Config.with_device`."""
         return self.config.sensing.device(self.state.sensing)
+
+    @property
+    def person(self) -> Person | None:
+        """What walks so far teach of the person, for the next one (`Config.with_person`); None without fixes."""
+        return person_of(self.config, self.state)
 
     def save(self) -> bytes:
         """Bytes from which `load` continues as if nothing had happened, configuration and models included."""

@@ -29,6 +29,7 @@ class Task:
     file_format: str = ""  # found by content if empty
     height_m: float | None = None  # what the recording says if None
     calibration: str = ""  # path of one, absolute; none if empty
+    gnss: str = ""  # what becomes of locations: "filter" where there are some if empty
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from rich.console import Console
@@ -15,7 +14,7 @@ from rich.table import Column, Table
 from pdr_filter.cli.console import write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.recording_run import track
+from pdr_filter.recording_run import GnssUse, track
 from pdr_filter.report.palette import context_colours
 from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
@@ -72,7 +71,7 @@ def run_demo(
     file: Path | None,
     out_dir: Path,
     progress: Callable[[float], None] | None = None,
-    gnss: Literal["filter", "off"] | None = None,
+    gnss: GnssUse | None = None,
 ) -> Demo:
     """Track a file, or the simulated walk, and write picture, map file and table to a folder."""
     is_simulated = file is None

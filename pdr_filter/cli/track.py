@@ -53,6 +53,9 @@ class Method:
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
     ] = None
+    person: Annotated[
+        Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
+    ] = None
     gnss: Gnss = None
     origin: Origin = None
     heading: Heading = None
@@ -198,7 +201,7 @@ def track(
                 "--model": method.model,
                 "--transitions": method.transitions,
                 "--device": method.device,
-                "--gnss": method.gnss,
+                "--person": method.person,
                 "--origin": method.origin,
                 "--heading": method.heading,
                 "--export": output.export,
@@ -219,20 +222,25 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        known = method.device if method.device is not None and method.device.exists() else None
+        device, person = (
+            path if path is not None and path.exists() else None for path in (method.device, method.person)
+        )
         result = pdr.track(
             recording,
             config,
             method.weighting_name,
             progress=progress,
             calibration=method.calibration,
-            device=known,
+            device=device,
+            person=person,
             gnss=None if method.gnss is None else method.gnss.value,
             origin=origin_deg(method.origin),
             heading_rad=heading_rad(method.heading),
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
+        if method.person is not None and result.person is not None:
+            result.person.save(method.person)
         output.write(result, recording, _unused(result.name, written))
         if as_json:
             console.print_json(result.summary())
@@ -266,6 +274,7 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
                 file_format=source.file_format,
                 height_m=source.height_m,
                 calibration=method.calibration,
+                gnss=None if method.gnss is None else method.gnss.value,
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error

@@ -94,6 +94,24 @@ def test_a_recording_without_the_sensors_of_the_recipe_fails_with_a_reason_that_
     assert "gyroscope" in row.reason
 
 
+def test_a_batch_uses_locations_as_it_is_asked_to(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk()
+    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
+    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    degrees = pdr.Origin(48.137, 11.575).latitude_longitude_deg(place_m)
+    values = np.column_stack([*degrees, np.full((len(times), 2), 6.0)])
+    path = write_recording(replace(walk, location=pdr.Samples(times, values)), tmp_path / "located.zip")
+    recording, ends = pdr.read(path), set[tuple[float, float]]()
+    for gnss in (None, "align", "off"):
+        (row,) = batch.track(path, out=tmp_path / "tracks.csv", gnss=gnss)
+        track = pdr.track(recording, gnss=gnss)
+        assert (row.gnss, row.end_east_m, row.end_north_m) == (gnss or "", *track.position_m[-1])
+        ends.add(tuple(track.position_m[-1]))
+    assert len(ends) == len(batch.read_table(tmp_path / "tracks.csv")) == 3
+    with pytest.raises(ValueError, match="gnss must be one of"):
+        batch.track(path, out=tmp_path / "tracks.csv", gnss="on")
+
+
 def test_finished_recordings_are_not_done_again_and_other_recipes_are(
     walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -168,11 +168,15 @@ def test_points_of_gpx_have_the_time_at_which_they_were_walked_if_the_file_says_
     assert "<time>2023-11-14T22:13:20" in (tmp_path / "epoch_ns.gpx").read_text()
 
 
-def test_gnss_of_a_recording_without_location_or_of_a_folder_is_one_line(walk: Path, tmp_path: Path) -> None:
-    alone = run("track", walk, "--gnss", "filter")
-    assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
+def test_gnss_of_a_recording_without_location_is_one_line_and_of_many_stands_in_their_rows(
+    walk: Path, tmp_path: Path
+) -> None:
+    for gnss in ("filter", "align"):
+        alone = run("track", walk, "--gnss", gnss)
+        assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
     many = run("track", walk, "--jobs", "1", "--gnss", "off", "--out", tmp_path)
-    assert (many.exit_code, "without --gnss" in one_line(many.stderr)) == (2, True)
+    assert many.exit_code == 0
+    assert [row.gnss for row in pdr.batch.read_table(tmp_path / "tracks.csv")] == ["off"]
 
 
 def test_recordings_of_one_name_do_not_overwrite_each_other(walk: Path, tmp_path: Path) -> None:
