@@ -107,8 +107,9 @@ def track(
         True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
         which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
     """
+    with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    with_location = _with_location(recording, fixes, gnss) and not is_placed
+    with_location = with_location and not is_placed
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:

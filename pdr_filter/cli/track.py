@@ -141,8 +141,8 @@ class Output:
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
         if nowhere and result.origin is None:
             raise ValueError(
-                f"{result.name}: {' and '.join(nowhere)} need a place on Earth, and no location of the recording says "
-                "it: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
+                f"{result.name}: --export {','.join(nowhere)} needs a place on Earth, and nothing says where this walk "
+                "was: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
             )
         if self.out is not None:
             console.write_track(result, folder, name)
