@@ -13,16 +13,19 @@ import numpy as np
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
+from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
-_FORCE, _RATE, _FIELD = slice(1, 4), slice(4, 7), slice(7, 10)
+_FORCE, _RATE, _FIELD, _MOTION = slice(1, 4), slice(4, 7), slice(7, 10), slice(1, 7)
 _RATE_AGE, _FIELD_AGE = 10, 11
 _N_COLUMNS = 12
 
-# Phones saturate at 16 g and 2000 deg/s (157 m/s2, 35 rad/s), foot-mounted units at about twice that.
-MAX_FORCE_MPS2, MAX_RATE_RADPS = 400.0, 100.0
+# Phones saturate at 16 g (156.9 m/s2) and 2000 deg/s (35 rad/s), faster gyroscopes at twice that.
+MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
+# Phones' magnetometers saturate at 2 to 5 mT.
+MAX_FIELD_UT = 1e4
 # So many rows without a believed time, or none that follows another, are worth a word.
 _NOTABLE_DEAF = 200
 
@@ -52,6 +55,9 @@ class IntakeReport:
     n_implausible: int = 0  # rows beyond what any phone measures: left out
     n_not_increasing: int = 0  # duplicate or backward timestamps: dropped
     n_clock_jumps: int = 0  # single times far ahead, dropped, and clocks set back, followed
+    n_dead_force: int = 0  # rows in which the accelerometer stood still while the phone moved: left out
+    n_dead_rate: int = 0  # the same of the gyroscope: without angular rate
+    n_wild_field: int = 0  # rows with a magnetic field beyond what any phone measures: without field
     n_like_gravity: int = 0  # rows whose |specific force| is between 7 and 13 m/s2
     n_gaps: int = 0
     longest_gap_s: float = 0.0
@@ -73,6 +79,17 @@ class IntakeReport:
                 f"{self.n_implausible} samples were beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s and "
                 "were left out"
             )
+        for sensor, n_dead, so in (
+            ("accelerometer", self.n_dead_force, "left out"),
+            ("gyroscope", self.n_dead_rate, "taken as without angular rate"),
+        ):
+            if n_dead:
+                found.append(
+                    f"an axis of the {sensor} gave one number while the phone moved: {n_dead} of {self.n_received} "
+                    f"samples are {so}"
+                )
+        if self.n_wild_field:
+            found.append(f"{self.n_wild_field} samples had a magnetic field beyond {MAX_FIELD_UT:g} uT: taken as none")
         if self.n_clock_jumps:
             found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
         if self.n_emitted > 500 and self.n_like_gravity < 0.05 * self.n_received:
@@ -117,6 +134,7 @@ class ConditionerState:
     last_rate: FloatArray  # (4,) time and value of the last finite angular rate
     last_field: FloatArray  # (4,)
     clock: ClockState
+    watchdog: WatchdogState
     report: IntakeReport
 
 
@@ -150,7 +168,9 @@ class Conditioner:
         """State before the first sample."""
         nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
         report = IntakeReport(rate_hz=self.rate_hz)
-        return ConditionerState(np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), report)
+        return ConditionerState(
+            np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), report
+        )
 
     def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """New state and the whole hops that became complete, split at gaps."""
@@ -182,8 +202,14 @@ class Conditioner:
                 (np.abs(raw[:, _FORCE]) > MAX_FORCE_MPS2).any(axis=1)
                 | (np.abs(raw[:, _RATE]) > MAX_RATE_RADPS).any(axis=1)
             )
+            wild_field = (np.abs(raw[:, _FIELD]) > MAX_FIELD_UT).any(axis=1)
+        raw[wild_field, _FIELD] = np.nan
         usable = raw[finite & ~wild]
-        clock, kept, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
+        clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
+        watched, motion = watch(state.watchdog, followed[:, 0], followed[:, _MOTION])
+        is_dead = np.isnan(motion[:, 0])
+        n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
+        kept = np.column_stack([followed[:, 0], motion, followed[:, _FIELD]])[~is_dead]
         rows = np.empty((len(kept), _N_COLUMNS))
         rows[:, :4] = kept[:, :4]
         rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
@@ -199,11 +225,15 @@ class Conditioner:
             n_clock_jumps=old.n_clock_jumps + n_jumps,
             n_like_gravity=old.n_like_gravity + int(((size > 7) & (size < 13)).sum()),
             n_deaf=clock.n_deaf,
+            n_dead_force=old.n_dead_force + int(is_dead.sum()),
+            n_dead_rate=old.n_dead_rate + n_dead_rate,
+            n_wild_field=old.n_wild_field + int(wild_field.sum()),
         )
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
-        return replace(state, last_rate=last_rate, last_field=last_field, clock=clock, report=report), rows
+        state = replace(state, last_rate=last_rate, last_field=last_field, clock=clock, watchdog=watched, report=report)
+        return state, rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
         # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
