@@ -69,16 +69,6 @@ def position_fixes(
     return state, tuple(fixes)
 
 
-def fixes_of(location: Samples) -> tuple[Origin | None, tuple[PositionFix, ...]]:
-    """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
-
-    `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
-    """
-    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
-    state, fixes = position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
-    return state.origin, fixes
-
-
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     """Fixes in the order of time for what takes their errors for independent, such as `pdr_filter.smooth`.
 
@@ -95,6 +85,16 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
             fix = replace(fix, cov_m2=shared * fix.cov_m2, correlation_s=0.0)
         found.append(fix)
     return tuple(found)
+
+
+def fixes_of(location: Samples) -> tuple[Origin | None, tuple[PositionFix, ...]]:
+    """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
+
+    `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
+    """
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    state, fixes = position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
+    return state.origin, fixes
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

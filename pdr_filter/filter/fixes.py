@@ -78,7 +78,9 @@ def _on_position(
     after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
     if outcome == "used":
         last = fix if fix.correlation_s > 0 else state.last_fix
-        after = replace(after, shared_m=np.zeros_like(state.shared_m), doubt=Doubt(), last_fix=last)
+        has_gap = state.gap_since_fix and last is state.last_fix
+        rest = {"doubt": Doubt(), "last_fix": last, "gap_since_fix": has_gap}
+        after = replace(after, shared_m=np.zeros_like(state.shared_m), **rest)
     return after, outcome, nis
 
 
@@ -101,9 +103,9 @@ def _without_error_of_last(
     if last is None or fix.correlation_s == 0:
         return fix.position_m, H, fix.cov_m2
     left = min(float(np.exp(-abs(fix.time_s - last.time_s) / fix.correlation_s)), _MOST_ALIKE)
-    before = _place_at(state, last.time_s)
+    before = None if state.gap_since_fix else _place_at(state, last.time_s)
     if before is None:
-        # so old that the way since is forgotten: as many such fixes would say together
+        # the way since then is forgotten, or has a gap: as many such fixes would say together
         return fix.position_m, H, (1 + left) / (1 - left) * fix.cov_m2
     a = left * min(1.0, float(np.sqrt(fix.var_m2 / last.var_m2)))
     d = then_m - before[:2]
@@ -241,7 +243,7 @@ def _with_other_half(
         last = PositionFix(before.time_s, before.world_m, cov_m2, correlation_s=before.correlation_s)
     half = replace(fix, cov_m2=2.0 * fix.cov_m2)
     state, _, nis = _on_position(model, arithmetic, replace(state, last_fix=last), half, now_m)
-    return replace(state, last_fix=fix if fix.correlation_s > 0 else None), nis
+    return replace(state, last_fix=fix if fix.correlation_s > 0 else None, gap_since_fix=False), nis
 
 
 def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:

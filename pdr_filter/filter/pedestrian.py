@@ -74,6 +74,7 @@ class PedestrianState:
     frame: Frame  # whether positions are in the frame of the fixes yet
     doubt: Doubt  # position fixes that the track does not explain
     last_fix: PositionFix | None  # the last used one whose error the next one has a part of
+    gap_since_fix: bool  # whether nobody knows where that has led since
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
 
@@ -96,6 +97,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         frame=model.frame,
         doubt=Doubt(),
         last_fix=None,
+        gap_since_fix=False,
         standstills=(),
         n_final=0,
     )

@@ -241,6 +241,23 @@ def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_o
     np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
 
 
+def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> None:
+    """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
+    tracker, state = somebody_who_stands(2.0)
+    first = PositionFix(0.0, np.zeros(2), 16.0 * np.eye(2), correlation_s=20.0)
+    state, _, _ = tracker.on_fix(state, first)
+    state, _ = tracker.on_gap(state, 20.0)
+    heading = state.pedestrian.mean[:, 2].copy()
+    state, outcome, _ = tracker.on_fix(state, replace(first, time_s=20.0, position_m=np.array([40.0, 0.0])))
+    assert outcome == "used"
+    position_m, cov_m2 = present_position(state.pedestrian)
+    left = np.exp(-1.0)
+    own_var, before_var = 16.0 * (1 + left) / (1 - left), 20.0**2 + 1 / (1 / 4.0 + 1 / 16.0)
+    np.testing.assert_allclose(position_m, [40.0 * before_var / (before_var + own_var), 0.0], atol=1e-9)
+    np.testing.assert_allclose(cov_m2, np.eye(2) / (1 / before_var + 1 / own_var), atol=1e-9)
+    np.testing.assert_array_equal(state.pedestrian.mean[:, 2], heading)
+
+
 def test_the_innovations_of_correlated_fixes_are_as_large_as_they_say_and_independent() -> None:
     rng, nis = np.random.default_rng(7), []
     for _ in range(60):
