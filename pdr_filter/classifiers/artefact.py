@@ -13,12 +13,15 @@ import re
 import zipfile
 import zlib
 from collections.abc import Callable, Mapping
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pdr_filter.io.files import whole_file
 
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
@@ -44,10 +47,10 @@ class ArtefactFormat:
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
         text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
         json_path, npz_path = file_pair(path)
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        if packed is not None:
-            npz_path.write_bytes(packed)
-        json_path.write_text(text, encoding="utf-8")
+        with ExitStack() as opened:  # neither is under its name before both are written
+            if packed is not None:
+                opened.enter_context(whole_file(npz_path)).write(packed)
+            opened.enter_context(whole_file(json_path)).write(text.encode())
 
     def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
         """What `build` makes of the description and the arrays (none if the .json has no checksum of any).

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from pdr_filter.cli import console
+from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.io.texts import file_name, printable_lines
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def calibrate(
         if figure is not None:
             result.plot(figure)
             written.append(figure)
-    typer.echo(result.report())
+    typer.echo(printable_lines(result.report()))
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
 
@@ -94,7 +95,7 @@ def smooth(
         known_places = waypoint_fixes(recording, fix_std_m) if fixes is None else fixes_of_file(fixes, fix_std_m)
         result = pdr.smooth(recording, known_places, calibration=known)
         if out is not None:
-            console.write_track(result.track, out, result.track.name)
+            console.write_track(result.track, out, file_name(result.track.name))
     console.print_tracks([result.track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
+from rich import markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+
+from pdr_filter.io.texts import printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
@@ -24,6 +26,11 @@ T = TypeVar("T")
 def stderr() -> Console:
     """Console of the messages; made when used, so that a redirected stderr is respected."""
     return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def escape(text: object) -> str:
+    """Text of a file or of its name as a console prints it: as text, without effect on the terminal."""
+    return markup.escape(printable_lines(text))
 
 
 def message(error: Exception) -> str:

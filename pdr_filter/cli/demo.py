@@ -9,9 +9,9 @@ from typing import Literal
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Column, Table
 
+from pdr_filter.cli.console import escape
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recording_run import track

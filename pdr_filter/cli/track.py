@@ -12,6 +12,7 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.options import AsJson, CalibrationFile, Files, Folder, Format, Gnss, Scheduler
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -187,7 +188,7 @@ def track(
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
-        output.write(result, recording, _unused(result.name, written))
+        output.write(result, recording, _unused(file_name(result.name), written))
         if as_json:
             console.print_json(result.summary())
             console.print_notes(result, console.stderr())

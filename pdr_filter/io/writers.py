@@ -13,6 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.io import limits
+from pdr_filter.io.files import whole_file, write_text
 from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
@@ -33,7 +34,7 @@ def write_csv(track: TrackRows, path: str | Path) -> Path:
     writer.writerow(columns)
     for time_s, *row in zip(*columns.values(), strict=True):
         writer.writerow([f"{time_s:.6f}", *(f"{value:.7g}" for value in row)])
-    return _write(path, text.getvalue())
+    return write_text(path, text.getvalue())
 
 
 def write_parquet(track: TrackRows, path: str | Path) -> Path:
@@ -52,7 +53,8 @@ def write_parquet(track: TrackRows, path: str | Path) -> Path:
         "frame": _FRAME if track.origin is None else _PLACED,
         "pdr_filter": __version__,
     }
-    frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)
+    with whole_file(path) as file:
+        frame.to_parquet(file, engine="pyarrow", index=False)
     return Path(path)
 
 
@@ -114,7 +116,7 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
             "notes": list(track.notes),
         },
     }
-    return _write(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
+    return write_text(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
 
 
 def write_gpx(
@@ -142,7 +144,7 @@ def write_gpx(
         at = datetime.fromtimestamp(0, UTC) + timedelta(seconds=epoch_s + float(time_s))
         ElementTree.SubElement(point, "time").text = at.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z"
     ElementTree.indent(root)
-    return _write(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
+    return write_text(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
 
 
 def write_tum(track: TrackRows, path: str | Path) -> Path:
@@ -162,7 +164,7 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
             rotation = f"{0.0:.9f} {0.0:.9f} {np.sin(half_rad):.9f} {np.cos(half_rad):.9f}"
             lines.append(f"{written_s:.6f} {east_m:.6f} {north_m:.6f} {0.0:.6f} {rotation}\n")
             last_s = written_s
-    return _write(path, "".join(lines))
+    return write_text(path, "".join(lines))
 
 
 def _vertex_times(track: TrackRows) -> FloatArray:
@@ -173,14 +175,3 @@ def _vertex_times(track: TrackRows) -> FloatArray:
 def _geodetic(track: TrackRows, origin: Origin | tuple[float, float] | None) -> tuple[FloatArray, FloatArray]:
     """Latitude and longitude in degrees of the start and of all steps, (K + 1,) each."""
     return track.placed_at(origin).latitude_longitude_deg(np.vstack([track.start_position_m, track.position_m]))
-
-
-def _write(path: str | Path, text: str) -> Path:
-    _in_new_folder(path).write_text(text, encoding="utf-8", newline="\n")
-    return Path(path)
-
-
-def _in_new_folder(path: str | Path) -> Path:
-    """The path, whose folder exists then."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    return Path(path)

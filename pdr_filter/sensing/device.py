@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io.files import write_text
 from pdr_filter.values import FloatArray, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
@@ -47,8 +48,7 @@ class Device:
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
-        Path(path).write_text(json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n", encoding="utf-8")
-        return Path(path)
+        return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Device:
