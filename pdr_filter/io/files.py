@@ -6,8 +6,8 @@ import errno
 import os
 import secrets
 import stat
-from collections.abc import Generator
-from contextlib import contextmanager
+from collections.abc import Generator, Mapping
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import IO
 
@@ -42,7 +42,7 @@ def read_small(path: Path, most: int) -> bytes:
         with open_regular(path) as file:
             content = file.read(most + 1)
     except OSError as error:
-        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+        raise RecordingError(f"{path}: cannot be read ({error.strerror}); check path and permissions") from error
     if len(content) > most:
         raise RecordingError(f"{path}: more than {most} bytes; take out of it what is not needed")
     return content
@@ -80,8 +80,7 @@ def whole_file(path: str | Path) -> Generator[IO[bytes]]:
     try:
         with unfinished.open("xb") as file:
             yield file
-            file.flush()
-            os.fsync(file.fileno())  # some disks say only now that they are full
+            _sync(file)
         if there:
             unfinished.chmod(stat.S_IMODE(path.stat().st_mode))
         unfinished.replace(path)
@@ -95,6 +94,21 @@ def write_text(path: str | Path, text: str) -> Path:
     with whole_file(path) as file:
         file.write(text.encode())
     return Path(path)
+
+
+def write_files(contents: Mapping[Path, bytes]) -> None:
+    """Write files that belong together: none is under its name before all are on the disk."""
+    with ExitStack() as opened:
+        for path, content in contents.items():
+            file = opened.enter_context(whole_file(path))
+            file.write(content)
+            _sync(file)
+
+
+def _sync(file: IO[bytes]) -> None:
+    """Some disks say only now that they are full."""
+    file.flush()
+    os.fsync(file.fileno())
 
 
 def _check_kind(path: Path, mode: int) -> None:

@@ -26,6 +26,11 @@ MAX_HEADER_BYTES = 100_000  # comment lines before the samples of a log
 MAX_HEADER_LINES = 1000
 # Files that come with samples, such as meta.json, have some kilobytes; parsed they take some thirty times their size.
 MAX_SMALL_BYTES = 1_000_000
+# Models, calibrations and fixes, which are read as a whole: a shipped model has 0.4 MB, a day of fixes 4 MB.
+MAX_DESCRIPTION_BYTES = 4 * 1024**2  # JSON
+MAX_WHOLE_BYTES = 64 * 1024**2
+MAX_UNPACKED_BYTES = 256 * 1024**2
+MAX_FIXES = 24 * 3600 * 2
 # A TOML file that describes the columns of a table; its parser takes a second for some megabytes.
 MAX_TOML_BYTES = 100_000
 MAX_COLUMNS = 1000  # of a table

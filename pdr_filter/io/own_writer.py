@@ -7,14 +7,13 @@ import io
 import json
 import zipfile
 from collections.abc import Mapping, Sequence
-from contextlib import ExitStack
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
 from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io.files import whole_file
+from pdr_filter.io.files import whole_file, write_files
 from pdr_filter.values import FloatArray, Samples, Table
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -50,9 +49,7 @@ def write_own_format(
     files |= {f"truth_{name}.csv": _table_csv(rows, TRUTH_COLUMNS[name], name) for name, rows in truth.items()}
     files["meta.json"] = json.dumps(dict(meta), indent=1, default=_plain) + "\n"
     if not path.suffix:
-        with ExitStack() as opened:  # none is under its name before all are written
-            for name, text in files.items():
-                opened.enter_context(whole_file(path / name)).write(text.encode())
+        write_files({path / name: text.encode() for name, text in files.items()})
         for name in set(FILES) - files.keys():  # of another recording, which must not be mixed with this one
             (path / name).unlink(missing_ok=True)
         return path

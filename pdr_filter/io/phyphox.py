@@ -183,10 +183,9 @@ def _name_axis_unit(field: str) -> tuple[str, str, str] | None:
     unit, closing, after = rest.partition(")")
     if not bracket or not closing or after.strip() or ")" in words or "(" in unit:
         return None
-    name, _, axis = words.lower().strip().rpartition(" ")
-    if axis in AXES:
-        return name.strip(), axis, unit.strip()
-    return words.lower().strip(), "", unit.strip()
+    *name, last = words.lower().rsplit(maxsplit=1) or [""]
+    name, axis = ("".join(name), last) if last in AXES else (words.lower(), "")
+    return name.strip(), axis, unit.strip()
 
 
 def _read_meta(members: Members, parsed: Parsed) -> None:

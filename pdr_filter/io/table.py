@@ -177,9 +177,11 @@ def concatenated(parts: Sequence[NumberTable]) -> NumberTable:
 
 def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
     """Values with infinite and absurdly large ones replaced by NaN, with a note."""
-    beyond = np.abs(values) > limits.LARGEST_VALUE
-    if not beyond.any():
+    # Without a copy, which may be large, and whatever is NaN.
+    low, high = (float(extreme.reduce(values, axis=None, initial=0.0)) for extreme in (np.fmin, np.fmax))
+    if low >= -limits.LARGEST_VALUE and high <= limits.LARGEST_VALUE:
         return values
+    beyond = np.abs(values) > limits.LARGEST_VALUE
     notes.append(f"{where}: {int(beyond.sum())} infinite or absurdly large values taken as unknown")
     return np.where(beyond, np.nan, values)
 

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
 from pdr_filter.values import BoolArray, PositionFix
@@ -106,15 +108,14 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
     Times are those of the samples. ValueError names the file, the line and the remedy.
     """
     file = Path(path)
-    try:
-        rows = TextTable([file.read_bytes()], str(file))
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror or error}; give a CSV file of fixes") from error
+    rows = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
     columns = ("time_s", "east_m", "north_m", *(("std_m",) if "std_m" in rows.fields else ()))
     values = rows.parse(rows.places(columns), []).values
     unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unknown):
         raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
+    if len(values) > limits.MAX_FIXES:
+        raise ValueError(f"{file}: {len(values)} fixes, more than {limits.MAX_FIXES}; leave out some")
     if not len(values):
         raise ValueError(f"{file}: no fixes below the line {','.join(columns)}")
     std = values[:, 3] if len(columns) == 4 else np.full(len(values), std_m)
