@@ -135,7 +135,7 @@ def main() -> None:
             continue
         counts = Counter(json.loads(ended.stdout))
         read, refused, slow, mib = (counts.pop(what, 0) for what in ("read", "refused", *MEASURED))
-        print(form, dict(counts) or "", flush=True)
+        print(form, read, refused, slow, f"{mib} MiB", dict(counts) or "", flush=True)
         rows.append([f"`{form}`", args.inputs, read, refused, sum(counts.values()), slow, f"{mib} MiB"])
     tables = Tables.of(__spec__.name, args)
     if args.forms != ",".join(FORMS):

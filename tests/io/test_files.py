@@ -58,6 +58,15 @@ def test_what_is_no_regular_file_is_refused(name: str, kind: str) -> None:
         open_regular(Path(name))
 
 
+def test_a_device_is_not_even_opened(monkeypatch: pytest.MonkeyPatch) -> None:
+    def opened(path: Path, flags: int) -> int:
+        raise AssertionError(path)
+
+    monkeypatch.setattr(os, "open", opened)
+    with pytest.raises(RecordingError, match="a device"):
+        open_regular(Path("/dev/zero"))
+
+
 def test_a_pipe_that_takes_the_place_of_a_file_after_the_check_is_refused_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

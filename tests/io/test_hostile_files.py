@@ -27,6 +27,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import detect, read
 from pdr_filter.io.phyphox import _name_axis_unit
+from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.values import Samples
 
 ROWS = "time_s,x,y,z\n" + "".join(f"{i / 100},0.1,0.2,9.8\n" for i in range(50))
@@ -222,6 +223,17 @@ def test_a_mapping_that_is_a_link_out_of_its_folder_is_refused(tmp_path: Path, b
     path.with_suffix(".toml").rename(tmp_path / "mapping.toml")
     (tmp_path / "x" / beside).symlink_to(tmp_path / "mapping.toml")
     assert "a link that leads out of its folder" in refusal(path, "generic_csv")
+
+
+def test_fixes_of_a_pipe_and_more_than_a_walk_has_are_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    os.mkfifo(tmp_path / "pipe.csv")
+    with pytest.raises(RecordingError, match=r"pipe\.csv: not a file but a pipe"):
+        fixes_of_file(tmp_path / "pipe.csv")
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n" + "1,2,3\n" * 5)
+    assert len(fixes_of_file(tmp_path / "fixes.csv")) == 5
+    monkeypatch.setattr(limits, "MAX_FIXES", 4)
+    with pytest.raises(ValueError, match=r"fixes\.csv: 5 fixes, more than 4"):
+        fixes_of_file(tmp_path / "fixes.csv")
 
 
 # ---------------------------------------------------------------- hdf5
