@@ -159,7 +159,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(summary["end_north_m"]),
             in_m(summary["end_uncertainty_95_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
-            ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+            ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
     print_table(table)
     for result in tracks:

@@ -88,6 +88,8 @@ def test_a_name_too_long_for_a_file_is_shortened_and_all_files_are_written(hosti
     assert run("track", hostile / "b.zip", "--out", tmp_path, "--report", "--origin", "51,0").exit_code == 0
     assert sorted(path.suffix for path in tmp_path.iterdir()) == [".csv", ".geojson", ".html", ".png"]
     assert len({path.stem for path in tmp_path.iterdir()}) == 1
+    assert run("demo", hostile / "b.zip", "--out", tmp_path / "demo").exit_code == 0
+    assert len(list((tmp_path / "demo").iterdir())) == 3
 
 
 # --- track ---------------------------------------------------------------------------------------------------------
