@@ -26,7 +26,7 @@ from pdr_filter.filtering import (
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import Fix, FloatArray, ImuBlock, Origin
+from pdr_filter.values import Fix, FloatArray, ImuBlock, Origin, as_floats
 
 
 class OnlineFilter:
@@ -96,7 +96,8 @@ class OnlineFilter:
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """
-        time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
+        columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
+        time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
         self.state = add_pressure(self.config, self.state, time, pressure)
 
     def push_location(
@@ -115,8 +116,13 @@ class OnlineFilter:
                 "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
                 "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
             )
-        columns = (time_s, latitude_deg, longitude_deg, accuracy_m)
-        time, latitude, longitude, accuracy = (np.atleast_1d(np.asarray(values, dtype=float)) for values in columns)
+        columns = {
+            "time_s": time_s,
+            "latitude_deg": latitude_deg,
+            "longitude_deg": longitude_deg,
+            "accuracy_m": accuracy_m,
+        }
+        time, latitude, longitude, accuracy = (np.atleast_1d(as_floats(v, name)) for name, v in columns.items())
         if not time.shape == latitude.shape == longitude.shape == accuracy.shape == (len(time),):
             raise ValueError(
                 "time_s, latitude_deg, longitude_deg and accuracy_m must have one number for each location, got shapes "
@@ -209,7 +215,7 @@ def imu_block(
     magnetic_field_ut: ArrayLike | None = None,
 ) -> ImuBlock:
     """Samples as a block, shapes checked; missing sensors become NaN."""
-    time = np.asarray(time_s, dtype=float)
+    time = as_floats(time_s, "time_s")
     if time.size == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
@@ -221,7 +227,7 @@ def imu_block(
     }
     arrays: list[FloatArray] = []
     for name, values in columns.items():
-        array = np.full((len(time), 3), np.nan) if values is None else np.asarray(values, dtype=float)
+        array = np.full((len(time), 3), np.nan) if values is None else as_floats(values, name)
         if array.shape != (len(time), 3):
             raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {array.shape}")
         arrays.append(array)

@@ -20,6 +20,9 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small, write_files
+
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
 
@@ -44,10 +47,7 @@ class ArtefactFormat:
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
         text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
         json_path, npz_path = file_pair(path)
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        if packed is not None:
-            npz_path.write_bytes(packed)
-        json_path.write_text(text, encoding="utf-8")
+        write_files({json_path: text.encode(), **({} if packed is None else {npz_path: packed})})
 
     def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
         """What `build` makes of the description and the arrays (none if the .json has no checksum of any).
@@ -60,7 +60,7 @@ class ArtefactFormat:
             if not needed.is_file():
                 raise ValueError(f"{needed}: no such file")
         try:
-            description = self._checked(json_path.read_text(encoding="utf-8"))
+            description = self._checked(read_small(json_path, limits.MAX_DESCRIPTION_BYTES).decode())
             checksum = description.get("npz_sha256")
             return build(description, {} if checksum is None else _unpacked(npz_path, checksum))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
@@ -118,10 +118,14 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
     """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
     if not path.is_file():
         raise ValueError(f"{path.name} is missing beside it, copy both files")
-    content = path.read_bytes()
+    content = read_small(path, limits.MAX_WHOLE_BYTES)
     if hashlib.sha256(content).hexdigest() != checksum:
         raise ValueError(f"{path.name} is damaged or belongs to another .json, copy both files again")
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            claimed = sum(info.file_size for info in archive.infolist())
+        if claimed > limits.MAX_UNPACKED_BYTES:
+            raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except (OSError, EOFError, AttributeError, TypeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:

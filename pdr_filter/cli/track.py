@@ -24,6 +24,7 @@ from pdr_filter.cli.options import (
     heading_rad,
     origin_deg,
 )
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -241,7 +242,7 @@ def track(
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
             result.person.save(method.person)
-        output.write(result, recording, _unused(result.name, written))
+        output.write(result, recording, _unused(file_name(result.name), written))
         if as_json:
             console.print_json(result.summary())
         return result

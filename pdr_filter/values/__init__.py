@@ -1,7 +1,16 @@
 """Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
+from pdr_filter.values.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Table,
+    as_floats,
+    check_transition_prob,
+    read_only,
+    table,
+)
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.fixes import (
     Fix,
@@ -50,6 +59,7 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "as_floats",
     "check_transition_prob",
     "circular_mean",
     "heading_from_yaw",

@@ -376,6 +376,17 @@ def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path,
     assert row.name == 'two lines, "quoted"'
 
 
+@pytest.mark.parametrize("text", ["=cmd|'calc'!A0", "@SUM(1)", "'quoted", "a; =1", "-1"])
+def test_no_text_of_a_recording_is_a_formula_in_the_table(walks: Path, tmp_path: Path, text: str) -> None:
+    recording = replace(pdr.read(walks / "walk_0.zip"), name=text, notes=(text,))
+    row = rows_table.row_of(batch.Task(str(tmp_path / "a.zip")), pdr.track(recording))
+    cells = rows_table._cells(row)
+    for cell in (cells[rows_table.COLUMNS.index(name)] for name in ("name", "notes")):
+        assert not any(part.strip()[:1] in {"=", "+", "-", "@"} for part in cell.split(";"))
+    (tmp_path / "tracks.csv").write_text(rows_table._line(rows_table.COLUMNS) + rows_table._line(cells))
+    assert batch.read_table(tmp_path / "tracks.csv") == [row]
+
+
 def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is a folder"):
         batch.track(walks, out=tmp_path)
