@@ -2,6 +2,7 @@
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
+from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.fixes import (
     Fix,
@@ -47,6 +48,7 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "check_numbers",
     "check_transition_prob",
     "circular_mean",
     "heading_from_yaw",
