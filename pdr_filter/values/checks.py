@@ -41,7 +41,7 @@ def check_numbers(
         or_infinite = name in infinite
         numbers: Any = value if declared[1] and isinstance(value, tuple) else (value,)
         for number in numbers:
-            right = isinstance(number, kind) and not isinstance(number, bool)
+            right = issubclass(type(number), kind) and type(number) is not bool
             if not (right and (least <= number <= largest or (or_infinite and number == inf))):
                 what = f"{words}{' and whole' if kind is Integral else ''} ({least:g} to {largest:g}"
                 usual = "" if field.default is MISSING else f"; its default is {field.default}"
