@@ -109,6 +109,8 @@ class Calibration:
                 raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
         if not set(self.models) <= set(CONTEXTS):
             raise ValueError(f"contexts must be among {CONTEXTS}, got {tuple(self.models)}")
+        _check_numbers(self)
+        _check_columns(self.segments)
 
     def __repr__(self) -> str:
         contexts = ", ".join(self.contexts) or "no context"
@@ -333,6 +335,42 @@ class Calibration:
         return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
 
 
+# Kinds of the columns of `segments`: text, yes or no, numbers.
+_COLUMNS = dict.fromkeys(("subject", "recording", "context"), "U") | dict.fromkeys(("summed", "distrusted"), "b")
+_COLUMNS |= dict.fromkeys(("start_s", "end_s", "distance_m", "n_steps", "predicted_m", "left_out_m"), "if")
+_COLUMNS |= dict.fromkeys(("stranger_m", "uncalibrated_m", "misfit", "weight"), "if")
+
+
+def _check_columns(segments: Table) -> None:
+    names = segments.dtype.names or ()
+    for name, kinds in _COLUMNS.items():
+        if name not in names or segments.dtype[name].kind not in kinds:
+            raise ValueError(f"segments must have a column {name} of kind {kinds}, got {segments.dtype}")
+
+
+def _check_numbers(calibration: Calibration) -> None:
+    """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
+    for name in ("theta", "people"):
+        if not np.isfinite(getattr(calibration, name)).all():
+            raise ValueError(f"{name} must be finite, got {getattr(calibration, name)}")
+    for name in ("theta_cov", "people_cov"):
+        cov: FloatArray = getattr(calibration, name)
+        tolerance = 1e-9 * np.abs(cov).max(initial=0.0)  # of an estimate that misses zero by its rounding
+        if not np.isfinite(cov).all() or np.abs(cov - np.swapaxes(cov, -1, -2)).max(initial=0.0) > tolerance:
+            raise ValueError(f"{name} must be finite and symmetric")
+        if cov.size and np.linalg.eigvalsh(cov).min() < -tolerance:
+            raise ValueError(f"{name} must have no negative eigenvalue")
+    if not (np.diagonal(calibration.between_cov) >= 0).all():
+        raise ValueError("between_cov must have variances on its diagonal")
+    if (calibration.heights_m <= 0).any() or np.isinf(calibration.heights_m).any():
+        raise ValueError(f"heights_m must be positive, NaN where unknown, got {calibration.heights_m}")
+    known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
+    if not set(calibration.models) <= set(known) or not all(0 <= std < np.inf for std in known.values()):
+        raise ValueError(f"residual_std_m of each model, and recording_std, must be 0 or more, got {known}")
+    if calibration.main_context not in calibration.models:
+        raise ValueError(f"models must hold that of {calibration.main_context}, got {tuple(calibration.models)}")
+
+
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
     """Where the parameters of each context are in theta (P,), and P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
@@ -399,5 +437,5 @@ def _model_from_plain(plain: Mapping[str, Any]) -> StepLengthModel:
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
         raise ValueError(f"no step-length model {plain['class']!r}")
-    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name != "class"}
+    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))

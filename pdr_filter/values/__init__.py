@@ -4,6 +4,7 @@ from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
 from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.declared import check_declared
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -48,6 +49,7 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "check_declared",
     "check_numbers",
     "check_transition_prob",
     "circular_mean",
