@@ -14,6 +14,7 @@ from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair, o
 from pdr_filter.config import Config
 from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
 from pdr_filter.values import CONTEXTS, FloatArray, Note, Step, Table, read_only, table
 
@@ -335,6 +336,9 @@ class Calibration:
         return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
 
 
+# No step is longer, in m, and no person as far from others: it says that nothing is known.
+_LARGEST_STD = 1e3
+
 # Kinds of the columns of `segments`: text, yes or no, numbers.
 _COLUMNS = dict.fromkeys(("subject", "recording", "context"), "U") | dict.fromkeys(("summed", "distrusted"), "b")
 _COLUMNS |= dict.fromkeys(("start_s", "end_s", "distance_m", "n_steps", "predicted_m", "left_out_m"), "if")
@@ -362,11 +366,15 @@ def _check_numbers(calibration: Calibration) -> None:
             raise ValueError(f"{name} must have no negative eigenvalue")
     if not (np.diagonal(calibration.between_cov) >= 0).all():
         raise ValueError("between_cov must have variances on its diagonal")
-    if (calibration.heights_m <= 0).any() or np.isinf(calibration.heights_m).any():
-        raise ValueError(f"heights_m must be positive, NaN where unknown, got {calibration.heights_m}")
+    least_m, largest_m = HEIGHT_RANGE_M
+    if ((calibration.heights_m < least_m) | (calibration.heights_m > largest_m)).any():
+        raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {calibration.heights_m}")
+    for name in ("residual_std_m", "n_segments"):
+        if not set(calibration.models) <= set(getattr(calibration, name)):
+            raise ValueError(f"{name} must be there for each of {tuple(calibration.models)}")
     known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
-    if not set(calibration.models) <= set(known) or not all(0 <= std < np.inf for std in known.values()):
-        raise ValueError(f"residual_std_m of each model, and recording_std, must be 0 or more, got {known}")
+    if not all(0 <= std <= _LARGEST_STD for std in known.values()):
+        raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
     if calibration.main_context not in calibration.models:
         raise ValueError(f"models must hold that of {calibration.main_context}, got {tuple(calibration.models)}")
 

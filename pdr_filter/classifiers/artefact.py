@@ -12,14 +12,14 @@ import json
 import re
 import zipfile
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.values import check_declared
+from pdr_filter.values import check_whole
 
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
@@ -74,7 +74,7 @@ class ArtefactFormat:
             description = self._checked(_content(json_path, _MAX_JSON_BYTES).decode())
             checksum = description.get("npz_sha256")
             built = build(description, {} if checksum is None else _unpacked(npz_path, checksum))
-            check_declared(type(built), {f.name: getattr(built, f.name) for f in fields(built) if f.init})
+            check_whole(built)
             return built
         except Exception as error:  # whatever a damaged file provokes
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)

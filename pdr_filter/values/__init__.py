@@ -4,7 +4,7 @@ from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
 from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
-from pdr_filter.values.declared import check_declared
+from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -52,6 +52,7 @@ __all__ = [
     "check_declared",
     "check_numbers",
     "check_transition_prob",
+    "check_whole",
     "circular_mean",
     "heading_from_yaw",
     "read_only",

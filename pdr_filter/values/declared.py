@@ -29,6 +29,15 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
             raise ValueError(f"{name} of {cls.__name__} must be {kind}, got {str(value)[:60]}")
 
 
+def check_whole(value: Any) -> None:
+    """The same of a dataclass that was made of a file, and of those in its fields."""
+    content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+    check_declared(type(value), content)
+    for part in content.values():
+        if is_dataclass(part):
+            check_whole(part)
+
+
 @cache
 def _declared(cls: type[Any]) -> Mapping[str, Any]:
     hints = get_type_hints(cls)
