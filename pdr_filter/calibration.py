@@ -16,7 +16,7 @@ from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
-from pdr_filter.values import CONTEXTS, FloatArray, Note, Step, Table, read_only, table
+from pdr_filter.values import CONTEXTS, FloatArray, Note, Step, Table, check_columns, check_cov, read_only, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -25,6 +25,14 @@ if TYPE_CHECKING:
 FORMAT = ArtefactFormat("calibration", 1, "calibrate again, or use the version that wrote it")
 _ARRAYS = ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
 _SEGMENT = "segment_"  # before the names of the columns of `segments`
+_TEXTS, _FLAGS = ("subject", "recording", "context"), ("summed", "distrusted")
+_LENGTHS = ("distance_m", "predicted_m", "left_out_m", "stranger_m", "uncalibrated_m")
+_COLUMN_KINDS = {
+    **dict.fromkeys(_TEXTS, "U"),
+    **dict.fromkeys(_FLAGS, "b"),
+    **dict.fromkeys(("start_s", "end_s", "n_steps", "misfit", "weight", *_LENGTHS), "if"),
+}
+_LARGEST_STD = 1e3  # no step is longer, in m, and nobody as far from others: it says that nothing is known
 _MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
 # Whose recordings are that do not say it: somebody who calibrates his own steps seldom gives himself a name.
 UNNAMED = "unnamed"
@@ -110,8 +118,8 @@ class Calibration:
                 raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
         if not set(self.models) <= set(CONTEXTS):
             raise ValueError(f"contexts must be among {CONTEXTS}, got {tuple(self.models)}")
+        check_columns(self.segments, _COLUMN_KINDS, "segments")
         _check_numbers(self)
-        _check_columns(self.segments)
 
     def __repr__(self) -> str:
         contexts = ", ".join(self.contexts) or "no context"
@@ -336,39 +344,18 @@ class Calibration:
         return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
 
 
-# No step is longer, in m, and no person as far from others: it says that nothing is known.
-_LARGEST_STD = 1e3
-
-# Kinds of the columns of `segments`: text, yes or no, numbers.
-_COLUMNS = dict.fromkeys(("subject", "recording", "context"), "U") | dict.fromkeys(("summed", "distrusted"), "b")
-_COLUMNS |= dict.fromkeys(("start_s", "end_s", "distance_m", "n_steps", "predicted_m", "left_out_m"), "if")
-_COLUMNS |= dict.fromkeys(("stranger_m", "uncalibrated_m", "misfit", "weight"), "if")
-
-
-def _check_columns(segments: Table) -> None:
-    names = segments.dtype.names or ()
-    for name, kinds in _COLUMNS.items():
-        if name not in names or segments.dtype[name].kind not in kinds:
-            raise ValueError(f"segments must have a column {name} of kind {kinds}, got {segments.dtype}")
-
-
 def _check_numbers(calibration: Calibration) -> None:
     """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
     for name in ("theta", "people"):
         if not np.isfinite(getattr(calibration, name)).all():
             raise ValueError(f"{name} must be finite, got {getattr(calibration, name)}")
     for name in ("theta_cov", "people_cov"):
-        cov: FloatArray = getattr(calibration, name)
-        tolerance = 1e-9 * np.abs(cov).max(initial=0.0)  # of an estimate that misses zero by its rounding
-        if not np.isfinite(cov).all() or np.abs(cov - np.swapaxes(cov, -1, -2)).max(initial=0.0) > tolerance:
-            raise ValueError(f"{name} must be finite and symmetric")
-        if cov.size and np.linalg.eigvalsh(cov).min() < -tolerance:
-            raise ValueError(f"{name} must have no negative eigenvalue")
+        check_cov(getattr(calibration, name), name)
     if not (np.diagonal(calibration.between_cov) >= 0).all():
         raise ValueError("between_cov must have variances on its diagonal")
-    least_m, largest_m = HEIGHT_RANGE_M
-    if ((calibration.heights_m < least_m) | (calibration.heights_m > largest_m)).any():
-        raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {calibration.heights_m}")
+    heights_m, (least_m, largest_m) = calibration.heights_m, HEIGHT_RANGE_M
+    if ((heights_m < least_m) | (heights_m > largest_m)).any():
+        raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {heights_m}")
     for name in ("residual_std_m", "n_segments"):
         if not set(calibration.models) <= set(getattr(calibration, name)):
             raise ValueError(f"{name} must be there for each of {tuple(calibration.models)}")

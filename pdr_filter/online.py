@@ -15,7 +15,7 @@ from pdr_filter.filtering import State, add_fixes, add_location, add_pressure, f
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Fix, FloatArray, ImuBlock, Origin, PositionFix
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, Fix, FloatArray, ImuBlock, Origin, PositionFix, check_cov
 
 
 class OnlineFilter:
@@ -185,22 +185,22 @@ def _try(online: OnlineFilter) -> None:
     belong together, shows here and not while somebody walks.
     """
     state = replace(online.state, finished=False)
-    begin_s = state.sensing.conditioner.report.last_time_s
-    begin_s = begin_s if np.isfinite(begin_s) else 0.0
+    last_s = state.sensing.conditioner.report.last_time_s - state.clock_offset_s
+    begin_s = last_s if np.isfinite(last_s) else 0.0
     copy, time_s = OnlineFilter.__new__(OnlineFilter), begin_s + _TRIAL_S
     copy.config, copy.state = online.config, state
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             copy.push_pressure(time_s[::10], np.full(len(time_s[::10]), 1000.0))
-            copy.state = add_fixes(copy.config, copy.state, (PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)),))
+            copy.add_fix(PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)))
             updates = copy.push(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
             updates += copy.finish()
             _ = copy.notes, copy.device
-        numbers = [copy.position_m, copy.position_cov_m2, *(u.position_m for u in updates)]
-        numbers += [u.mode_prob for u in updates]
-        if not all(np.isfinite(n).all() for n in numbers) or np.linalg.eigvalsh(copy.position_cov_m2).min() < -1e-6:
+        numbers = [copy.position_m, *(u.position_m for u in updates), *(u.mode_prob for u in updates)]
+        if not all(np.isfinite(n).all() for n in numbers):
             raise ValueError("its positions are no numbers")
+        check_cov(copy.position_cov_m2, "the covariance of its position")
     except Exception as error:  # whatever a damaged state provokes
         raise ValueError(f"these bytes hold a filter that cannot go on ({error}); save the filter again") from error
 

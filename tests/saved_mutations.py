@@ -15,7 +15,7 @@ import zlib
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -317,14 +317,13 @@ def try_one(form: str, number: int, seed: int, folder: Path) -> str:
         warnings.simplefilter("ignore")
         if kind == "filter":
             blob = mutated_filter(good_filter(recipe, located=number % 2 == 1), rng)
+            use = partial(use_filter, blob)
         else:
             path = good_files(form, folder, number)
             mutated_files(path, rng)
+            use = partial({"model": use_model, "calibration": use_calibration}[form], path)
         try:
-            if kind == "filter":
-                use_filter(blob)
-            else:
-                {"model": use_model, "calibration": use_calibration}[form](path)
+            use()
         except ValueError as error:
             return "refused" if len(str(error)) > 20 else f"refused without a reason: {error}"
         except BaseException as error:

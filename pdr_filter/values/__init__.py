@@ -1,7 +1,17 @@
 """Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
+from pdr_filter.values.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Table,
+    check_columns,
+    check_cov,
+    check_transition_prob,
+    read_only,
+    table,
+)
 from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
@@ -49,6 +59,8 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "check_columns",
+    "check_cov",
     "check_declared",
     "check_numbers",
     "check_transition_prob",
