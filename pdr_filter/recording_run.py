@@ -28,6 +28,7 @@ from pdr_filter.values import (
     FixResult,
     HeadingFix,
     ImuBlock,
+    Origin,
     PositionFix,
     Step,
     Table,
@@ -50,6 +51,8 @@ def track(
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
     gnss: Literal["filter", "off"] | None = None,
+    origin: Origin | tuple[float, float] | None = None,
+    heading_rad: float | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -75,9 +78,15 @@ def track(
     gnss : {"filter", "off"}, optional
         Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
         world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
-        positions or headings, which are in a frame of their own.
+        positions or headings, which are in a frame of their own, or `origin` or `heading_rad` say it.
+    origin : Origin or (latitude_deg, longitude_deg), optional
+        Where on Earth the track has its zero: the start of the walk, or that of the frame of `fixes`.
+    heading_rad : float, optional
+        True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
+        which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
     """
-    with_location = _with_location(recording, fixes, gnss)
+    is_placed = _is_placed(origin, heading_rad, fixes, gnss)
+    with_location = _with_location(recording, fixes, gnss) and not is_placed
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
@@ -91,7 +100,39 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    return collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    result = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    if is_placed and recording.location is not None and gnss is None:
+        words = "the recording's own locations are not used: its place or heading was given"
+        result = replace(result, notes=(*result.notes, words))
+    if origin is None:
+        return result if heading_rad is None else result.turned(heading_rad)
+    here = Origin.of(origin)
+    return result.placed(here if heading_rad is None else replace(here, turn_rad=heading_rad))
+
+
+def _is_placed(
+    origin: Origin | tuple[float, float] | None, heading_rad: float | None, fixes: Sequence[Fix], gnss: str | None
+) -> bool:
+    """Whether somebody says where the track lies or which way; ValueError for what contradicts itself."""
+    if origin is None and heading_rad is None:
+        return False
+    if gnss not in ("off", None):
+        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
+        raise ValueError(
+            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
+            "one or the other out"
+        )
+    turn_rad = None if origin is None else Origin.of(origin).turn_rad
+    if heading_rad is not None and not np.isfinite(heading_rad):
+        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
+    if heading_rad is not None and turn_rad is not None:
+        raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
+    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
+        raise ValueError(
+            f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
+            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
+        )
+    return True
 
 
 def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
@@ -156,6 +197,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
         frame = frame.drawn()
+        origin = frame.origin(origin)
     updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))

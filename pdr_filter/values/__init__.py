@@ -31,12 +31,15 @@ from pdr_filter.values.origin import Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.windows import Windows
 
 __all__ = [
     "CARRYING_MODES",
     "CONTEXTS",
     "HARDLY_AGREE",
+    "RADIUS_68",
+    "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
     "BoolArray",
