@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -88,6 +88,7 @@ class State:
     seen: WindowCounts = WindowCounts()
     walked: StepCounts = StepCounts()
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
+    n_lost_climbs: int = 0  # that waited too long for their windows
     locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
@@ -151,13 +152,19 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
         )
 
 
+# Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.
+MAX_CLIMBS = 600
+
+
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
     """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
 
     Give the pressure of a time before the other samples of that time: a window is classified once.
     """
     barometer, climbs = config.climb_rate.step(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
-    return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
+    all_climbs = (*state.climbs, *climbs)
+    n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
+    return replace(state, barometer=barometer, climbs=all_climbs[n_lost:], n_lost_climbs=state.n_lost_climbs + n_lost)
 
 
 def add_location(
@@ -176,7 +183,9 @@ def add_location(
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     """State with fixes, on the track's time base, that wait until they are due."""
-    waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
+    waiting = list(state.waiting_fixes)
+    for fix in fixes:
+        insort(waiting, fix, key=lambda f: due_s(config, f))
     return replace(state, waiting_fixes=tuple(waiting))
 
 
@@ -237,6 +246,9 @@ def notes_of(config: Config, state: State) -> list[Note]:
             f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
         )
         notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
+    if state.n_lost_climbs:
+        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
+        notes.append(Note("sensors", words + "both need one clock"))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:
@@ -300,10 +312,11 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
-    used: list[FixResult] = []
-    while state.waiting_fixes and due_s(config, state.waiting_fixes[0]) <= until_s:
-        first, *later = state.waiting_fixes
-        state, result = _use_fix(config, replace(state, waiting_fixes=tuple(later)), first, until_s)
+    n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
+    used, due = list[FixResult](), state.waiting_fixes[:n_due]
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:]) if due else state
+    for fix in due:
+        state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
     return state, used
 

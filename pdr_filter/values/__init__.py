@@ -7,11 +7,15 @@ from pdr_filter.values.arrays import (
     IntArray,
     Table,
     as_floats,
+    check_columns,
+    check_cov,
     check_transition_prob,
     read_only,
     table,
 )
+from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -60,7 +64,12 @@ __all__ = [
     "TrackRows",
     "Windows",
     "as_floats",
+    "check_columns",
+    "check_cov",
+    "check_declared",
+    "check_numbers",
     "check_transition_prob",
+    "check_whole",
     "circular_mean",
     "heading_from_yaw",
     "read_only",

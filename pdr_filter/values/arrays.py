@@ -50,6 +50,22 @@ def table(columns: Mapping[str, ArrayLike]) -> Table:
     return result.view(np.recarray)
 
 
+def check_columns(rows: Table, kinds: Mapping[str, str], name: str) -> None:
+    """Raise ValueError unless a table has these columns, each of one of its kinds of NumPy."""
+    for column, of in kinds.items():
+        if column not in (rows.dtype.names or ()) or rows.dtype[column].kind not in of:
+            raise ValueError(f"{name} must have a column {column} of kind {' or '.join(of)}, got {rows.dtype}")
+
+
+def check_cov(cov: FloatArray, name: str) -> None:
+    """Raise ValueError unless covariances (..., n, n) are finite, symmetric and, but for rounding, not negative."""
+    tolerance = 1e-9 * np.abs(cov).max(initial=0.0)
+    if not np.isfinite(cov).all() or np.abs(cov - np.swapaxes(cov, -1, -2)).max(initial=0.0) > tolerance:
+        raise ValueError(f"{name} must be finite and symmetric, got {cov}")
+    if cov.size and np.linalg.eigvalsh(cov).min() < -tolerance:
+        raise ValueError(f"{name} must have no negative eigenvalue, got {cov}")
+
+
 def check_transition_prob(transition_prob: FloatArray, n: int, name: str = "transition_prob") -> None:
     """Raise ValueError unless `transition_prob[i, j]`, from i to j, is (n, n) with rows that sum to one."""
     if transition_prob.shape != (n, n):
