@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import warnings
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -217,7 +216,7 @@ def _try(online: OnlineFilter) -> None:
     States are values, so nothing is left of it. What no declaration of a field can tell, whether the parts of a state
     belong together, shows here and not while somebody walks.
     """
-    state = replace(online.state, finished=False)
+    state = online.state
     last_s = state.sensing.conditioner.report.last_time_s - state.clock_offset_s
     begin_s = last_s if np.isfinite(last_s) else 0.0
     copy, time_s = OnlineFilter.__new__(OnlineFilter), begin_s + _TRIAL_S
@@ -225,10 +224,12 @@ def _try(online: OnlineFilter) -> None:
     try:
         with np.errstate(all="ignore"), warnings.catch_warnings():
             warnings.simplefilter("ignore")
-            copy.push_pressure(time_s[::10], np.full(len(time_s[::10]), 1000.0))
-            copy.add_fix(PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)))
-            updates = copy.push(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
-            updates += copy.finish()
+            updates = list[StepUpdate]()
+            if not state.finished:
+                copy.push_pressure(time_s[::10], np.full(len(time_s[::10]), 1000.0))
+                copy.add_fix(PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)))
+                updates += copy.push(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
+                updates += copy.finish()
             _ = copy.notes, copy.device
         numbers = [copy.position_m, *(u.position_m for u in updates), *(u.mode_prob for u in updates)]
         if not all(np.isfinite(n).all() for n in numbers):

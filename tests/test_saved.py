@@ -15,10 +15,10 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_mutations import FILTERS, a_calibration, at, good_filter, try_one
+from saved_mutations import FILTERS, a_calibration, at, between, good_filter, try_one
 
 import pdr_filter as pdr
-from pdr_filter import serialise
+from pdr_filter import recipes, serialise
 from pdr_filter.calibration import load_calibration
 from pdr_filter.classifiers import artefact
 from pdr_filter.classifiers.model import load_model
@@ -99,6 +99,19 @@ def test_positions_that_are_no_numbers_are_refused() -> None:
     online.state = replace(online.state, tracker=replace(online.state.tracker, pedestrian=lost))
     with pytest.raises(ValueError, match=r"cannot go on .*save the filter again"):
         pdr.OnlineFilter.load(online.save())
+
+
+@pytest.mark.parametrize("form", FILTERS)
+def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_loaded(form: str) -> None:
+    recipe = recipes.RECIPES[form.partition(":")[2]]
+    time_s, force, *_ = between(0.0, 20.0)
+    fresh, finished = pdr.OnlineFilter(recipe(None)), pdr.OnlineFilter.load(good_filter(recipe.__name__, located=False))
+    finished.push(*between(25.0, 45.0))
+    finished.finish()
+    blind = pdr.OnlineFilter(recipe(None))
+    blind.push(time_s + 1.7e9, force)
+    for online in (fresh, finished, blind):
+        assert pdr.OnlineFilter.load(online.save()).save() == online.save()
 
 
 def test_an_array_may_be_longer_only_where_the_first_one_is_empty() -> None:
