@@ -12,12 +12,13 @@ from pdr_filter.values.arrays import FloatArray, read_only
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
-    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance."""
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if that is known."""
 
     time_s: float  # when the position was true, on the time base of the samples
     position_m: FloatArray  # (2,) east, north
     cov_m2: FloatArray  # (2, 2) positive definite
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    floor: int | None = None  # number of the storey
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -27,6 +28,8 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if self.floor is not None and (isinstance(self.floor, bool) or not isinstance(self.floor, int | np.integer)):
+            raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, or None, got {self.floor!r}")
         _check_times(self.time_s, self.received_time_s)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
+from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.windows import Windows
@@ -43,6 +44,9 @@ class TrackRows:
     smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
     smoothed_speed_std_mps: FloatArray  # (K,)
     gap_before_s: FloatArray  # (K,) time without samples since the step before
+    height_m: FloatArray  # (K,) above the start
+    height_std_m: FloatArray  # (K,)
+    floor: IntArray  # (K,) the storey: from that of the start, which is 0, or as a fix has named it
     context_prob: FloatArray  # (K, C)
     contexts: tuple[str, ...]
     mode_prob: FloatArray  # (K, M)
@@ -55,6 +59,7 @@ class TrackRows:
     weighting: str
     notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
     fixes: tuple[FixResult, ...] = field(default=())
+    floor_passages: tuple[FloorPassage, ...] = field(default=())  # see `floor_changes`
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
     frame: str = "start"  # of positions and headings: "start" or "fixes"
     origin: Origin | None = None  # where its zero is, if the recording's own locations placed the track
@@ -124,6 +129,10 @@ class TrackRows:
         duration = np.asarray(self.steps.duration_s)[inside]
         walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
         return np.where(walking, self.step_length_m[inside] / duration, 0.0)
+
+    def floor_changes(self) -> list[FloorPassage]:
+        """When the pedestrian went from one storey to another, and how, in order."""
+        return list(self.floor_passages)
 
     def context_seconds(self) -> dict[str, float]:
         """Seconds spent in each context: every window votes for its most probable one.
