@@ -305,9 +305,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
     for update in updates:
         if update.is_final:
             up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
-            known, own, passages = height.on_step(
-                known, known_s, update.step.time_s, up_prob, down_prob, config.model
-            )
+            known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
             output.floor_passages.extend(passages)
         else:
             own = known.known

@@ -8,6 +8,7 @@ building among them. A storey is left when the next one is clearly nearer.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -20,9 +21,12 @@ USUAL_STOREY_M = 3.8
 LEAST_STOREY_M = 2.3
 # In storeys, beyond the middle between two: noise must not make somebody on a landing change storeys with every step.
 _CLEARLY = 0.05
+# What happened in a longer time than this without pressure is not known.
+_BLIND_S = 4.0
 # Within a quarter of a storey somebody has not left it.
 _STILL_THERE = 0.25
-# Who arrives stays for so long; a landing between two flights is two or three steps.
+# Who arrives stays for so long and walks off; a landing between two flights is two or three steps, and a lift that
+# stops on its way none.
 ARRIVED_S = 3.0
 # A stay: level ground for so long, on which somebody walked a little. Who waits in a lift makes no steps.
 STAY_S, STAY_STEPS = 5.0, 3
@@ -71,6 +75,7 @@ class FloorState:
     """Storeys that are known, the present one, and how far somebody is on the way to another."""
 
     floor: int = 0
+    floor_since_s: float = np.nan
     levels: tuple[Level, ...] = (Level(0, 0.0, LEVEL_STD_M),)
     climbing: Climbing = Climbing(np.nan)
     level_since_s: float = np.nan  # NaN while somebody climbs
@@ -82,7 +87,7 @@ class FloorState:
 def storey_m(levels: tuple[Level, ...]) -> float:
     """How high a storey is: the usual height and those of this building, each with the same weight."""
     found = [USUAL_STOREY_M]
-    for lower, upper in zip(levels, levels[1:], strict=False):
+    for lower, upper in pairwise(levels):
         n = upper.floor - lower.floor
         found += n * [(upper.climbed_m - lower.climbed_m) / n]
     return sum(found) / len(found)
@@ -104,35 +109,37 @@ def followed(
     """State after a time in which somebody made some steps and came to a height."""
     at = storeys_up(state.levels, climbed_m)
     floor = state.floor if abs(at - state.floor) <= 0.5 + _CLEARLY else round(at)
-    climbing, passages = state.climbing, ()
+    floor_since_s = state.floor_since_s if floor == state.floor else now_s
+    state = replace(state, floor=floor, floor_since_s=floor_since_s, passages=())
+    climbing = state.climbing
     if p_stairs + p_ride > 0.5:
         is_on_stairs = p_stairs > p_ride
+        elapsed_s = elapsed_s if elapsed_s < _BLIND_S else 0.0
         climbing = replace(
             climbing,
             n_steps=climbing.n_steps + n_steps,
             stairs_s=climbing.stairs_s + is_on_stairs * elapsed_s,
             ride_s=climbing.ride_s + (not is_on_stairs) * elapsed_s,
         )
-        return replace(state, floor=floor, climbing=climbing, level_since_s=np.nan, n_level_steps=0, is_used=False, passages=())
+        return replace(state, climbing=climbing, level_since_s=np.nan, n_level_steps=0, is_used=False)
     since_s = now_s if np.isnan(state.level_since_s) else state.level_since_s
-    if floor != climbing.from_floor and now_s - since_s >= ARRIVED_S:
-        passages = (_passage(climbing, since_s, floor, climbed_m),)
-    if passages or (floor == climbing.from_floor and abs(at - floor) < _STILL_THERE):
-        climbing = Climbing(now_s, floor, climbed_m)
-    n_level_steps = state.n_level_steps + n_steps
-    return replace(state, floor=floor, climbing=climbing, level_since_s=since_s, n_level_steps=n_level_steps, passages=passages)
+    state = replace(state, level_since_s=since_s, n_level_steps=state.n_level_steps + n_steps)
+    if floor == climbing.from_floor:
+        return replace(state, climbing=Climbing(now_s, floor, climbed_m)) if abs(at - floor) < _STILL_THERE else state
+    return _arrived(state, now_s, climbed_m) if now_s - since_s >= ARRIVED_S and state.n_level_steps > 0 else state
 
 
 def finished(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
     """State at the end: who has come to another storey has arrived."""
-    if state.floor == state.climbing.from_floor:
-        return replace(state, passages=())
-    end_s = now_s if np.isnan(state.level_since_s) else state.level_since_s
-    return replace(state, climbing=Climbing(now_s, state.floor, climbed_m), passages=(_passage(state.climbing, end_s, state.floor, climbed_m),))
+    is_same = state.floor == state.climbing.from_floor
+    return replace(state, passages=()) if is_same else _arrived(state, now_s, climbed_m)
 
 
-def _passage(climbing: Climbing, end_s: float, floor: int, climbed_m: float) -> FloorPassage:
-    return FloorPassage(climbing.start_s, end_s, climbing.from_floor, floor, climbing.how(climbed_m))
+def _arrived(state: FloorState, now_s: float, climbed_m: float) -> FloorState:
+    way, level_s = state.climbing, now_s if np.isnan(state.level_since_s) else state.level_since_s
+    end_s = max(level_s, state.floor_since_s)
+    passage = FloorPassage(way.start_s, end_s, way.from_floor, state.floor, way.how(climbed_m))
+    return replace(state, climbing=Climbing(now_s, state.floor, climbed_m), passages=(passage,))
 
 
 def known_level(state: FloorState, now_s: float) -> Level | None:

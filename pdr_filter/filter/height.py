@@ -5,11 +5,12 @@ metres that level ground and slopes led up, and what the air added to the height
 draughts. The barometer measures climbed + sloped + air. Height is climbed + sloped; storeys are of climbed alone
 (`floors`), so that neither a hill nor the weather of a day leads to another one.
 
-Six modes explain a second: level ground, where nothing moves but the air; a slope, on which steps lead up or down
+Seven modes explain a second: level ground, where nothing moves but the air; a slope, on which steps lead up or down
 little by little; stairs up and down, a riser a step; a lift, or an escalator, that moves somebody who makes no steps,
-at a rate that lasts; and a jump of the air, a door or a fan, all at once. They are mixed as those of the track are
-(`imm`), once for each second of the barometer. Without a barometer a step climbs a riser as probably as the track's own
-modes say that it was made on stairs.
+at a rate that lasts; a jump of the air, a door or a fan, all at once; and a drift of the air about somebody who sits,
+as in the cabin of an aeroplane. They are mixed as those of the track are (`imm`), once for each second of the
+barometer. Without a barometer a step climbs a riser as probably as the track's own modes say that it was made on
+stairs.
 """
 
 from __future__ import annotations
@@ -40,15 +41,17 @@ from pdr_filter.sensing.features.barometric import RISER_M, Climb
 from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, read_only
 
 CLIMBED, RATE, SLOPED, AIR = range(4)
-LEVEL, SLOPE, UP, DOWN, LIFT, JUMP = range(6)
-N_MODES, N_STATES = 6, 4
+LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)
+N_MODES, N_STATES = 7, 4
 
 # The mean pressure of a second differs from that of the seconds around it by 0.12 m, and by 0.025 m a root second more
 # the further they are (ipin21, one storey in two minutes).
 DRAUGHT_STD_M, AIR_WALK_M = 0.12, 0.025
 # A door, a fan: 5 to 50 Pa.
-JUMP_STD_M = 2.0
-# Slopes of 6 % are the steepest for wheels (DIN 18040), 0.08 m/s at 1.3 m/s.
+JUMP_STD_M = 1.5
+# The cabin of an aeroplane on its way changes by a hPa a minute, 0.14 m/s: half of what an escalator climbs.
+DRIFT_M = 0.12
+# Ramps of 6 % are the steepest for wheels (DIN 18040), 0.08 m/s at 1.3 m/s.
 SLOPE_MPS = 0.08
 # Risers of one staircase are alike, and mostly within a centimetre of 0.17 m (`barometric`); a step is known a second
 # after its contact, so that the steps of a second are wrong by one.
@@ -59,19 +62,20 @@ LIFT_ACCELERATION_MPS2 = 0.7
 LEAST_RIDE_MPS = 0.2
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
 LONGEST_RIDE_S = 120.0
-# The air of a vehicle is calm again below this rate of the barometer, a third of a ride's.
-CALM_MPS = 0.1
+# The air of a vehicle is calm again when the barometer has been below this rate, a half of a ride's, for some time.
+CALM_MPS, CALM_S = 0.1, 10.0
 
 # Mean stays in seconds: flights and level stretches of the terrain labels (`modes`), rides and slopes by judgement.
-_STAYS_S = {LEVEL: 15.0, SLOPE: 20.0, UP: 6.6, DOWN: 5.8, LIFT: 15.0, JUMP: 1.1}
+_STAYS_S = {LEVEL: 15.0, SLOPE: 20.0, UP: 6.6, DOWN: 5.8, LIFT: 15.0, JUMP: 1.1, DRIFT: 60.0}
 # Where they lead to.
 _NEXT = {
-    LEVEL: {SLOPE: 0.35, UP: 0.25, DOWN: 0.25, LIFT: 0.1, JUMP: 0.05},
+    LEVEL: {SLOPE: 0.35, UP: 0.25, DOWN: 0.25, LIFT: 0.09, JUMP: 0.05, DRIFT: 0.01},
     SLOPE: {LEVEL: 0.7, UP: 0.1, DOWN: 0.1, LIFT: 0.05, JUMP: 0.05},
     UP: {LEVEL: 0.9, SLOPE: 0.05, DOWN: 0.02, JUMP: 0.03},
     DOWN: {LEVEL: 0.9, SLOPE: 0.05, UP: 0.02, JUMP: 0.03},
     LIFT: {LEVEL: 0.95, JUMP: 0.05},
-    JUMP: {LEVEL: 0.8, SLOPE: 0.1, UP: 0.03, DOWN: 0.03, LIFT: 0.04},
+    JUMP: {LEVEL: 0.8, SLOPE: 0.1, UP: 0.03, DOWN: 0.03, LIFT: 0.03, DRIFT: 0.01},
+    DRIFT: {LEVEL: 0.9, LIFT: 0.05, JUMP: 0.05},
 }
 # A step every 0.55 s on stairs: seldom none in a second, but steps after a pause are known late.
 _NO_STEP_ON_STAIRS = math.log(0.2)
@@ -82,6 +86,8 @@ _FLIGHT_STEPS = 12
 _RISER_STD_M = 0.01
 # Where slopes are not measured, what a minute of walking leads up or down: 0.4 m.
 _UNSEEN_SLOPE_M = 0.05
+# Where stairs are not seen either (a phone in the hand), a storey in ten minutes may have been climbed.
+_UNSEEN_STAIRS_M = 0.14
 # Without pressure for so long a step counts by itself.
 PRESSURE_AGE_S = 4.0
 # The first steps of a bout wait for the gate for so long: until then a second of the barometer may get more of them.
@@ -104,7 +110,7 @@ def _transitions() -> FloatArray:
 _TRANSITIONS = _transitions()
 _PRESSURE = read_only(np.array([1.0, 0.0, 1.0, 1.0]))  # what the states add up to
 _CLIMBED = read_only(np.eye(N_STATES)[CLIMBED])
-_RIDES = np.arange(N_MODES) == LIFT
+_NOT_LIFTED = [LEVEL, SLOPE, UP, DOWN, JUMP, DRIFT]
 _STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "upstairs", "downstairs"))
 _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
 
@@ -113,15 +119,15 @@ _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
 class Known:
     """What is known of the height at one time: estimates of the modes, their sum, and the storeys."""
 
-    mean: FloatArray  # (6, 4)
-    cov: FloatArray  # (6, 4, 4)
-    prob: FloatArray  # (6,)
+    mean: FloatArray  # (7, 4)
+    cov: FloatArray  # (7, 4, 4)
+    prob: FloatArray  # (7,)
     climbed_m: float = 0.0
     height_m: float = 0.0  # above the start
     height_var_m2: float = 0.0
     pressure_s: float = np.nan  # of the last second of the barometer
     ride: tuple[float, float] | None = None  # since when somebody rides, and what was climbed until then
-    in_vehicle: bool = False  # the pressure is that of a cabin
+    calm_in_s: float = 0.0  # the pressure is that of a vehicle until it has been calm for so long
     first_air_m: float = np.nan
     most_air_m: float = 0.0  # that the air has changed since then
     floors: FloorState = field(default_factory=FloorState)
@@ -138,7 +144,7 @@ class Second:
 
     before: Known
     climb: Climb
-    log_evidence: FloatArray  # (6,) of the windows that ended in it
+    log_evidence: FloatArray  # (7,) of the windows that ended in it
     n_steps: int
 
 
@@ -151,6 +157,7 @@ class HeightState:
     log_evidence: FloatArray = field(default_factory=lambda: np.zeros(N_MODES))
     n_steps: int = 0
     step_s: float = np.nan  # of the last step
+    stairs_unknown_share: float = 0.0  # of the last window
 
 
 def initial_height() -> HeightState:
@@ -161,6 +168,7 @@ def initial_height() -> HeightState:
 
 def on_window(state: HeightState, window: WindowContext, model: PedestrianModel) -> HeightState:
     """State with what a window's motion says of stairs; the climb rate must not be in it, which is pressure."""
+    state = replace(state, stairs_unknown_share=window.stairs_unknown_share)
     if not state.recent or not np.isfinite(window.prob).all():
         return state
     said = context_log_evidence(
@@ -172,7 +180,7 @@ def on_window(state: HeightState, window: WindowContext, model: PedestrianModel)
     )
     on_foot, standing = float(said[_ON_FOOT].max()), float(said[_STANDING])
     either = max(on_foot, standing)
-    of_modes = [either, on_foot, said[_UPSTAIRS], said[_DOWNSTAIRS], standing, either]
+    of_modes = [either, on_foot, said[_UPSTAIRS], said[_DOWNSTAIRS], standing, either, standing]
     return replace(state, log_evidence=state.log_evidence + np.array(of_modes))
 
 
@@ -185,7 +193,8 @@ def on_pressure(
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
     passages = [p for later in recent[1 : n_final + 1] for p in later.before.floors.passages]
-    return HeightState(known, recent[n_final:], step_s=state.step_s), tuple(passages)
+    waits = replace(state, log_evidence=np.zeros(N_MODES), n_steps=0)
+    return replace(waits, known=known, recent=recent[n_final:]), tuple(passages)
 
 
 def on_step(
@@ -197,7 +206,7 @@ def on_step(
     """
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if np.isfinite(state.step_s) else 0.5
     state = replace(state, step_s=step_s)
-    if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and not state.known.in_vehicle:
+    if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
             return replace(state, n_steps=state.n_steps + 1), state.known, ()
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
@@ -210,7 +219,8 @@ def on_step(
     passages = tuple(p for later in state.recent[1:] for p in later.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
-    known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob)
+    unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
+    known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var)
     state = replace(state, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, known, passages + known.floors.passages
 
@@ -247,10 +257,9 @@ def notes(state: HeightState) -> list[Note]:
 def _after(second: Second, model: PedestrianModel) -> Known:
     """What is known after a second of the barometer."""
     known, climb, n_steps = second.before, second.climb, second.n_steps
-    if known.in_vehicle:
-        if abs(climb.climb_rate_mps) > CALM_MPS:
-            return replace(known, pressure_s=climb.time_s)
-        known = replace(known, in_vehicle=False)
+    if known.calm_in_s > 0:
+        calm_in_s = CALM_S if abs(climb.climb_rate_mps) > CALM_MPS else known.calm_in_s - 1.0
+        return replace(known, pressure_s=climb.time_s, calm_in_s=max(calm_in_s, 0.0))
     elapsed_s = climb.time_s - known.pressure_s
     if not elapsed_s > 0:  # the first, or a clock that was set back
         elapsed_s = 1.0
@@ -259,8 +268,8 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     variance = DRAUGHT_STD_M**2 + climb.height_std_m**2
     mean, cov, log_likelihood = _measured(mean, cov, _PRESSURE, climb.height_m, variance)
     log_likelihood = log_likelihood + second.log_evidence
-    log_likelihood[LIFT] += n_steps * model.step_log_odds_stationary
-    log_likelihood[LIFT] += _log_rides(float(mean[LIFT, RATE]), float(cov[LIFT, RATE, RATE]))
+    log_likelihood[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
+    log_likelihood[LIFT] += _log_prob_rides(float(mean[LIFT, RATE]), float(cov[LIFT, RATE, RATE]))
     if n_steps == 0:
         log_likelihood[UP : DOWN + 1] += _NO_STEP_ON_STAIRS
     prob = imm.update_mode_prob(prob, log_likelihood)
@@ -277,7 +286,7 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         variance = level.std_m**2 + LEVEL_STD_M**2
         if (level.climbed_m - x[CLIMBED]) ** 2 < _LEVEL_GATE * (P[CLIMBED, CLIMBED] + variance):
             mean, cov, _ = _measured(mean, cov, _CLIMBED, level.climbed_m, variance)
-            x, P = imm.combine(mean, cov, prob)
+            x, P = imm.combine(mean, cov, prob)  # pyright: ignore[reportConstantRedefinition]
             level = Level(level.floor, float(x[CLIMBED]), math.sqrt(P[CLIMBED, CLIMBED]))
         way = with_level(way, level)
     else:
@@ -291,20 +300,22 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         pressure_s=climb.time_s,
         ride=ride,
         first_air_m=first_air_m,
-        most_air_m=max(known.most_air_m, abs(float(x[AIR]) - first_air_m)),
+        most_air_m=known.most_air_m if prob[JUMP] > 0.5 else max(known.most_air_m, abs(float(x[AIR]) - first_air_m)),
         floors=way,
     )
 
 
-def _climbed(known: Known, step_s: float, elapsed_s: float, up_prob: float, down_prob: float) -> Known:
+def _climbed(
+    known: Known, step_s: float, elapsed_s: float, up_prob: float, down_prob: float, unseen_var: float
+) -> Known:
     """What is known after a step without a barometer."""
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     of_stairs = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
-    climbed_var, sloped_var = _FLIGHT_STEPS * max(of_stairs, 0.0), _UNSEEN_SLOPE_M**2 * elapsed_s
+    climbed_var = _FLIGHT_STEPS * max(of_stairs, 0.0)
     mean, cov = known.mean.copy(), known.cov.copy()
     mean[:, CLIMBED] += rise_m
     cov[:, CLIMBED, CLIMBED] += climbed_var
-    cov[:, SLOPED, SLOPED] += sloped_var
+    cov[:, SLOPED, SLOPED] += unseen_var
     climbed_m = known.climbed_m + rise_m
     way = followed(known.floors, step_s, elapsed_s, climbed_m, on_stairs, 0.0, 1)
     return replace(
@@ -313,23 +324,24 @@ def _climbed(known: Known, step_s: float, elapsed_s: float, up_prob: float, down
         cov=cov,
         climbed_m=climbed_m,
         height_m=known.height_m + rise_m,
-        height_var_m2=known.height_var_m2 + climbed_var + sloped_var,
+        height_var_m2=known.height_var_m2 + climbed_var + unseen_var,
         floors=learnt(way, step_s, climbed_m, math.sqrt(float(known.prob @ cov[:, CLIMBED, CLIMBED]))),
     )
 
 
 def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) -> None:
     """Lead mixed estimates on by a time, in place."""
-    mean[~_RIDES, RATE] = 0.0
-    cov[~_RIDES, RATE, :] = 0.0
-    cov[~_RIDES, :, RATE] = 0.0
+    mean[_NOT_LIFTED, RATE] = 0.0
+    cov[_NOT_LIFTED, RATE, :] = 0.0
+    cov[_NOT_LIFTED, :, RATE] = 0.0
     cov[:, AIR, AIR] += AIR_WALK_M**2 * elapsed_s
     if n_steps:
-        cov[SLOPE, SLOPED, SLOPED] += (SLOPE_MPS * elapsed_s) ** 2
+        cov[SLOPE, SLOPED, SLOPED] += SLOPE_MPS**2 * elapsed_s
     mean[UP, CLIMBED] += n_steps * RISER_M
     mean[DOWN, CLIMBED] -= n_steps * RISER_M
     cov[UP : DOWN + 1, CLIMBED, CLIMBED] += STAIRS_STD_M**2
     cov[JUMP, AIR, AIR] += JUMP_STD_M**2
+    cov[DRIFT, AIR, AIR] += DRIFT_M**2 * elapsed_s
     # x = F x, P = F P F' + Q of a rate that lasts
     mean[LIFT, CLIMBED] += elapsed_s * mean[LIFT, RATE]
     cov[LIFT, CLIMBED, :] += elapsed_s * cov[LIFT, RATE, :]
@@ -341,7 +353,7 @@ def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) 
 def _measured(
     mean: FloatArray, cov: FloatArray, h: FloatArray, value: float, variance: float
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Updated means, covariances and log likelihoods (6,) of a number h x: `imm.update` without its matrices."""
+    """Updated means, covariances and log likelihoods (7,) of a number h x: `imm.update` without its matrices."""
     innovation = value - mean @ h
     Ph = cov @ h
     S = Ph @ h + variance
@@ -350,7 +362,7 @@ def _measured(
     return mean + K * innovation[:, None], cov - K[:, :, None] * Ph[:, None, :], log_likelihood
 
 
-def _log_rides(rate_mps: float, var: float) -> float:
+def _log_prob_rides(rate_mps: float, var: float) -> float:
     """Log probability that a rate is that of a lift or an escalator, up or down."""
     scale = math.sqrt(2.0 * max(var, 1e-12))
     slower = math.erf((LEAST_RIDE_MPS - rate_mps) / scale) - math.erf((-LEAST_RIDE_MPS - rate_mps) / scale)
@@ -359,7 +371,6 @@ def _log_rides(rate_mps: float, var: float) -> float:
 
 def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before_m: float) -> Known:
     """What is known when a ride was none: the height is that before it, and nothing of the air."""
-    x, P = x.copy(), P.copy()
     x[CLIMBED], x[RATE] = before_m, 0.0
     P[[RATE, AIR], :] = 0.0
     P[:, [RATE, AIR]] = 0.0
@@ -373,7 +384,7 @@ def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before
         **_sum(x, P),
         pressure_s=now_s,
         ride=None,
-        in_vehicle=True,
+        calm_in_s=CALM_S,
         floors=replace(known.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
     )
 

@@ -28,8 +28,10 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
-        if self.floor is not None and (isinstance(self.floor, bool) or not isinstance(self.floor, int | np.integer)):
-            raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, or None, got {self.floor!r}")
+        if self.floor is not None:
+            if self.floor != np.round(self.floor):
+                raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
+            object.__setattr__(self, "floor", int(self.floor))
         _check_times(self.time_s, self.received_time_s)
 
 
