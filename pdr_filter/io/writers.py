@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
+from pdr_filter.values import FloatArray, IntArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
 _NORTH = (
@@ -68,7 +68,7 @@ def pandas_for_parquet(path: str | Path) -> Any:
     return pandas
 
 
-def _columns(track: TrackRows) -> dict[str, FloatArray]:
+def _columns(track: TrackRows) -> dict[str, FloatArray | IntArray]:
     """Name and values of each column, one row a step."""
     covariance = track.position_cov_m2.reshape(-1, 4)
     return {
@@ -83,6 +83,9 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "walking_heading_rad": track.walking_heading_rad,
         "smoothed_speed_mps": track.smoothed_speed_mps,
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
+        "height_m": track.height_m,
+        "height_std_m": track.height_std_m,
+        "floor": track.floor,
         **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
         **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
     }
@@ -95,10 +98,19 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
     track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
     each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+
+    A track that left the height of its start has that height as third coordinate, in metres above the start and not
+    above the ellipsoid, which the property `height` says, and `floor` for each vertex.
     """
     lat_deg, lon_deg = _geodetic(track, origin)
     vertices = [[round(lon, 9), round(lat, 9)] for lat, lon in zip(lat_deg.tolist(), lon_deg.tolist(), strict=True)]
     covariance = np.vstack([np.zeros((1, 3)), track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]])
+    heights: dict[str, Any] = {}
+    if not track.is_level:
+        above_m = np.round(np.concatenate([[0.0], track.height_m]), 3).tolist()
+        vertices = [[*vertex, height_m] for vertex, height_m in zip(vertices, above_m, strict=True)]
+        floors = [*track.floor[:1].tolist(), *track.floor.tolist()]
+        heights = {"height": "metres above the start of the walk", "floor": floors}
     line = {"type": "LineString", "coordinates": vertices}
     feature = {
         "type": "Feature",
@@ -111,6 +123,7 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
             "coordTimes": np.round(_vertex_times(track), 6).tolist(),
             "covariance_m2": np.round(covariance, 6).tolist(),
             "frame": FRAME_NOTE if track.origin is None else _PLACED,
+            **heights,
             "notes": list(track.notes),
         },
     }

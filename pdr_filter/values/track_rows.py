@@ -99,6 +99,12 @@ class TrackRows:
         return origin if isinstance(origin, Origin) else Origin(*origin)
 
     @property
+    def is_level(self) -> bool:
+        """Whether nothing says that somebody left the height of the start: by a metre and two deviations, a storey."""
+        told = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
+        return not (told.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
+
+    @property
     def direction_trust(self) -> FloatArray:
         """How well strides agreed on where walking leads at each step, shape (K,), 0 to 1."""
         return np.asarray(self.steps.direction_trust)

@@ -68,9 +68,7 @@ def ways(track: Track) -> list[tuple[int, int, str]]:
 
 
 @pytest.mark.parametrize("carrying_mode", ["texting", "pocket"])
-def test_stairs_lead_to_the_next_storey_and_back(
-    stairs: Recording, in_pocket: Recording, carrying_mode: str
-) -> None:
+def test_stairs_lead_to_the_next_storey_and_back(stairs: Recording, in_pocket: Recording, carrying_mode: str) -> None:
     recording = stairs if carrying_mode == "texting" else in_pocket
     track = pdr.track(recording)
     assert ways(track) == [(0, 1, "stairs"), (1, 0, "stairs")]
@@ -230,9 +228,7 @@ def blocks_of(recording: Recording, seed: int) -> list[ImuBlock]:
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
 @pytest.mark.parametrize("rate", [1, 10])
-def test_heights_do_not_depend_on_how_samples_and_pressure_arrive(
-    stairs: Recording, weighting: str, rate: int
-) -> None:
+def test_heights_do_not_depend_on_how_samples_and_pressure_arrive(stairs: Recording, weighting: str, rate: int) -> None:
     """Pressure in pieces of its own, each before the samples of its time, and the filter saved and loaded between."""
     recording = with_pressure(stairs, lambda t, p: (t[:: 10 // rate], p[:: 10 // rate]))
     assert recording.barometer is not None
