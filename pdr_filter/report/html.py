@@ -255,7 +255,7 @@ def _map_axes(seen_m: FloatArray) -> tuple[Axis, Axis, float]:
     return across(float(west), float(east)), upward(float(south), float(north), height), m_per_pixel
 
 
-def _way(group: IntArray, colours: Sequence[str], x: FloatArray, y: FloatArray) -> list[str]:
+def _way(group: IntArray, colours: list[str], x: FloatArray, y: FloatArray) -> list[str]:
     """The line through points (K + 1,) in pixels, every step in the colour of its group (K,), and both ends."""
     every = max(1, len(x) // _MAX_POINTS)
     kept = np.unique([*range(0, len(x), every), len(x) - 1])
@@ -264,7 +264,7 @@ def _way(group: IntArray, colours: Sequence[str], x: FloatArray, y: FloatArray) 
     for a, b in _runs(np.diff(group) != 0):
         # The step in row k leads from point k to point k + 1.
         inside = np.unique([*range(a, b + 1, every), b])
-        parts.append(polyline(x[inside], y[inside], colours[group[a]], 3.4))
+        parts.append(polyline(x[inside], y[inside], colours[int(group[a])], 3.4))
     start = f"circle cx='{pixel(x[0])}' cy='{pixel(y[0])}' r='5' fill='#fff' stroke='{palette.INK}' stroke-width='2'"
     end = f"rect x='{pixel(x[-1] - 4.5)}' y='{pixel(y[-1] - 4.5)}' width='9' height='9' fill='{palette.INK}'"
     return [*parts, titled(start, "start"), titled(end, "end")]
