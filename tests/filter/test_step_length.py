@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import approx_fprime
 
 import pdr_filter as pdr
+from pdr_filter.filter.modes import context_modes
 from pdr_filter.filter.step_length import (
     BounceStepLength,
     ChenStepLength,
@@ -210,12 +211,12 @@ def test_a_step_that_was_found_twice_is_counted_by_its_speed() -> None:
 def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     step: Step, turn_rate_radps: float, usual_mps2: float, from_rest: bool
 ) -> None:
-    """At most 0.45 of the height, at least a twelfth of that, whatever the samples hold."""
+    """At most 0.45 of the height, at least a sixteenth of that, whatever the samples hold."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
     turning = replace(step, turn_rate_radps=turn_rate_radps)
     straight_m, turning_m = (bounce_fit(1.8).predict(s)[0] for s in (step, turning))
-    assert 0.45 * 1.8 / 12 < turning_m <= straight_m < 0.45 * 1.8
+    assert 0.45 * 1.8 / 16 < turning_m <= straight_m < 0.45 * 1.8
 
 
 def test_who_turns_by_a_radian_a_second_makes_steps_a_ninth_shorter() -> None:
@@ -321,6 +322,13 @@ def test_one_length_for_every_step_stays_one_length_among_others() -> None:
     length, variance = StepLengths((known_length(0.29, 0.05), tian_fit(1.8))).predict(step_of())
     assert length[0] == pytest.approx(0.29)
     assert variance[0] == pytest.approx(0.0025)
+
+
+def test_all_steps_on_stairs_may_be_wrong_alike() -> None:
+    fits = {mode.context: mode.step_length for mode in context_modes(bounce_fit(1.7))}
+    for context in ("upstairs", "downstairs"):
+        _, var_m2 = StepLengths((fits[context],)).predict(step_of())
+        assert float(var_m2[0]) - fits[context].residual_std_m ** 2 == pytest.approx(0.1**2)
 
 
 def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_for_that() -> None:
