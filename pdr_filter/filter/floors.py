@@ -107,12 +107,12 @@ def followed(
     state: FloorState, now_s: float, elapsed_s: float, climbed_m: float, p_stairs: float, p_ride: float, n_steps: int
 ) -> FloorState:
     """State after a time in which somebody made some steps and came to a height."""
-    at = storeys_up(state.levels, climbed_m)
-    floor = state.floor if abs(at - state.floor) <= 0.5 + _CLEARLY else round(at)
+    at, climbs = storeys_up(state.levels, climbed_m), p_stairs + p_ride > 0.5
+    floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _CLEARLY else state.floor
     floor_since_s = state.floor_since_s if floor == state.floor else now_s
     state = replace(state, floor=floor, floor_since_s=floor_since_s, passages=())
     climbing = state.climbing
-    if p_stairs + p_ride > 0.5:
+    if climbs:
         is_on_stairs = p_stairs > p_ride
         elapsed_s = elapsed_s if elapsed_s < _BLIND_S else 0.0
         climbing = replace(

@@ -81,6 +81,7 @@ _NEXT = {
 _NO_STEP_ON_STAIRS = math.log(0.2)
 # A stay that does not fit its level is on another one: 99 % of those that do, chi-square of one.
 _LEVEL_GATE = 6.6
+LONGEST_STEP_S = 10.0
 # What is climbed without a barometer is wrong for a flight as a whole: a dozen steps.
 _FLIGHT_STEPS = 12
 _RISER_STD_M = 0.01
@@ -287,10 +288,10 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         if (level.climbed_m - x[CLIMBED]) ** 2 < _LEVEL_GATE * (P[CLIMBED, CLIMBED] + variance):
             mean, cov, _ = _measured(mean, cov, _CLIMBED, level.climbed_m, variance)
             x, P = imm.combine(mean, cov, prob)  # pyright: ignore[reportConstantRedefinition]
-            level = Level(level.floor, float(x[CLIMBED]), math.sqrt(P[CLIMBED, CLIMBED]))
+            level = Level(level.floor, float(x[CLIMBED]), _climbed_std(P))
         way = with_level(way, level)
     else:
-        way = learnt(way, climb.time_s, float(x[CLIMBED]), math.sqrt(P[CLIMBED, CLIMBED]))
+        way = learnt(way, climb.time_s, float(x[CLIMBED]), _climbed_std(P))
     first_air_m = float(x[AIR]) if np.isnan(known.first_air_m) else known.first_air_m
     return Known(
         mean=mean,
@@ -342,7 +343,8 @@ def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) 
     cov[UP : DOWN + 1, CLIMBED, CLIMBED] += STAIRS_STD_M**2
     cov[JUMP, AIR, AIR] += JUMP_STD_M**2
     cov[DRIFT, AIR, AIR] += DRIFT_M**2 * elapsed_s
-    # x = F x, P = F P F' + Q of a rate that lasts
+    # x = F x, P = F P F' + Q of a rate that lasts; after a gap all heights that a lift may have come to are alike
+    elapsed_s = min(elapsed_s, LONGEST_STEP_S)
     mean[LIFT, CLIMBED] += elapsed_s * mean[LIFT, RATE]
     cov[LIFT, CLIMBED, :] += elapsed_s * cov[LIFT, RATE, :]
     cov[LIFT, :, CLIMBED] += elapsed_s * cov[LIFT, :, RATE]
@@ -387,6 +389,10 @@ def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before
         calm_in_s=CALM_S,
         floors=replace(known.floors, floor=floor, climbing=Climbing(now_s, floor, before_m), passages=()),
     )
+
+
+def _climbed_std(P: FloatArray) -> float:
+    return math.sqrt(max(float(P[CLIMBED, CLIMBED]), 0.0))
 
 
 def _sum(x: FloatArray, P: FloatArray) -> dict[str, float]:

@@ -13,7 +13,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.values import FloatArray, IntArray, Origin, TrackRows, yaw_from_heading
+from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
 _NORTH = (
@@ -68,7 +68,7 @@ def pandas_for_parquet(path: str | Path) -> Any:
     return pandas
 
 
-def _columns(track: TrackRows) -> dict[str, FloatArray | IntArray]:
+def _columns(track: TrackRows) -> dict[str, FloatArray]:
     """Name and values of each column, one row a step."""
     covariance = track.position_cov_m2.reshape(-1, 4)
     return {
@@ -85,7 +85,7 @@ def _columns(track: TrackRows) -> dict[str, FloatArray | IntArray]:
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
         "height_m": track.height_m,
         "height_std_m": track.height_std_m,
-        "floor": track.floor,
+        "floor": track.floor.astype(float),
         **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
         **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
     }

@@ -56,10 +56,10 @@ def without_barometer(recording: Recording) -> Recording:
 
 
 def with_door(recording: Recording) -> Recording:
-    """The same, with a door that closes at 40 s and stays so: 0.3 hPa."""
+    """The same, with a door that closes at 15 s, on the first corridor, and stays so: 0.3 hPa."""
     assert recording.barometer is not None
     time_s, pressure = recording.barometer.time_s, recording.barometer.values
-    return replace(recording, barometer=Samples(time_s, pressure + 0.3 * (time_s > 40.0)[:, None]))
+    return replace(recording, barometer=Samples(time_s, pressure + 0.3 * (time_s > 15.0)[:, None]))
 
 
 def coarse(recording: Recording) -> Recording:
