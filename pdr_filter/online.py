@@ -101,7 +101,7 @@ class OnlineFilter:
         return output.updates
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
-        """Take samples of a barometer, (N,) each: the climb rate distinguishes stairs from flat walking.
+        """Take samples of a barometer, (N,) each: the height follows it, and its climb rate distinguishes stairs.
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """
@@ -169,6 +169,21 @@ class OnlineFilter:
     def position_cov_m2(self) -> FloatArray:
         """Covariance of `position_m`, shape (2, 2)."""
         return present_position(self.state.tracker.pedestrian)[1]
+
+    @property
+    def height_m(self) -> float:
+        """Height above the start now, with or without steps."""
+        return self.state.height.known.height_m
+
+    @property
+    def height_std_m(self) -> float:
+        """Standard deviation of `height_m`."""
+        return self.state.height.known.height_std_m
+
+    @property
+    def floor(self) -> int:
+        """The storey now: from that of the start, which is 0, or as a fix has named it."""
+        return self.state.height.known.floors.floor
 
     @property
     def origin(self) -> Origin | None:

@@ -42,6 +42,7 @@ from pdr_filter.values import (
     FixResult,
     HeadingFix,
     ImuBlock,
+    IntArray,
     Origin,
     PositionFix,
     Step,
@@ -239,6 +240,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         origin=origin,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
+        floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
@@ -324,6 +326,9 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         smoothed_speed_mps=read_only(np.array([u.speed.smoothed_mps for u in updates])),
         smoothed_speed_std_mps=read_only(np.array([u.speed.smoothed_std_mps for u in updates])),
         gap_before_s=read_only(np.array([u.gap_before_s for u in updates])),
+        height_m=read_only(np.array([u.height_m for u in updates])),
+        height_std_m=read_only(np.array([u.height_std_m for u in updates])),
+        floor=_whole([u.floor for u in updates]),
         context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS))),
         contexts=CONTEXTS,
         mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, len(modes))),
@@ -335,6 +340,12 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         duration_s=0.0,
         weighting=config.tracker.weighting,
     )
+
+
+def _whole(numbers: Sequence[int]) -> IntArray:
+    array = np.array(numbers, dtype=np.int64)
+    array.flags.writeable = False
+    return array
 
 
 def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:

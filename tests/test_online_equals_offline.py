@@ -73,6 +73,9 @@ def assert_updates_are_the_track(updates: Sequence[pdr.StepUpdate], track: Track
     np.testing.assert_array_equal(wrap_angle([u.walking_heading_rad for u in final]), track.walking_heading_rad)
     np.testing.assert_array_equal([u.context_prob for u in final], track.context_prob)
     np.testing.assert_array_equal([u.mode_prob for u in final], track.mode_prob)
+    np.testing.assert_array_equal([u.height_m for u in final], track.height_m)
+    np.testing.assert_array_equal([u.height_std_m for u in final], track.height_std_m)
+    np.testing.assert_array_equal([u.floor for u in final], track.floor)
     steps = step_table([u.step for u in final])
     for name in steps.dtype.names or ():
         np.testing.assert_array_equal(steps[name], track.steps[name], err_msg=name)

@@ -80,6 +80,12 @@ class PedestrianModel:
         return np.array([float(m.context == "stationary") for m in self.modes])
 
     @cached_property
+    def on_stairs(self) -> tuple[FloatArray, FloatArray]:
+        """1 for the modes that climb stairs, and for those that go down, (M,) each."""
+        up, down = (np.array([float(m.context == c) for m in self.modes]) for c in ("upstairs", "downstairs"))
+        return up, down
+
+    @cached_property
     def context_index(self) -> list[int]:
         """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
         return [CONTEXTS.index(m.context) for m in self.modes]

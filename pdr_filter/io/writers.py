@@ -98,6 +98,9 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "walking_heading_rad": track.walking_heading_rad,
         "smoothed_speed_mps": track.smoothed_speed_mps,
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
+        "height_m": track.height_m,
+        "height_std_m": track.height_std_m,
+        "floor": track.floor.astype(float),
         **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
         **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
     }
@@ -110,6 +113,9 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
     track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
     each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+
+    A track that left the height of its start has that height as third coordinate, in metres above the start and not
+    above the ellipsoid, which the property `height` says, and `floor` for each vertex.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -133,6 +139,12 @@ def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
 def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, frame: str | None = None) -> Path:
     vertices = _vertices(track)
     covariance = np.vstack([np.zeros((1, 3)), track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]])
+    heights: dict[str, Any] = {}
+    if not track.is_level:
+        above_m = np.round(np.concatenate([[0.0], track.height_m]), 3).tolist()
+        vertices = [[*vertex, height_m] for vertex, height_m in zip(vertices, above_m, strict=True)]
+        floors = [*track.floor[:1].tolist(), *track.floor.tolist()]
+        heights = {"height": "metres above the start of the walk", "floor": floors}
     line = {"type": "LineString", "coordinates": vertices}
     feature = {
         "type": "Feature",
@@ -148,6 +160,7 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
             "notes": list(track.notes),
             "coordTimes": np.round(_vertex_times(track), 6).tolist(),
             "covariance_m2": np.round(covariance, 6).tolist(),
+            **heights,
         },
     }
     return write_text(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")

@@ -26,6 +26,7 @@ from pdr_filter.values.fixes import (
     Standstill,
     received_s,
 )
+from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.origin import Origin
@@ -48,8 +49,10 @@ __all__ = [
     "FixOutcome",
     "FixResult",
     "FloatArray",
+    "FloorPassage",
     "HeadingDrift",
     "HeadingFix",
+    "HowClimbed",
     "ImuBlock",
     "IntArray",
     "Note",
