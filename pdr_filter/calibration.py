@@ -13,10 +13,10 @@ import numpy as np
 from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair, of_prefix, prefixed
 from pdr_filter.config import Config
 from pdr_filter.filter import step_length
-from pdr_filter.filter.step_length import StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.filter.step_length import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
-from pdr_filter.values import CONTEXTS, FloatArray, Note, Step, Table, check_columns, check_cov, read_only, table
+from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, check_columns, check_cov, read_only, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,12 +38,10 @@ _MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
 UNNAMED = "unnamed"
 # Heights of one person, as two recordings state them, differ by less.
 _SAME_HEIGHT_M = 0.02
-# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
-TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
 
 
 @dataclass(frozen=True, eq=False)
-class Person:
+class CalibratedPerson:
     """What was found of one person."""
 
     id: str
@@ -152,10 +150,10 @@ class Calibration:
         return self._blocks(self.between_cov)
 
     @property
-    def subjects(self) -> dict[str, Person]:
+    def subjects(self) -> dict[str, CalibratedPerson]:
         """The people, by id."""
         return {
-            name: Person(
+            name: CalibratedPerson(
                 name,
                 None if np.isnan(self.heights_m[s]) else float(self.heights_m[s]),
                 self._by_context(self.people[s]),

@@ -12,6 +12,7 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -25,6 +26,8 @@ from pdr_filter.values import (
     FloatArray,
     ImuBlock,
     Note,
+    PositionFix,
+    SpeedFix,
     Standstill,
     Step,
     received_s,
@@ -89,6 +92,7 @@ class State:
     locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
+    n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
     finished: bool = False
 
     @property
@@ -185,6 +189,14 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     return replace(state, waiting_fixes=tuple(waiting))
 
 
+def person_of(config: Config, state: State) -> Person | None:
+    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
+    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    if session is None:
+        return config.person
+    return (config.person or Person()).pooled(Person((session,)))
+
+
 # The same of steps: a turn, or a door, is ten of them.
 _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
@@ -228,6 +240,12 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         notes.append(Note("fixes", words))
+    if frame.moves:
+        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
+        words = (
+            f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
+        )
+        notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
     if state.n_lost_climbs:
         words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
         notes.append(Note("sensors", words + "both need one clock"))
@@ -319,8 +337,13 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
-    state = replace(state, n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"))
-    return state, FixResult.of(fix, now_s, outcome, nis)
+    result = FixResult.of(fix, now_s, outcome, nis)
+    state = replace(
+        state,
+        n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+    )
+    return state, result
 
 
 def untimely(fix: Fix, first_s: float, last_s: float) -> str:

@@ -10,11 +10,32 @@ from numpy.typing import ArrayLike
 from pdr_filter import serialise
 from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
-from pdr_filter.filtering import State, add_fixes, add_location, add_pressure, finish, init, notes_of, step, untimely
+from pdr_filter.filter.person import Person
+from pdr_filter.filtering import (
+    State,
+    add_fixes,
+    add_location,
+    add_pressure,
+    finish,
+    init,
+    notes_of,
+    person_of,
+    step,
+    untimely,
+)
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, Fix, FloatArray, ImuBlock, Origin, PositionFix, check_cov
+from pdr_filter.values import (
+    STANDARD_GRAVITY_MPS2,
+    Fix,
+    FloatArray,
+    ImuBlock,
+    Origin,
+    PositionFix,
+    as_floats,
+    check_cov,
+)
 
 
 class OnlineFilter:
@@ -84,7 +105,8 @@ class OnlineFilter:
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """
-        time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
+        columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
+        time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
         self.state = add_pressure(self.config, self.state, time, pressure)
 
     def push_location(
@@ -103,8 +125,13 @@ class OnlineFilter:
                 "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
                 "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
             )
-        columns = (time_s, latitude_deg, longitude_deg, accuracy_m)
-        time, latitude, longitude, accuracy = (np.atleast_1d(np.asarray(values, dtype=float)) for values in columns)
+        columns = {
+            "time_s": time_s,
+            "latitude_deg": latitude_deg,
+            "longitude_deg": longitude_deg,
+            "accuracy_m": accuracy_m,
+        }
+        time, latitude, longitude, accuracy = (np.atleast_1d(as_floats(v, name)) for name, v in columns.items())
         if not time.shape == latitude.shape == longitude.shape == accuracy.shape == (len(time),):
             raise ValueError(
                 "time_s, latitude_deg, longitude_deg and accuracy_m must have one number for each location, got shapes "
@@ -158,6 +185,11 @@ class OnlineFilter:
     def device(self) -> Device:
         """What the samples so far teach of the phone, for its next walk: `Config.with_device`."""
         return self.config.sensing.device(self.state.sensing)
+
+    @property
+    def person(self) -> Person | None:
+        """What walks so far teach of the person, for the next one (`Config.with_person`); None without fixes."""
+        return person_of(self.config, self.state)
 
     def save(self) -> bytes:
         """Bytes from which `load` continues as if nothing had happened, configuration and models included."""
@@ -222,7 +254,7 @@ def imu_block(
     magnetic_field_ut: ArrayLike | None = None,
 ) -> ImuBlock:
     """Samples as a block, shapes checked; missing sensors become NaN."""
-    time = np.asarray(time_s, dtype=float)
+    time = as_floats(time_s, "time_s")
     if time.size == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
@@ -234,7 +266,7 @@ def imu_block(
     }
     arrays: list[FloatArray] = []
     for name, values in columns.items():
-        array = np.full((len(time), 3), np.nan) if values is None else np.asarray(values, dtype=float)
+        array = np.full((len(time), 3), np.nan) if values is None else as_floats(values, name)
         if array.shape != (len(time), 3):
             raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {array.shape}")
         arrays.append(array)

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pdr_filter.filter.person import Person
 from pdr_filter.io import writers
 from pdr_filter.report import trust
 from pdr_filter.sensing.device import Device
@@ -20,6 +21,7 @@ class Track(TrackRows):
     """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
 
     device: Device | None = None  # what the recording taught of the phone, for its next one
+    person: Person | None = None  # what its fixes taught of the person, with what was known before; None if nothing
 
     def report(self) -> str:
         """What the track is, how sure it is, and where not to trust it; see `pdr_filter.report.trust`."""

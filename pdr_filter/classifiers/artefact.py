@@ -19,13 +19,12 @@ from typing import Any, TypeVar, cast
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small, write_files
 from pdr_filter.values import check_whole
 
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
-
-# The largest model has 5 MB of arrays, a calibration with thousands of segments one, and cards have some kilobytes.
-_MAX_BYTES, _MAX_JSON_BYTES = 64 << 20, 4 << 20
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,16 +48,13 @@ class ArtefactFormat:
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
         text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
         n_bytes, n_text = sum(array.nbytes for array in (arrays or {}).values()), len(text.encode())
-        if n_bytes > _MAX_BYTES or n_text > _MAX_JSON_BYTES:
+        if n_bytes > limits.MAX_UNPACKED_BYTES or n_text > limits.MAX_DESCRIPTION_BYTES:
             raise ValueError(
-                f"{self.kind} with {n_bytes} bytes of arrays and {n_text} of text: {_MAX_BYTES} and {_MAX_JSON_BYTES} "
-                "are read at most, make it smaller"
+                f"{self.kind} with {n_bytes} bytes of arrays and {n_text} of text: {limits.MAX_UNPACKED_BYTES} and "
+                f"{limits.MAX_DESCRIPTION_BYTES} are read at most, make it smaller"
             )
         json_path, npz_path = file_pair(path)
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        if packed is not None:
-            npz_path.write_bytes(packed)
-        json_path.write_text(text, encoding="utf-8")
+        write_files({json_path: text.encode(), **({} if packed is None else {npz_path: packed})})
 
     def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
         """What `build` makes of the description and the arrays (none if the .json has no checksum of any).
@@ -71,7 +67,7 @@ class ArtefactFormat:
             if not needed.is_file():
                 raise ValueError(f"{needed}: no such file")
         try:
-            description = self._checked(_content(json_path, _MAX_JSON_BYTES).decode())
+            description = self._checked(read_small(json_path, limits.MAX_DESCRIPTION_BYTES).decode())
             checksum = description.get("npz_sha256")
             built = build(description, {} if checksum is None else _unpacked(npz_path, checksum))
             check_whole(built)
@@ -131,27 +127,18 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
     """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
     if not path.is_file():
         raise ValueError(f"{path.name} is missing beside it, copy both files")
-    content = _content(path, _MAX_BYTES)
+    content = read_small(path, limits.MAX_WHOLE_BYTES)
     if hashlib.sha256(content).hexdigest() != checksum:
         raise ValueError(f"{path.name} is damaged or belongs to another .json, copy both files again")
     try:
         with zipfile.ZipFile(io.BytesIO(content)) as archive:
-            n_bytes = sum(info.file_size for info in archive.infolist())
-        if n_bytes > _MAX_BYTES:
-            raise ValueError(f"{n_bytes} bytes when unpacked, more than {_MAX_BYTES}")
+            claimed = sum(info.file_size for info in archive.infolist())
+        if claimed > limits.MAX_UNPACKED_BYTES:
+            raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
     except Exception as error:  # whatever a damaged zip provokes
         raise ValueError(f"{path.name} does not hold plain arrays ({error})") from error
-
-
-def _content(path: Path, most: int) -> bytes:
-    """Return the bytes of a file; ValueError if there are more than a model or a calibration can have."""
-    with path.open("rb") as file:
-        content = file.read(most + 1)
-    if len(content) > most:
-        raise ValueError(f"{path.name} has more than {most} bytes")
-    return content
 
 
 def _plain(value: Any) -> Any:

@@ -25,12 +25,13 @@ class GnssUse(StrEnum):
     """What becomes of a recording's own locations."""
 
     FILTER = "filter"
+    ALIGN = "align"
     OFF = "off"
 
 
 Gnss = Annotated[
     GnssUse | None,
-    typer.Option(help="Whether its locations place and turn the track; if not given, where it has some."),
+    typer.Option(help="Whether its locations are fixes, turn and shift the whole track, or are left out."),
 ]
 Origin = Annotated[
     str | None,

@@ -24,6 +24,7 @@ from pdr_filter.cli.options import (
     heading_rad,
     origin_deg,
 )
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -52,6 +53,9 @@ class Method:
     transitions: Annotated[Path | None, typer.Option(help="transitions.json of pdr-filter train.")] = None
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
+    ] = None
+    person: Annotated[
+        Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
     ] = None
     gnss: Gnss = None
     origin: Origin = None
@@ -138,8 +142,8 @@ class Output:
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
         if nowhere and result.origin is None:
             raise ValueError(
-                f"{result.name}: {' and '.join(nowhere)} need a place on Earth, and no location of the recording says "
-                "it: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
+                f"{result.name}: --export {','.join(nowhere)} needs a place on Earth, and nothing says where this walk "
+                "was: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
             )
         if self.out is not None:
             console.write_track(result, folder, name)
@@ -198,7 +202,7 @@ def track(
                 "--model": method.model,
                 "--transitions": method.transitions,
                 "--device": method.device,
-                "--gnss": method.gnss,
+                "--person": method.person,
                 "--origin": method.origin,
                 "--heading": method.heading,
                 "--export": output.export,
@@ -219,21 +223,26 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        known = method.device if method.device is not None and method.device.exists() else None
+        device, person = (
+            path if path is not None and path.exists() else None for path in (method.device, method.person)
+        )
         result = pdr.track(
             recording,
             config,
             method.weighting_name,
             progress=progress,
             calibration=method.calibration,
-            device=known,
+            device=device,
+            person=person,
             gnss=None if method.gnss is None else method.gnss.value,
             origin=origin_deg(method.origin),
             heading_rad=heading_rad(method.heading),
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
-        output.write(result, recording, _unused(result.name, written))
+        if method.person is not None and result.person is not None:
+            result.person.save(method.person)
+        output.write(result, recording, _unused(file_name(result.name), written))
         if as_json:
             console.print_json(result.summary())
         return result
@@ -266,6 +275,7 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
                 file_format=source.file_format,
                 height_m=source.height_m,
                 calibration=method.calibration,
+                gnss=None if method.gnss is None else method.gnss.value,
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error

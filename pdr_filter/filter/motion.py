@@ -162,7 +162,8 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     o = HEADING_OFFSET
     cov = cov.copy()
     std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
-    c, variance = cov[..., :, o].copy(), cov[..., o, o].copy()
+    # an offset that is known exactly divides nothing
+    c, variance = cov[..., :, o].copy(), np.maximum(cov[..., o, o], 1e-12)
     ratio = std_rad**2 / variance
     cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
     return cov

@@ -405,6 +405,12 @@ def scale_std(height_m: float | None) -> float:
     return _SCALE_STD if height_m is None else _SCALE_STD_OF_KNOWN_HEIGHT
 
 
+# A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
+TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
+# One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
+RECORDING_STD = 0.025
+
+
 def of_gender(values: dict[str, float], gender: str | None) -> float:
     """The value for a gender "M" or "F"; their mean where it is not known."""
     return values.get(gender or "", sum(values.values()) / len(values))

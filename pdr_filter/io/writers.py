@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.io import limits
+from pdr_filter.io.files import whole_file, write_text
 from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
@@ -35,7 +36,7 @@ def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
     formats = [_DIGITS.get(name, ".7g") for name in columns]
     for row in zip(*columns.values(), strict=True):
         writer.writerow([format(value, spec) for value, spec in zip(row, formats, strict=True)])
-    return _write(path, text.getvalue())
+    return write_text(path, text.getvalue())
 
 
 def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
@@ -56,7 +57,8 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
         "origin": None if placed.origin is None else asdict(placed.origin),
         "pdr_filter": __version__,
     }
-    frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)
+    with whole_file(path) as file:
+        frame.to_parquet(file, engine="pyarrow", index=False)
     return Path(path)
 
 
@@ -148,7 +150,7 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
             "covariance_m2": np.round(covariance, 6).tolist(),
         },
     }
-    return _write(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
+    return write_text(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
 
 
 def write_gpx(
@@ -229,7 +231,7 @@ def _description(track: TrackRows) -> str:
 
 def _write_xml(path: str | Path, root: ElementTree.Element) -> Path:
     ElementTree.indent(root)
-    return _write(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
+    return write_text(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
 
 
 def write_tum(track: TrackRows, path: str | Path) -> Path:
@@ -249,7 +251,7 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
             rotation = f"{0.0:.9f} {0.0:.9f} {np.sin(half_rad):.9f} {np.cos(half_rad):.9f}"
             lines.append(f"{written_s:.6f} {east_m:.6f} {north_m:.6f} {0.0:.6f} {rotation}\n")
             last_s = written_s
-    return _write(path, "".join(lines))
+    return write_text(path, "".join(lines))
 
 
 def _vertex_times(track: TrackRows) -> FloatArray:
@@ -261,14 +263,3 @@ def _vertices(track: TrackRows) -> list[list[float]]:
     """Longitude and latitude in degrees of the start and of all steps, K + 1 pairs, as map files have them."""
     lat_deg, lon_deg = track.latitude_longitude_deg(np.vstack([track.start_position_m, track.position_m]))
     return np.round(np.column_stack([lon_deg, lat_deg]), 9).tolist()
-
-
-def _write(path: str | Path, text: str) -> Path:
-    _in_new_folder(path).write_text(text, encoding="utf-8", newline="\n")
-    return Path(path)
-
-
-def _in_new_folder(path: str | Path) -> Path:
-    """The path, whose folder exists then."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    return Path(path)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io.describe import ReadingReport, reading_report
+from pdr_filter.io.files import write_text
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
@@ -71,10 +72,7 @@ footer { color: #888; font-size: 12px; margin-top: 2.5em; }
 
 def write_report(track: TrackRows, path: str | Path, recording: Recording | None = None) -> Path:
     """Write the page of `html_report` and return its path; folders are created."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html_report(track, recording), encoding="utf-8")
-    return path
+    return write_text(path, html_report(track, recording))
 
 
 def html_report(track: TrackRows, recording: Recording | None = None) -> str:

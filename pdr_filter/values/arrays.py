@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,24 @@ BoolArray = NDArray[np.bool_]
 Table = np.recarray[Any, Any]
 
 
-def read_only(values: ArrayLike) -> FloatArray:
-    """Return a read-only contiguous float64 copy."""
-    array = np.array(values, dtype=np.float64, order="C")
+def as_floats(values: ArrayLike, name: str) -> FloatArray:
+    """The values as floats; masked ones, which are not known, are NaN.
+
+    ValueError for dates and durations, whose numbers are in units of their own, and for complex numbers.
+    """
+    array: Any = np.asanyarray(values)
+    if array.dtype.kind in "mM":
+        raise ValueError(f"{name} holds {array.dtype}; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
+    if array.dtype.kind == "c":
+        raise ValueError(f"{name} holds {array.dtype}; give real numbers")
+    if isinstance(array, np.ma.MaskedArray):
+        array = cast(Any, array.astype(np.float64)).filled(np.nan)
+    return np.asarray(array, dtype=np.float64)
+
+
+def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
+    """Return a read-only contiguous float64 copy of `as_floats`."""
+    array = np.array(as_floats(values, name), order="C")
     array.flags.writeable = False
     return array
 

@@ -23,6 +23,7 @@ class PositionFix:
     position_m: FloatArray  # (2,) east, north
     cov_m2: FloatArray  # (2, 2) positive definite
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -32,7 +33,14 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if not 0 <= self.correlation_s < np.inf:
+            raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
         _check_times(self.time_s, self.received_time_s)
+
+    @property
+    def var_m2(self) -> float:
+        """Variance of one axis, the mean of both."""
+        return 0.5 * float(np.trace(self.cov_m2))
 
     @classmethod
     def from_lat_lon(
@@ -132,7 +140,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -143,8 +151,9 @@ class FixResult:
     time_s: float  # when it was true
     used_s: float  # when the filter took it
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
-    # those that show which way the track lies there; "rejected": it does not fit, or is of another time; "waiting": for
-    # samples of its time; "nothing to compare": no step yet that it says something of.
+    # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
+    # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
+    # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
@@ -158,4 +167,4 @@ class FixResult:
     @property
     def accepted(self) -> bool:
         """Whether the filter used it."""
-        return self.outcome in ("used", "placed", "turned")
+        return self.outcome in ("used", "placed", "turned", "moved")

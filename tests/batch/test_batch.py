@@ -94,6 +94,24 @@ def test_a_recording_without_the_sensors_of_the_recipe_fails_with_a_reason_that_
     assert "gyroscope" in row.reason
 
 
+def test_a_batch_uses_locations_as_it_is_asked_to(tmp_path: Path) -> None:
+    walk = pdr.simulate.demo_walk()
+    times, truth = np.arange(1.0, walk.duration_s), walk.truth.position
+    place_m = np.column_stack([np.interp(times, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    degrees = pdr.Origin(48.137, 11.575).latitude_longitude_deg(place_m)
+    values = np.column_stack([*degrees, np.full((len(times), 2), 6.0)])
+    path = write_recording(replace(walk, location=pdr.Samples(times, values)), tmp_path / "located.zip")
+    recording, ends = pdr.read(path), set[tuple[float, float]]()
+    for gnss in (None, "align", "off"):
+        (row,) = batch.track(path, out=tmp_path / "tracks.csv", gnss=gnss)
+        track = pdr.track(recording, gnss=gnss)
+        assert (row.gnss, row.end_east_m, row.end_north_m) == (gnss or "", *track.position_m[-1])
+        ends.add(tuple(track.position_m[-1]))
+    assert len(ends) == len(batch.read_table(tmp_path / "tracks.csv")) == 3
+    with pytest.raises(ValueError, match="gnss must be one of"):
+        batch.track(path, out=tmp_path / "tracks.csv", gnss="on")
+
+
 def test_finished_recordings_are_not_done_again_and_other_recipes_are(
     walks: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -356,6 +374,17 @@ def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path,
     assert len(text.splitlines()) == 2
     assert batch.read_table(tmp_path / "tracks.csv") == [row]
     assert row.name == 'two lines, "quoted"'
+
+
+@pytest.mark.parametrize("text", ["=cmd|'calc'!A0", "@SUM(1)", "'quoted", "a; =1", "-1"])
+def test_no_text_of_a_recording_is_a_formula_in_the_table(walks: Path, tmp_path: Path, text: str) -> None:
+    recording = replace(pdr.read(walks / "walk_0.zip"), name=text, notes=(text,))
+    row = rows_table.row_of(batch.Task(str(tmp_path / "a.zip")), pdr.track(recording))
+    cells = rows_table._cells(row)
+    for cell in (cells[rows_table.COLUMNS.index(name)] for name in ("name", "notes")):
+        assert not any(part.strip()[:1] in {"=", "+", "-", "@"} for part in cell.split(";"))
+    (tmp_path / "tracks.csv").write_text(rows_table._line(rows_table.COLUMNS) + rows_table._line(cells))
+    assert batch.read_table(tmp_path / "tracks.csv") == [row]
 
 
 def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
