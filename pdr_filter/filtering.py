@@ -213,6 +213,9 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         notes.append(Note("fixes", words))
+    if state.finished and frame.name == "north" and frame.compass is not None:
+        words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
+        notes.append(Note("heading", words))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:

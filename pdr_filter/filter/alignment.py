@@ -20,8 +20,8 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from pdr_filter.filter.motion import HEADING_OFFSET
-from pdr_filter.values import FloatArray, read_only
+from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE
+from pdr_filter.values import FloatArray, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -31,6 +31,10 @@ _ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
 # One in so many good sets of fixes loses one of them.
 _DISAGREE_PROB = 1e-3
 _APART = 10.0
+# How often a compass points anywhere: a phone that is held across, a magnet in its case. None of 117 recordings with a
+# known north does (tests/benchmarks/absolute_heading.py), which is 1 in 40 at most; and so no compass alone settles a
+# turn.
+_ASTRAY_PROB = 0.05
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,6 +87,31 @@ class Alignment:
         return replace(place, position_m=position_m, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
 
+@dataclass(frozen=True, slots=True)
+class Compass:
+    """What the magnetic field says of the turn from the frame of the start to true north."""
+
+    angle_rad: float
+    var_rad2: float
+
+    @property
+    def std_rad(self) -> float:
+        """Standard deviation where it does not point anywhere; that of a uniform angle at most."""
+        return math.sqrt(min(self.var_rad2, MAX_HEADING_VARIANCE))
+
+    def log_density(self, angle_rad: FloatArray) -> FloatArray:
+        """Logarithm of the density (A,): normal, but for the compasses that point anywhere."""
+        away = wrap_angle(angle_rad - self.angle_rad)
+        peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
+        return np.log(peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_PROB / (2.0 * math.pi))
+
+    def weighed(self, angle_rad: float) -> tuple[float, float]:
+        """Information about a turn near an angle, and by how much the angle is too large for it."""
+        away = float(wrap_angle(angle_rad - self.angle_rad))
+        astray = _ASTRAY_PROB / (2.0 * math.pi) / math.exp(float(self.log_density(np.array(angle_rad))))
+        return (1.0 - astray) / self.var_rad2, away
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenTurn:
     """What is known of a turn that is not settled: a probability for each angle, and where the track's origin is."""
@@ -96,6 +125,13 @@ class OpenTurn:
     def direction(self) -> complex:
         """Mean of e^(i angle): as long as the turn is sure."""
         return complex(self.prob @ np.exp(1j * _ANGLES_RAD))
+
+    def with_compass(self, compass: Compass | None) -> OpenTurn:
+        """The density with what a compass says."""
+        if compass is None:
+            return self
+        prob = self.prob * np.exp(compass.log_density(_ANGLES_RAD))
+        return replace(self, prob=prob / prob.sum())
 
     def world(self, place: Place) -> Place:
         """A place in the world: mean and covariance over all turns."""
@@ -118,7 +154,8 @@ class Frame:
     is_joined: bool
     pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
     agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
-    turn: OpenTurn | None = None  # from the first of them on
+    turn: OpenTurn | None = None  # from the first of them on, as they show it
+    compass: Compass | None = None  # until it is
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before
 
@@ -132,20 +169,34 @@ class Frame:
         """Whether positions are in the frame of fixes, be the turn settled or not."""
         return self.turn is not None or self.alignment is not None
 
+    @property
+    def name(self) -> str:
+        """What positions are in: the frame of the "fixes", that of the start with true "north", or that of the "start"."""
+        if self.is_known:
+            return "fixes"
+        return "start" if self.compass is None else "north"
+
     def world(self, place: Place) -> Place:
         """A place that was reported in the frame of the start, by what is known now."""
         if self.north is not None and place.n_steps < self.north.n_steps:
             place = self.north.world(place)
         if self.alignment is not None:
             return self.alignment.world(place)
-        return place if self.turn is None else self.turn.world(place)
+        if self.turn is not None:
+            return self.turn.with_compass(self.compass).world(place)
+        if self.compass is None:
+            return place
+        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
+        about_start = Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
+        return about_start.world(place)
 
     def drawn(self) -> Frame:
         """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
         if self.turn is None:
             return self
         # of equal ones the smallest: after one fix all are, but for rounding
-        best = int(np.argmax(self.turn.prob - 1e-9 * np.abs(_ANGLES_RAD)))
+        prob = self.turn.with_compass(self.compass).prob
+        best = int(np.argmax(prob - 1e-9 * np.abs(_ANGLES_RAD)))
         return replace(self, turn=replace(self.turn, drawn=best))
 
     def with_pair(self, pair: PairedPoint) -> Frame:
@@ -162,7 +213,11 @@ class Frame:
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
-        return replace(self, north=north)._turned()
+        return replace(self, north=north, compass=None)._turned()
+
+    def with_compass(self, compass: Compass) -> Frame:
+        """With what the magnetic field says by now; a heading fix knows better."""
+        return self if self.is_joined or self.north is not None else replace(self, compass=compass)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
@@ -212,13 +267,16 @@ def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) ->
     return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
 
 
-def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf) -> Alignment | None:
+def align(
+    pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf, compass: Compass | None = None
+) -> Alignment | None:
     """The alignment that the pairs show, or None while they leave the turn open.
 
     From the most probable turn of the density by Gauss-Newton; with e_i the fixes turned back into the frame of the
-    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre.
+    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre. A compass
+    counts with the probability that it does not point anywhere.
     """
-    turn = open_turn(pairs, north_var_rad2)
+    turn = open_turn(pairs, north_var_rad2).with_compass(compass)
     length = min(max(abs(turn.direction), 1e-12), 1.0)
     if -2.0 * math.log(length) > MAX_ANGLE_STD_RAD**2:
         return None
@@ -227,8 +285,10 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
     for _ in range(5):
         back = _turned_back(pairs, np.array([angle_rad]))[0]
         slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
-        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2
-        angle_rad -= (float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2) / information
+        of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
+        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2 + of_compass
+        pull = float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2
+        angle_rad -= (pull + of_compass * too_large_rad) / information
     of_each = fit.weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
     of_each = of_each / of_each.sum()
     track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])

@@ -22,6 +22,7 @@ _NORTH = (
 )
 _FRAME = f"East and north are metres from the start of the walk. {_NORTH}"
 FRAME_NOTE = f"East and north are metres from the start of the walk, mapped to WGS 84 at the given origin. {_NORTH}"
+_TURNED = "East and north are metres from the start of the walk. North is where the magnetic field says."
 _PLACED = "East and north are metres from the first location of the recording, which show where north is."
 
 
@@ -49,7 +50,7 @@ def write_parquet(track: TrackRows, path: str | Path) -> Path:
         "start_time_s": float(track.start_time_s),
         "duration_s": float(track.duration_s),
         "notes": list(track.notes),
-        "frame": _FRAME if track.origin is None else _PLACED,
+        "frame": (_TURNED if track.frame == "north" else _FRAME) if track.origin is None else _PLACED,
         "pdr_filter": __version__,
     }
     frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)

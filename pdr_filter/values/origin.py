@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +10,13 @@ import pymap3d
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
+
+
+# Of the declination from the model: half of the Earth sees it change by less than 0.75 degrees in ten years, nine tenths
+# by less than 1.9, and a recording need not know its date.
+DECLINATION_STD_RAD = math.radians(1.0)
+# The models of the library.
+_FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 
 @dataclass(frozen=True, slots=True)
@@ -24,6 +32,17 @@ class Origin:
                 "origin must be (latitude, longitude) in degrees, -90..90 and -180..180, got "
                 f"({self.latitude_deg}, {self.longitude_deg}); are the two exchanged, or in radians?"
             )
+
+    def declination_rad(self, year: float = 2025.0) -> float:
+        """By how much magnetic north is east of true north here, on the ground: World Magnetic Model.
+
+        `year` may have a fraction; the models are of 2010 to 2029, and before and after the nearest counts.
+        """
+        import pygeomag  # for those who ask
+
+        year = min(max(year, _FIRST_YEAR), _LAST_YEAR)
+        model = pygeomag.GeoMag(base_year=year)
+        return math.radians(model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year).d)
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""

@@ -22,7 +22,7 @@ class TrackRows:
     """Where the pedestrian walked: one row for each step, positions in metres with covariance.
 
     Positions are in one frame, which `frame` names: that of the "start", whose origin is where the track begins and
-    whose north is where the device's heading was zero, or that of the "fixes". Where few fixes leave open how the track
+    whose north is where the device's heading was zero; the same with true "north"; or that of the "fixes". Where few fixes leave open how the track
     is turned in their frame, a position is the mean over all turns, and its covariance says how far they differ.
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
@@ -56,7 +56,7 @@ class TrackRows:
     notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
     fixes: tuple[FixResult, ...] = field(default=())
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
-    frame: str = "start"  # of positions and headings: "start" or "fixes"
+    frame: str = "start"  # of positions and headings: "start", "north" or "fixes"
     origin: Origin | None = None  # where its zero is, if the recording's own locations placed the track
 
     def __repr__(self) -> str:

@@ -35,7 +35,8 @@ def walked(number: int) -> tuple[Recording, np.ndarray]:
     walk = simulate(legs, gait, carrying={"texting": carrying}, seed=number)
     truth, angle = walk.truth.position, rng.uniform(-np.pi, np.pi)
     turn = np.array([[np.cos(angle), np.sin(angle)], [-np.sin(angle), np.cos(angle)]])
-    return walk, np.column_stack([truth.east_m, truth.north_m]) @ turn.T
+    # the world is turned, and the magnetic field is not
+    return replace(walk, magnetometer=None), np.column_stack([truth.east_m, truth.north_m]) @ turn.T
 
 
 def located(walk: Recording, true_m: np.ndarray, correlation_s: float, seed: int, until_s: float) -> Recording:
