@@ -340,9 +340,13 @@ def _predict(
     return np.maximum(length, 0.0), np.add.reduce(spread * jacobian, axis=-1) + residual_var_m2
 
 
-def known_length(length_m: float, std_m: float) -> StepLengthFit:
-    """A fit of eq. 12 that gives one length whatever the step: k1 = k2 = 0."""
-    return StepLengthFit(FrequencyVarianceStepLength(), np.array([length_m, 0.0, 0.0]), np.zeros((3, 3)), std_m)
+def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
+    """A fit of eq. 12 that gives one length whatever the step: k1 = k2 = 0.
+
+    `std_m` is that of single steps, `shared_std_m` that of what all steps of a walk have in common.
+    """
+    theta, theta_cov = np.array([length_m, 0.0, 0.0]), np.diag([shared_std_m**2, 0.0, 0.0])
+    return StepLengthFit(FrequencyVarianceStepLength(), theta, theta_cov, std_m)
 
 
 # Single steps of one person about any of the models.

@@ -15,6 +15,7 @@ from hypothesis.extra.numpy import arrays
 from scipy.optimize import approx_fprime
 
 import pdr_filter as pdr
+from pdr_filter.filter.modes import context_modes
 from pdr_filter.filter.step_length import (
     BounceStepLength,
     ChenStepLength,
@@ -321,6 +322,13 @@ def test_one_length_for_every_step_stays_one_length_among_others() -> None:
     length, variance = StepLengths((known_length(0.29, 0.05), tian_fit(1.8))).predict(step_of())
     assert length[0] == pytest.approx(0.29)
     assert variance[0] == pytest.approx(0.0025)
+
+
+def test_all_steps_on_stairs_may_be_wrong_alike() -> None:
+    fits = {mode.context: mode.step_length for mode in context_modes(bounce_fit(1.7))}
+    for context in ("upstairs", "downstairs"):
+        _, var_m2 = StepLengths((fits[context],)).predict(step_of())
+        assert float(var_m2[0]) - fits[context].residual_std_m ** 2 == pytest.approx(0.1**2)
 
 
 def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_for_that() -> None:

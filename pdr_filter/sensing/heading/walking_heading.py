@@ -135,9 +135,7 @@ class WalkingHeading:
     systematic_s : float
         How long such an error lasts.
     axis_std_rad : float
-        How far the phone's axis is from the walking heading where somebody reads.
-    guessed_axis_std_rad : float
-        The same for a phone that lies with its screen up, and nobody says how it is carried.
+        How far the axis of a phone that somebody reads, or may read, is from the walking heading.
     max_tilt_rad : float
         If the mean up direction of a stride is further from that of the place, the phone was moved.
     change_std_rad : float
@@ -158,8 +156,7 @@ class WalkingHeading:
     systematic_std_rad: float = math.radians(6.0)
     held_systematic_std_rad: float = math.radians(20.0)
     systematic_s: float = 300.0
-    axis_std_rad: float = math.radians(7.0)
-    guessed_axis_std_rad: float = math.radians(12.0)
+    axis_std_rad: float = math.radians(12.0)
     max_tilt_rad: float = math.radians(35.0)
     change_std_rad: float = math.radians(35.0)
     away_s: float = 30.0
@@ -435,8 +432,7 @@ class WalkingHeading:
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
         if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
             return offset
-        axis_rad = self.axis_std_rad if is_reading else self.guessed_axis_std_rad
-        return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), axis_rad**2)
+        return offset.seen(OF_AXIS, cmath.rect(1.0, pointing_rad), self.axis_std_rad**2)
 
     def _believe(self, place: Place, offset: Offset, stride: Stride, elapsed_s: float) -> tuple[Offset, Offset, float]:
         """The offset after a stride, what is believed for the moment, and how well strides agree: so much they count.

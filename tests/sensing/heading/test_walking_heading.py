@@ -239,7 +239,7 @@ def test_a_reader_walks_where_the_phone_points_and_a_pocket_has_no_such_axis() -
     phone = Rotation.from_euler("x", np.radians(35.0))  # y forward and up: points north
     still = body(phone, 0.0, forward_mps2=0.0)
     assert_allclose(error_deg(annotated(still, "texting"), 0.0)[2:], 0.0, atol=3.0)
-    assert shown_std_deg(annotated(still, "texting"))[-1] < 10.0
+    assert shown_std_deg(annotated(still, "texting"))[-1] < 13.0
     assert shown_std_deg(annotated(still, "pocket")).min() > 35.0
 
 
@@ -526,4 +526,4 @@ def test_a_reader_in_a_corridor_is_told_of_no_other_direction(data_dir: Path) ->
     steps, _, _ = sensed(pdr.read(data_dir / "humolire" / "humolire_user1_1f.zip"), lambda _: "texting")
     offset_deg = np.degrees([s.shown_offset_rad for s in steps])
     assert np.abs(offset_deg[5:]).max() < 10.0
-    assert shown_std_deg(steps)[20:].max() < 10.0
+    assert shown_std_deg(steps)[20:].max() < 13.0
