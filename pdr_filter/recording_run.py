@@ -13,8 +13,8 @@ from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filtering import Output, State, add_fixes, add_location, climb_at, finish, init, notes_of, parts, step
-from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.gnss import LocationState, position_fixes
+from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.device import Device

@@ -31,9 +31,9 @@ _ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
 # One in so many good sets of fixes loses one of them.
 _DISAGREE_PROB = 1e-3
 _APART = 10.0
-# How often a compass points anywhere: a phone that is held across, a magnet in its case. None of 117 recordings with a
-# known north does (tests/benchmarks/absolute_heading.py), which is 1 in 40 at most; and so no compass alone settles a
-# turn.
+# How often a compass points anywhere: a phone that is held across, a magnet in its case. It did in 1 of 102 recordings,
+# where somebody ran with the phone in his hand (tests/benchmarks/absolute_heading.py), 1 in 21 at most. With so
+# much doubt no compass alone settles a turn.
 _ASTRAY_PROB = 0.05
 
 
@@ -171,7 +171,7 @@ class Frame:
 
     @property
     def name(self) -> str:
-        """What positions are in: the frame of the "fixes", that of the start with true "north", or that of the "start"."""
+        """Which one positions are in: that of the "fixes", that of the start with true "north", or of the "start"."""
         if self.is_known:
             return "fixes"
         return "start" if self.compass is None else "north"

@@ -11,9 +11,8 @@ from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
 
-
-# Of the declination from the model: half of the Earth sees it change by less than 0.75 degrees in ten years, nine tenths
-# by less than 1.9, and a recording need not know its date.
+# Of the declination from the model, because a recording need not know its date: in ten years it changes by less than
+# 0.75 degrees on half of the Earth, by less than 1.9 on nine tenths of it.
 DECLINATION_STD_RAD = math.radians(1.0)
 # The models of the library.
 _FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99

@@ -22,8 +22,9 @@ class TrackRows:
     """Where the pedestrian walked: one row for each step, positions in metres with covariance.
 
     Positions are in one frame, which `frame` names: that of the "start", whose origin is where the track begins and
-    whose north is where the device's heading was zero; the same with true "north"; or that of the "fixes". Where few fixes leave open how the track
-    is turned in their frame, a position is the mean over all turns, and its covariance says how far they differ.
+    whose north is where the device's heading was zero; the same with true "north"; or that of the "fixes". Where few
+    fixes leave open how the track is turned in their frame, a position is the mean over all turns, and its covariance
+    says how far they differ.
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
     lengths come from the latter. With `imm` position and walked distance are the best estimates at their step: when the

@@ -60,7 +60,8 @@ class MagneticNorth:
     declination_rad, declination_std_rad : float
         By how much magnetic north is east of true north, and how well that is known.
     iron_std_ut : float
-        Hard iron on each axis. Where people turned, it is up to 7 uT across; the horizontal field of the Earth is 20.
+        Hard iron on each axis: its root mean square where people turned, up to 13; 0 to 3 in the other sets. The
+        horizontal field of the Earth is 20 to 35.
     disturbance_ut, disturbance_readings : float
         What disturbances are on each axis before they are seen, and after how many independent readings what is seen
         has as much weight. Malls have 4, an office 6, a building of steel 15.
@@ -73,7 +74,7 @@ class MagneticNorth:
     rate_hz: float = 100.0
     declination_rad: float = 0.0
     declination_std_rad: float = 0.0
-    iron_std_ut: float = 10.0
+    iron_std_ut: float = 7.0
     disturbance_ut: float = 8.0
     disturbance_readings: float = 4.0
     correlation_readings: float = 6.0
@@ -152,7 +153,7 @@ class MagneticNorth:
 
         n correlated readings are worth n / c of independent ones, c = (1 + r) / (1 - r), r = e^(-1 / correlation). With
         x = (m, b): P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), P^-1 x = sum X' f / (c v); psi = atan2(m_e, m_n) has
-        the variance g' P g, g = (m_n, -m_e, 0) / (m_e^2 + m_n^2).
+        the variance u' P u / (m_e^2 + m_n^2), u = (cos psi, -sin psi, 0).
         """
         c = 1.0 / math.tanh(0.5 / self.correlation_readings)
         weight = 1.0 / (c * state.variance_ut2)
@@ -166,9 +167,10 @@ class MagneticNorth:
         seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
         state = replace(state, variance_ut2=(own + share) / (self.disturbance_readings + seen))
         east, north = float(x[0]), float(x[1])
-        g = np.array([north, -east]) / max(east * east + north * north, 1e-6)
-        var = float(g @ P[:2, :2] @ g) + self.declination_std_rad**2
-        return state, math.atan2(east, north) - self.declination_rad, math.sqrt(var)
+        psi = math.atan2(east, north)
+        u = np.array([math.cos(psi), -math.sin(psi)])
+        var = float(u @ P[:2, :2] @ u) / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
+        return state, psi - self.declination_rad, math.sqrt(var)
 
 
 def _reading(rows: FloatArray, time_s: float) -> FloatArray:
