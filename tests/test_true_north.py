@@ -95,7 +95,7 @@ def test_before_and_after_the_models_the_nearest_counts() -> None:
 
 def test_a_compass_is_normal_but_for_the_one_in_twenty_that_points_anywhere() -> None:
     compass, angles = Compass(3.0, 0.04), np.linspace(-np.pi, np.pi, 4000, endpoint=False)
-    density = np.exp(compass.log_density(angles))
+    density = compass.density(angles)
     assert density.mean() * 2 * np.pi == pytest.approx(1.0, abs=1e-6)
     assert density.min() == pytest.approx(0.05 / (2 * np.pi), rel=1e-6)
     assert angles[density.argmax()] == pytest.approx(3.0, abs=2e-3)
@@ -122,7 +122,7 @@ def test_a_compass_and_one_fix_leave_the_turn_open_and_a_fix_further_on_settles_
 def test_the_density_of_the_turn_is_the_product_of_fixes_and_compass() -> None:
     pairs = [PairedPoint(np.zeros(2), np.zeros(2), 1.0), PairedPoint(np.array([0.0, 5.0]), np.array([4.0, 3.0]), 4.0)]
     compass, turn = Compass(1.2, 0.05), open_turn(pairs)
-    product = turn.prob * np.exp(compass.log_density(np.linspace(-np.pi, np.pi, 120, endpoint=False)))
+    product = turn.prob * compass.density(np.linspace(-np.pi, np.pi, 120, endpoint=False))
     np.testing.assert_allclose(turn.with_compass(compass).prob, product / product.sum(), rtol=1e-12)
     np.testing.assert_array_equal(turn.with_compass(None).prob, turn.prob)
 

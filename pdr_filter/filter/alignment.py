@@ -35,6 +35,7 @@ _APART = 10.0
 # where somebody ran with the phone in his hand (tests/benchmarks/absolute_heading.py), 1 in 21 at most. With so
 # much doubt no compass alone settles a turn.
 _ASTRAY_PROB = 0.05
+_ASTRAY_DENSITY = _ASTRAY_PROB / (2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,17 +100,16 @@ class Compass:
         """Standard deviation where it does not point anywhere; that of a uniform angle at most."""
         return math.sqrt(min(self.var_rad2, MAX_HEADING_VARIANCE))
 
-    def log_density(self, angle_rad: FloatArray) -> FloatArray:
-        """Logarithm of the density (A,): normal, but for the compasses that point anywhere."""
+    def density(self, angle_rad: FloatArray) -> FloatArray:
+        """Density at turns (A,): normal, but for the compasses that point anywhere."""
         away = wrap_angle(angle_rad - self.angle_rad)
         peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
-        return np.log(peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_PROB / (2.0 * math.pi))
+        return peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_DENSITY
 
     def weighed(self, angle_rad: float) -> tuple[float, float]:
         """Information about a turn near an angle, and by how much the angle is too large for it."""
-        away = float(wrap_angle(angle_rad - self.angle_rad))
-        astray = _ASTRAY_PROB / (2.0 * math.pi) / math.exp(float(self.log_density(np.array(angle_rad))))
-        return (1.0 - astray) / self.var_rad2, away
+        astray_prob = _ASTRAY_DENSITY / float(self.density(np.array(angle_rad)))
+        return (1.0 - astray_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +130,7 @@ class OpenTurn:
         """The density with what a compass says."""
         if compass is None:
             return self
-        prob = self.prob * np.exp(compass.log_density(_ANGLES_RAD))
+        prob = self.prob * compass.density(_ANGLES_RAD)
         return replace(self, prob=prob / prob.sum())
 
     def world(self, place: Place) -> Place:
