@@ -90,6 +90,11 @@ class State:
     n_rejected_fixes: int = 0
     finished: bool = False
 
+    @property
+    def clock_offset_s(self) -> float:
+        """What is added to a time of the samples' clock, which may have been set back, to have the track's."""
+        return self.sensing.conditioner.clock.offset_s
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Output:
@@ -147,7 +152,7 @@ def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa:
 
     Give the pressure of a time before the other samples of that time: a window is classified once.
     """
-    barometer, climbs = config.climb_rate.step(state.barometer, time_s, pressure_hpa)
+    barometer, climbs = config.climb_rate.step(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
     return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
 
 
@@ -160,12 +165,13 @@ def add_location(
     accuracy_m: FloatArray,
 ) -> State:
     """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
+    time_s = time_s + state.clock_offset_s
     locations, fixes = position_fixes(state.locations, time_s, latitude_deg, longitude_deg, accuracy_m)
     return add_fixes(config, replace(state, locations=locations), fixes)
 
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
-    """State with fixes that wait until they are due."""
+    """State with fixes, on the track's time base, that wait until they are due."""
     waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
     return replace(state, waiting_fixes=tuple(waiting))
 

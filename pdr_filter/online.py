@@ -12,6 +12,7 @@ from pdr_filter.config import Config
 from pdr_filter.filter.pedestrian import StepUpdate, present_position
 from pdr_filter.filtering import State, add_fixes, add_location, add_pressure, finish, init, notes_of, step, untimely
 from pdr_filter.io.recording import Subject
+from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import Fix, FloatArray, ImuBlock, Origin
 
@@ -126,7 +127,7 @@ class OnlineFilter:
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
-        seen = self.state.sensing.conditioner.report
+        fix, seen = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner.report
         wrong = "" if np.isnan(seen.first_time_s) else untimely(fix, seen.first_time_s, seen.last_time_s)
         if wrong:
             raise ValueError(wrong)

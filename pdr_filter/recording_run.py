@@ -15,6 +15,7 @@ from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filtering import Output, State, add_fixes, add_location, climb_at, finish, init, notes_of, parts, step
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.io.recording import MissingSensorError, Recording
+from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.device import Device
@@ -84,6 +85,7 @@ def track(
         without fixes the track is turned about its start (`Track.frame` is "north").
     """
     with_location = _with_location(recording, fixes, gnss)
+    recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
@@ -220,6 +222,7 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
     """Context and carrying-mode probabilities of all windows of a recording."""
+    recording, _ = one_clock(recording)
     config = config or default_config(recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)

@@ -7,23 +7,27 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
+from pdr_filter.sensing.clock import ClockState, follow, one_clock
+from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
-_FORCE, _RATE, _FIELD = slice(1, 4), slice(4, 7), slice(7, 10)
+_FORCE, _RATE, _FIELD, _MOTION = slice(1, 4), slice(4, 7), slice(7, 10), slice(1, 7)
 _RATE_AGE, _FIELD_AGE = 10, 11
 _N_COLUMNS = 12
 
-# Phones saturate at 16 g and 2000 deg/s (157 m/s2, 35 rad/s), foot-mounted units at about twice that.
-MAX_FORCE_MPS2, MAX_RATE_RADPS = 400.0, 100.0
-# So many samples in a row behind the clock are no stragglers: the clock was set back.
-_CLOCK_RESET_SAMPLES = 50
+# Phones saturate at 16 g (156.9 m/s2) and 2000 deg/s (35 rad/s), faster gyroscopes at twice that.
+MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
+# Phones' magnetometers saturate at 2 to 5 mT.
+MAX_FIELD_UT = 1e4
+# So many rows without a believed time, or none that follows another, are worth a word.
+_NOTABLE_DEAF = 200
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,12 +55,16 @@ class IntakeReport:
     n_implausible: int = 0  # rows beyond what any phone measures: left out
     n_not_increasing: int = 0  # duplicate or backward timestamps: dropped
     n_clock_jumps: int = 0  # single times far ahead, dropped, and clocks set back, followed
+    n_dead_force: int = 0  # rows in which the accelerometer stood still while the phone moved: left out
+    n_dead_rate: int = 0  # the same of the gyroscope: without angular rate
+    n_wild_field: int = 0  # rows with a magnetic field beyond what any phone measures: without field
     n_like_gravity: int = 0  # rows whose |specific force| is between 7 and 13 m/s2
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     lost_s: float = 0.0  # time inside gaps
     n_emitted: int = 0  # uniform samples
     n_without_rate: int = 0  # uniform samples whose angular rate is unknown
+    n_deaf: int = 0  # rows since the last one whose time was believed
     rate_hz: float = 100.0
     first_time_s: float = np.nan
     last_time_s: float = np.nan
@@ -71,6 +79,17 @@ class IntakeReport:
                 f"{self.n_implausible} samples were beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s and "
                 "were left out"
             )
+        for sensor, n_dead, so in (
+            ("accelerometer", self.n_dead_force, "left out"),
+            ("gyroscope", self.n_dead_rate, "taken as without angular rate"),
+        ):
+            if n_dead:
+                found.append(
+                    f"an axis of the {sensor} gave one number while the phone moved: {n_dead} of {self.n_received} "
+                    f"samples are {so}"
+                )
+        if self.n_wild_field:
+            found.append(f"{self.n_wild_field} samples had a magnetic field beyond {MAX_FIELD_UT:g} uT: taken as none")
         if self.n_clock_jumps:
             found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
         if self.n_emitted > 500 and self.n_like_gravity < 0.05 * self.n_received:
@@ -80,6 +99,16 @@ class IntakeReport:
         if self.n_not_increasing:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
+            )
+        if self.n_deaf >= _NOTABLE_DEAF:
+            found.append(
+                f"nothing accepted since {self.last_time_s:.1f} s: the times of the last {self.n_deaf} samples stand "
+                "still or lie before it"
+            )
+        if self.n_received >= _NOTABLE_DEAF and self.n_emitted == 0:
+            found.append(
+                "no two samples follow each other: times must be in seconds (not ms, us or ns), four a second or more, "
+                "and seconds since 1970 need 64 bits"
             )
         if self.n_gaps:
             found.append(
@@ -95,17 +124,6 @@ class IntakeReport:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class ClockState:
-    """Whether to believe the next time."""
-
-    last_s: float = -np.inf  # of the last accepted row, on the track's time base
-    offset_s: float = 0.0  # track time less sample time; changes when the sample clock is set back
-    held: FloatArray = field(default_factory=lambda: np.empty((0, 10)))  # row after a gap, until the next confirms it
-    behind_s: float = -np.inf  # of the last row that was behind
-    n_behind: int = 0  # rows in a row that were behind and increasing
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ConditionerState:
     """Rows not yet used up, where the uniform grid is, and the report so far."""
 
@@ -116,6 +134,7 @@ class ConditionerState:
     last_rate: FloatArray  # (4,) time and value of the last finite angular rate
     last_field: FloatArray  # (4,)
     clock: ClockState
+    watchdog: WatchdogState
     report: IntakeReport
 
 
@@ -149,7 +168,9 @@ class Conditioner:
         """State before the first sample."""
         nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
         report = IntakeReport(rate_hz=self.rate_hz)
-        return ConditionerState(np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), report)
+        return ConditionerState(
+            np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), report
+        )
 
     def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """New state and the whole hops that became complete, split at gaps."""
@@ -181,8 +202,14 @@ class Conditioner:
                 (np.abs(raw[:, _FORCE]) > MAX_FORCE_MPS2).any(axis=1)
                 | (np.abs(raw[:, _RATE]) > MAX_RATE_RADPS).any(axis=1)
             )
+            wild_field = (np.abs(raw[:, _FIELD]) > MAX_FIELD_UT).any(axis=1)
+        raw[wild_field, _FIELD] = np.nan
         usable = raw[finite & ~wild]
-        clock, kept, n_dropped, n_jumps = self._follow_clock(state.clock, usable)
+        clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
+        watched, motion = watch(state.watchdog, followed[:, 0], followed[:, _MOTION])
+        is_dead = np.isnan(motion[:, 0])
+        n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
+        kept = np.column_stack([followed[:, 0], motion, followed[:, _FIELD]])[~is_dead]
         rows = np.empty((len(kept), _N_COLUMNS))
         rows[:, :4] = kept[:, :4]
         rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
@@ -197,58 +224,16 @@ class Conditioner:
             n_not_increasing=old.n_not_increasing + n_dropped,
             n_clock_jumps=old.n_clock_jumps + n_jumps,
             n_like_gravity=old.n_like_gravity + int(((size > 7) & (size < 13)).sum()),
+            n_deaf=clock.n_deaf,
+            n_dead_force=old.n_dead_force + int(is_dead.sum()),
+            n_dead_rate=old.n_dead_rate + n_dead_rate,
+            n_wild_field=old.n_wild_field + int(wild_field.sum()),
         )
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
-        return replace(state, last_rate=last_rate, last_field=last_field, clock=clock, report=report), rows
-
-    def _follow_clock(self, clock: ClockState, rows: FloatArray) -> tuple[ClockState, FloatArray, int, int]:
-        """Rows (N, 10) with believable increasing times, how many were dropped, and how often the clock jumped."""
-        time_s = rows[:, 0] + clock.offset_s
-        steps_s = np.diff(np.concatenate([[clock.last_s], time_s]))
-        settled = len(clock.held) == 0 and clock.n_behind == 0
-        # The very first sample has nothing to be far ahead of.
-        in_order = (steps_s > 0) & ((steps_s <= self.max_gap_s) | np.isinf(steps_s))
-        if settled and in_order.all():
-            moved = np.column_stack([time_s, rows[:, 1:]])
-            return (replace(clock, last_s=float(time_s[-1])) if len(rows) else clock), moved, 0, 0
-        accepted: list[FloatArray] = []
-        n_dropped = n_jumps = 0
-        for row in rows:
-            clock, out, dropped, jumps = self._believe(clock, row)
-            accepted += out
-            n_dropped, n_jumps = n_dropped + dropped, n_jumps + jumps
-        return clock, np.array(accepted).reshape(-1, rows.shape[1]), n_dropped, n_jumps
-
-    def _believe(self, clock: ClockState, row: FloatArray) -> tuple[ClockState, list[FloatArray], int, int]:
-        """One row: accepted, dropped, or held until the next shows whether its time is a jump or a gap."""
-        moved = row.copy()
-        moved[0] += clock.offset_s
-        out: list[FloatArray] = []
-        n_dropped = n_jumps = 0
-        if len(clock.held):
-            if moved[0] > clock.held[0, 0]:
-                out, clock = [clock.held[0]], replace(clock, last_s=float(clock.held[0, 0]))
-            else:
-                n_dropped, n_jumps = 1, 1
-            clock = replace(clock, held=np.empty((0, len(row))))
-        ahead_s = float(moved[0]) - clock.last_s
-        if ahead_s <= 0:
-            n_behind = clock.n_behind + 1 if moved[0] > clock.behind_s else 1
-            clock = replace(clock, behind_s=float(moved[0]), n_behind=n_behind)
-            n_dropped += 1
-            if n_behind >= _CLOCK_RESET_SAMPLES:
-                # what comes next follows after a gap of unknown length, of which the dropped samples are a part
-                offset_s = clock.offset_s + clock.last_s - float(moved[0]) + 2 * self.max_gap_s
-                clock = replace(clock, offset_s=offset_s, behind_s=-np.inf, n_behind=0)
-                n_jumps += 1
-        elif self.max_gap_s < ahead_s < np.inf:
-            clock = replace(clock, held=moved[None, :], n_behind=0, behind_s=-np.inf)
-        else:
-            out.append(moved)
-            clock = replace(clock, last_s=float(moved[0]), n_behind=0, behind_s=-np.inf)
-        return clock, out, n_dropped, n_jumps
+        state = replace(state, last_rate=last_rate, last_field=last_field, clock=clock, watchdog=watched, report=report)
+        return state, rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
         # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
@@ -334,11 +319,12 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
 
 
 def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
-    """All sensors of a recording at the times of its accelerometer, in recorded order.
+    """All sensors of a recording at the times of its accelerometer, in recorded order, on one clock.
 
     Angular rate and magnetic field are interpolated linearly; they are NaN where the stream is missing or its samples
     are further than `max_gap_s` apart.
     """
+    recording, _ = one_clock(recording)
     time_s = recording.accelerometer.time_s
     return ImuBlock(
         time_s=time_s,

@@ -40,7 +40,7 @@ class Origin:
         import pygeomag  # for those who ask
 
         year = min(max(year, _FIRST_YEAR), _LAST_YEAR)
-        model = pygeomag.GeoMag(base_year=year)
+        model = pygeomag.GeoMag(base_year=year)  # pyright: ignore[reportArgumentType]  (a number is its own example)
         return math.radians(model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year).d)
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:

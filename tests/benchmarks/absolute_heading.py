@@ -311,14 +311,15 @@ def scenarios(walk: Walk) -> Iterator[tuple[str, list[PositionFix], float]]:
     third_s = walk.time_s[0] + (walk.time_s[-1] - walk.time_s[0]) / 3.0
     made = made_fixes(walk)
     yield "locations over the first third", [fix for fix in made if fix.time_s <= third_s], third_s
-    yield "locations all along", made, float(walk.time_s[0]) - 1.0
+    yield "locations all along", made, float(walk.time_s[0])
 
 
 def judged(walk: Walk, config: Config, fixes: list[PositionFix], from_s: float) -> tuple[float, float]:
     """Root mean square error at the points after a time, and the share of them inside the ellipses of 95 %."""
     track, late = pdr.track(walk.recording, config, fixes=fixes), walk.time_s > from_s
     at_s = walk.time_s[late]
-    error_m = evaluate.positions_at(track.time_s, track.position_m, at_s) - walk.points_m[late]
+    at_m = np.column_stack([np.interp(at_s, track.time_s, track.position_m[:, k]) for k in (0, 1)])
+    error_m = at_m - walk.points_m[late]
     cov = track.position_cov_m2[np.clip(np.searchsorted(track.time_s, at_s), 0, track.n_steps - 1)]
     nees = np.einsum("ni,nij,nj->n", error_m, np.linalg.inv(cov), error_m)
     return float(np.sqrt((error_m**2).sum(axis=1).mean())), float(np.mean(nees < 5.99))

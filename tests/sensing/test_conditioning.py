@@ -11,7 +11,7 @@ from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.values import ImuBlock, Samples
 
 OFFSET = np.array([1.0, -2.0, 9.8])
-SLOPE = np.array([0.3, 0.0, -0.7])
+SLOPE = np.array([0.3, 0.1, -0.7])
 
 
 def linear(time_s: np.ndarray) -> np.ndarray:

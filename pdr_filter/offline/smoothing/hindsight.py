@@ -17,6 +17,7 @@ from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.recording_run import collected, default_config, outputs, track
+from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracks import Track
 from pdr_filter.values import Fix, FloatArray, HeadingFix, read_only, wrap_angle
@@ -54,6 +55,7 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
     stay as they are. `fixes` are in the frame of the track, or with `config.in_world_frame()` positions in any frame,
     and so is the track then; a late one is used when it came, as by the filter.
     """
+    recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if not config.model.frame.is_joined and any(isinstance(fix, HeadingFix) for fix in fixes):
         raise ValueError(

@@ -30,6 +30,7 @@ from pdr_filter.offline.smoothing.preintegration import Increments, bridge, incr
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.recording_run import collected, default_config, outputs
+from pdr_filter.sensing.clock import one_clock
 from pdr_filter.tracks import Track
 from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, Table, read_only, table, wrap_angle
 
@@ -118,6 +119,7 @@ def smooth(
     anchor_interval_s : float
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
     """
+    recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
         config = calibration.config(config, recording.subject)

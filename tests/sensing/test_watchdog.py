@@ -1,0 +1,125 @@
+"""Sensors that stand still while the phone moves count as missing; a phone at rest, and slow sensors, do not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from helpers import condition, imu
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.sensing.conditioning import MAX_FIELD_UT, Conditioner
+from pdr_filter.sensing.watchdog import watch, watchdog
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import Samples
+
+RATE_HZ = 100.0
+RNG = np.random.default_rng(2)
+
+
+def moving(n: int) -> np.ndarray:
+    """Specific force and angular rate (n, 6) of somebody who walks."""
+    t = np.arange(n)[:, None] / RATE_HZ
+    wave = np.sin(2 * np.pi * 1.9 * t + np.arange(6))
+    return np.array([0.0, 0.0, 9.8, 0.0, 0.0, 0.0]) + wave * [2.0, 2.0, 3.0, 0.5, 0.5, 0.5]
+
+
+def watched(motion: np.ndarray) -> np.ndarray:
+    return watch(watchdog(), np.arange(len(motion)) / RATE_HZ, motion)[1]
+
+
+@pytest.mark.parametrize("axis", [3, 4, 5])
+def test_an_axis_of_the_gyroscope_that_stands_still_is_missing_until_it_moves_again(axis: int) -> None:
+    motion = moving(2000)
+    motion[500:1200, axis] = 0.3
+    missing = np.isnan(watched(motion)[:, 3:])
+    assert (missing.all(axis=1) == missing.any(axis=1)).all()
+    assert not missing[:600].any()
+    assert missing[700:1200].all()
+    assert not missing[1300:].any()
+
+
+@pytest.mark.parametrize("axis", [0, 1, 2])
+def test_an_axis_of_the_accelerometer_that_stands_still_is_missing(axis: int) -> None:
+    motion = moving(2000)
+    motion[500:1200, axis] = 9.8
+    missing = np.isnan(watched(motion)[:, :3])
+    assert missing[700:1200].all()
+    assert not missing[:600].any() and not missing[1300:].any()
+
+
+def test_a_phone_at_rest_whose_gyroscope_gives_one_number_is_at_rest() -> None:
+    motion = np.tile([0.0, 0.0, 9.8, 0.0, 0.0, 0.0], (3000, 1)) + RNG.normal(scale=0.02, size=(3000, 6)) * [
+        *(1, 1, 1),
+        *(0, 0, 0),
+    ]
+    assert not np.isnan(watched(motion)).any()
+
+
+def test_a_gyroscope_that_is_read_five_times_a_second_is_alive() -> None:
+    motion = moving(3000)
+    motion[:, 3:] = motion[(np.arange(3000) // 20) * 20, 3:]
+    assert not np.isnan(watched(motion)).any()
+
+
+@settings(max_examples=30, deadline=None)
+@given(cuts=st.lists(st.integers(0, 1500), max_size=40))
+def test_a_dead_sensor_is_found_alike_in_any_blocks(cuts: list[int]) -> None:
+    motion = moving(1500)
+    motion[300:900, 4] = 0.0
+    motion[800:1300, 2] = 1.0
+    motion[100:130, 3:] = np.nan
+    time_s, state, found = np.arange(1500) / RATE_HZ, watchdog(), list[np.ndarray]()
+    for part in np.split(np.arange(1500), sorted(cuts)):
+        state, result = watch(state, time_s[part], motion[part])
+        found.append(result)
+    np.testing.assert_array_equal(np.concatenate(found), watched(motion))
+
+
+# --- tracks -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=np.pi / 2)], seed=5)
+
+
+@pytest.mark.parametrize("first_axis", [0, 2])
+def test_the_heading_of_a_dead_gyroscope_is_unknown_and_said_to_be(walk: Recording, first_axis: int) -> None:
+    assert walk.gyroscope is not None
+    values = walk.gyroscope.values.copy()
+    values[:, first_axis:] = 0.0
+    dead = pdr.track(replace(walk, gyroscope=Samples(walk.gyroscope.time_s, values)))
+    plain = pdr.track(walk)
+    assert any("gyroscope gave one number" in note for note in dead.notes)
+    assert not any("one number" in note for note in plain.notes)
+    off_m = np.linalg.norm(dead.position_m[-1] - plain.position_m[-1])
+    assert off_m < 3.0 * np.sqrt(np.trace(dead.position_cov_m2[-1]))
+
+
+@pytest.mark.parametrize("wild_ut", [2 * MAX_FIELD_UT, -1e160, 1.7e308])
+def test_a_magnetic_field_that_no_phone_measures_is_none(wild_ut: float) -> None:
+    time_s, field = np.arange(600) / RATE_HZ, np.tile([20.0, 0.0, -40.0], (600, 1))
+    field[300:400, 1] = wild_ut
+    block = imu(time_s, moving(600)[:, :3], moving(600)[:, 3:], field)
+    state, blocks = condition(Conditioner(), [block])
+    known = np.concatenate([b.magnetic_field_known for b in blocks])
+    assert (state.report.n_wild_field, state.report.n_implausible) == (100, 0)
+    assert 50 < (~known).sum() < 100
+    online = pdr.OnlineFilter()
+    online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
+    assert any("magnetic field beyond" in note for note in online.notes)
+
+
+def test_blows_beyond_what_phones_measure_cost_no_step(walk: Recording) -> None:
+    values = walk.accelerometer.values.copy()
+    for start in np.random.default_rng(1).integers(0, len(values), 60):
+        values[start : start + 3] *= 39.0
+    struck = pdr.track(replace(walk, accelerometer=Samples(walk.accelerometer.time_s, values)))
+    plain = pdr.track(walk)
+    assert abs(struck.distance_m / plain.distance_m - 1) < 0.01
+    assert any("beyond 160 m/s2" in note for note in struck.notes)
