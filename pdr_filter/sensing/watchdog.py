@@ -1,8 +1,8 @@
 """Sensors that stand still while the phone moves: an axis that gives one number for a second is dead, not at rest.
 
 No axis of a sensor that works stays exactly constant for a second while somebody carries it: noise alone moves it by
-some units of the last digit. The gyroscope is judged while the specific force changes, the accelerometer while anything
-else does. What a dead sensor says counts as missing until it moves again.
+some units of the last digit. Each of gyroscope and accelerometer is judged while the other moves. What a dead sensor
+says counts as missing until it moves again.
 """
 
 from __future__ import annotations
@@ -72,7 +72,7 @@ def _judged(state: WatchdogState, end_s: float) -> WatchdogState:
     change = state.high - state.low
     constant, moving = change <= _CONSTANT, change > _MOVING
     since_s, moved, dead = state.still_since_s.copy(), list(state.moved), [False, False]
-    for sensor, (columns, witnesses) in enumerate(((_FORCE, slice(0, 6)), (_RATE, _FORCE))):
+    for sensor, (columns, witnesses) in enumerate(((_FORCE, _RATE), (_RATE, _FORCE))):
         if not constant[columns].any():
             since_s[sensor], moved[sensor] = np.nan, False
             continue
