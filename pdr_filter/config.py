@@ -48,6 +48,11 @@ class Config:
         """Modes, transitions, noise and evidence of the tracker."""
         return self.tracker.model
 
+    @property
+    def learns_directions(self) -> bool:
+        """Whether its steps say where the person walks against the phone."""
+        return isinstance(self.sensing.heading, WalkingHeading)
+
     def with_model(self, **changes: Any) -> Config:
         """The same with other values of some fields of the model."""
         return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
@@ -66,8 +71,14 @@ class Config:
         """The same in the world frame, with true north, of which the magnetometer says where it is.
 
         Fixes are then in a frame whose north is true north, too. The declination is by how much magnetic north is east
-        of it: `Origin.declination_rad`.
+        of it: `Origin.declination_rad`. ValueError for a recipe that does not learn where the person walks against the
+        phone.
         """
+        if not self.learns_directions:
+            raise ValueError(
+                f"recipe {self.name!r} does not learn where the person walks against the phone, so that north of the "
+                'magnetometer says nothing of the track: use recipe "default"'
+            )
         rate_hz = self.sensing.conditioner.rate_hz
         north = MagneticNorth(rate_hz, declination_rad, declination_std_rad)
         return replace(self, sensing=replace(self.sensing, north=north)).in_world_frame()

@@ -136,13 +136,21 @@ def _with_north(config: Config, recording: Recording, with_location: bool, north
             f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave it out'
         )
     where = _origin(recording)
-    if missing or north == "off" or (north is None and (where is None or not with_location)):
+    by_itself = with_location and where is not None and not missing and config.learns_directions
+    if north == "off" or (north is None and not by_itself):
         return config
     if where is None:
         return config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
-    epoch_s = recording.meta.get("epoch_s", recording.meta.get("epoch_ns", np.nan) * 1e-9)
-    year = 1970.0 + epoch_s / _YEAR_S
-    return config.with_magnetic_north(where.declination_rad(year) if np.isfinite(year) else where.declination_rad())
+    return config.with_magnetic_north(where.declination_rad(*_year(recording)))
+
+
+def _year(recording: Recording) -> tuple[float, ...]:
+    """The year in which a recording begins, with its fraction; empty if it does not say that."""
+    for key, unit_s in (("epoch_s", 1.0), ("epoch_ns", 1e-9)):
+        value = recording.meta.get(key)
+        if isinstance(value, int | float) and np.isfinite(value):
+            return (1970.0 + value * unit_s / _YEAR_S,)
+    return ()
 
 
 def _origin(recording: Recording) -> Origin | None:

@@ -191,7 +191,7 @@ def test_locations_bring_the_magnetometer_with_them_and_it_can_be_left_out(walk:
 
 
 def test_the_date_of_a_recording_is_that_of_its_declination(walk: Recording) -> None:
-    def north_rad(meta: dict[str, float]) -> float:
+    def north_rad(meta: dict[str, float | None]) -> float:
         here = replace(located(walk), meta={**walk.meta, **meta})
         return float(pdr.track(here).steps.north_rad[20])
 
@@ -199,6 +199,7 @@ def test_the_date_of_a_recording_is_that_of_its_declination(walk: Recording) -> 
     change_rad = HERE.declination_rad(2012.5) - HERE.declination_rad(2025.0)
     assert abs(change_rad) > math.radians(1.0)
     assert north_rad({}) - north_rad({"epoch_s": then_s}) == pytest.approx(change_rad, abs=1e-6)
+    assert north_rad({}) == north_rad({"epoch_s": None, "epoch_ns": math.nan})
     assert north_rad({}) - north_rad({"epoch_ns": int(then_s * 1e9)}) == pytest.approx(change_rad, abs=1e-6)
 
 
@@ -243,6 +244,14 @@ def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
         pdr.track(replace(walk, magnetometer=None), north="magnetic")
     with pytest.raises(MissingSensorError, match="no gyroscope"):
         pdr.track(replace(walk, gyroscope=None), north="magnetic")
+    with pytest.raises(ValueError, match="'martinelli2018' does not learn where the person walks"):
+        pdr.track(walk, recipes.martinelli2018(), north="magnetic")
+
+
+def test_locations_alone_turn_the_track_of_a_recipe_that_learns_no_directions(walk: Recording) -> None:
+    here, config = located(walk), recipes.martinelli2018()
+    track, off = pdr.track(here, config), pdr.track(here, config, north="off")
+    np.testing.assert_array_equal(track.position_m, off.position_m)
 
 
 def test_locations_that_say_nothing_leave_the_frame_of_the_start(walk: Recording) -> None:

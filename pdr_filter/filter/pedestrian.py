@@ -157,7 +157,7 @@ def with_step(
     log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
     place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
     frame = state.frame
-    if np.isfinite(step.north_std_rad):
+    if np.isfinite(step.north_std_rad) and np.isfinite(step.shown_offset_std_rad):
         # where the person walks against north, less where he walks in the track's frame
         angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - x[HEADING_OFFSET]))
         frame = frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
