@@ -13,10 +13,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Origin, PositionFix
+from pdr_filter.values import RADIUS_68, FloatArray, Origin, PositionFix, Samples
 
-# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
-RADIUS_68 = 1.515
 # Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
 # laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
 MIN_ACCURACY_M = 4.9
@@ -66,6 +64,16 @@ def position_fixes(
         fixes.append(PositionFix(t, origin.east_north_m(latitude, longitude), shared * std_m**2 * np.eye(2)))
         state = replace(state, origin=origin, last_s=t)
     return state, tuple(fixes)
+
+
+def fixes_of(location: Samples) -> tuple[Origin | None, tuple[PositionFix, ...]]:
+    """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
+
+    `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
+    """
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    state, fixes = position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
+    return state.origin, fixes
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

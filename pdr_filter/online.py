@@ -147,7 +147,8 @@ class OnlineFilter:
     @property
     def origin(self) -> Origin | None:
         """Where on Earth `position_m` is zero; None before a location has placed the track."""
-        return self.state.locations.origin if self.state.tracker.pedestrian.frame.is_known else None
+        frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
+        return frame.origin(place) if place is not None and frame.is_known else None
 
     @property
     def notes(self) -> tuple[str, ...]:

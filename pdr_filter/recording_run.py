@@ -52,6 +52,8 @@ def track(
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
     gnss: Literal["filter", "off"] | None = None,
+    origin: Origin | tuple[float, float] | None = None,
+    heading_rad: float | None = None,
     north: Literal["magnetic", "off"] | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
@@ -78,13 +80,19 @@ def track(
     gnss : {"filter", "off"}, optional
         Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
         world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
-        positions or headings, which are in a frame of their own.
+        positions or headings, which are in a frame of their own, or `origin` or `heading_rad` say it.
+    origin : Origin or (latitude_deg, longitude_deg), optional
+        Where on Earth the track has its zero: the start of the walk, or that of the frame of `fixes`.
+    heading_rad : float, optional
+        True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
+        which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
     north : {"magnetic", "off"}, optional
         Whether the magnetometer says where true north is, until fixes have settled it: "magnetic" if not given, where
         the locations of the recording are used. With "magnetic" `fixes` are in a frame whose north is true north, and
         without fixes the track is turned about its start (`Track.frame` is "north").
     """
-    with_location = _with_location(recording, fixes, gnss)
+    is_placed = _is_placed(origin, heading_rad, fixes, gnss)
+    with_location = _with_location(recording, fixes, gnss) and not is_placed
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
@@ -98,8 +106,44 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    config = _with_north(config, recording, with_location, north)
-    return collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    where = _origin(recording) if origin is None else Origin.of(origin)
+    turn_rad = where.turn_rad if where is not None and heading_rad is None else heading_rad
+    if north == "magnetic" and turn_rad is not None:
+        raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
+    config = _with_north(config, recording, where, with_location, north)
+    result = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    if is_placed and recording.location is not None and gnss is None:
+        words = "the recording's own locations are not used: its place or heading was given"
+        result = replace(result, notes=(*result.notes, words))
+    if origin is None:
+        return result if heading_rad is None else result.turned(heading_rad)
+    here = Origin.of(origin)
+    return result.placed(here if heading_rad is None else replace(here, turn_rad=heading_rad))
+
+
+def _is_placed(
+    origin: Origin | tuple[float, float] | None, heading_rad: float | None, fixes: Sequence[Fix], gnss: str | None
+) -> bool:
+    """Whether somebody says where the track lies or which way; ValueError for what contradicts itself."""
+    if origin is None and heading_rad is None:
+        return False
+    if gnss not in ("off", None):
+        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
+        raise ValueError(
+            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
+            "one or the other out"
+        )
+    turn_rad = None if origin is None else Origin.of(origin).turn_rad
+    if heading_rad is not None and not np.isfinite(heading_rad):
+        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
+    if heading_rad is not None and turn_rad is not None:
+        raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
+    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
+        raise ValueError(
+            f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
+            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
+        )
+    return True
 
 
 def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
@@ -126,7 +170,9 @@ _UNKNOWN_DECLINATION_STD_RAD = 0.2
 _YEAR_S = 365.2425 * 86400.0
 
 
-def _with_north(config: Config, recording: Recording, with_location: bool, north: str | None) -> Config:
+def _with_north(
+    config: Config, recording: Recording, where: Origin | None, with_location: bool, north: str | None
+) -> Config:
     """The configuration with north of the magnetometer, if it is used; ValueError for what contradicts itself."""
     if north not in ("magnetic", "off", None):
         raise ValueError(f'north must be "magnetic" or "off", got {north!r}')
@@ -135,22 +181,15 @@ def _with_north(config: Config, recording: Recording, with_location: bool, north
         raise MissingSensorError(
             f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave it out'
         )
-    where = _origin(recording)
     by_itself = with_location and where is not None and not missing and config.learns_directions
     if north == "off" or (north is None and not by_itself):
         return config
     if where is None:
         return config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
-    return config.with_magnetic_north(where.declination_rad(*_year(recording)))
-
-
-def _year(recording: Recording) -> tuple[float, ...]:
-    """The year in which a recording begins, with its fraction; empty if it does not say that."""
-    for key, unit_s in (("epoch_s", 1.0), ("epoch_ns", 1e-9)):
-        value = recording.meta.get(key)
-        if isinstance(value, int | float) and np.isfinite(value):
-            return (1970.0 + value * unit_s / _YEAR_S,)
-    return ()
+    epoch_s = recording.epoch_s
+    if epoch_s is None or not np.isfinite(epoch_s):
+        return config.with_magnetic_north(where.declination_rad())
+    return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
 
 
 def _origin(recording: Recording) -> Origin | None:
@@ -206,6 +245,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
         frame = frame.drawn()
+        origin = frame.origin(origin)
     updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))

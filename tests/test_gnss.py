@@ -92,7 +92,7 @@ def test_metres_and_degrees_go_there_and_back_and_agree_with_pymap3d() -> None:
 
 @pytest.mark.parametrize("place", [(91.0, 0.0), (0.0, 181.0), (np.nan, 0.0)])
 def test_an_origin_that_is_nowhere_is_refused(place: tuple[float, float]) -> None:
-    with pytest.raises(ValueError, match="exchanged, or in radians"):
+    with pytest.raises(ValueError, match="are the two exchanged"):
         Origin(*place)
 
 
@@ -194,6 +194,26 @@ def test_a_track_with_locations_lies_where_the_person_walked(walk: Recording, we
     squared = in_frame_of_here(track) - truth_m(walk, track.time_s)
     nees = np.einsum("ka,kab,kb->k", squared, np.linalg.inv(track.position_cov_m2), squared)
     assert nees.max() < chi2.isf(1e-3, 2)
+
+
+def test_the_origin_says_how_far_the_track_was_turned_and_how_well_that_and_its_place_were_known(
+    bare: Recording, walk: Recording
+) -> None:
+    known = pdr.track(walk).origin
+    assert abs(np.angle(np.exp(1j * (known.turn_rad - TURN_RAD)))) < 3.0 * known.turn_std_rad < 0.8
+    assert 0.0 < known.position_std_m < 6.0 / RADIUS_68
+    # dead reckoning that is turned with it goes where the person walked
+    alone = pdr.track(bare).placed(known)
+    along_m = alone.position_m[-1] - alone.start_position_m
+    true_m = truth_m(bare, alone.time_s[[-1]])[0] - truth_m(bare, np.zeros(1))[0]
+    assert np.linalg.norm(along_m - true_m) < 3.0 * known.turn_std_rad * np.linalg.norm(true_m)
+
+
+def test_after_one_location_the_turn_may_be_any_and_the_origin_says_so(bare: Recording) -> None:
+    time_s = np.array([20.0])
+    known = pdr.track(replace(bare, location=rows(time_s, truth_m(bare, time_s)))).origin
+    assert known.turn_std_rad == pytest.approx(np.pi / np.sqrt(3.0), rel=1e-3)
+    assert known.position_std_m == pytest.approx(6.0 / RADIUS_68, rel=0.1)
 
 
 def test_when_the_locations_stop_the_track_goes_on_in_the_world(bare: Recording) -> None:
@@ -342,11 +362,12 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:].T
     np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
     np.testing.assert_allclose(longitude_deg, track.longitude_deg, atol=1e-8)
-    assert "first location" in feature["properties"]["frame"]
+    assert feature["properties"]["frame"] == "fixes"
+    assert "first location" in feature["properties"]["about"]
     assert f'lat="{track.latitude_deg[-1]:.9f}"' in track.to_gpx(tmp_path / "a.gpx").read_text()
     assert track.summary()["end_latitude_deg"] == pytest.approx(track.latitude_deg[-1], abs=1e-7)
     alone = pdr.track(bare)
-    for write in (alone.to_geojson, alone.to_gpx):
+    for write in (alone.to_geojson, alone.to_gpx, alone.to_kml):
         with pytest.raises(ValueError, match=r"no location says where .* origin=\(latitude_deg, longitude_deg\)"):
             write(tmp_path / "b")
     with pytest.raises(ValueError, match="no location says where"):

@@ -248,6 +248,18 @@ def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
         pdr.track(walk, recipes.martinelli2018(), north="magnetic")
 
 
+def test_a_place_that_is_given_says_the_declination_and_a_heading_that_is_given_all(walk: Recording) -> None:
+    track = pdr.track(walk, origin=(48.137, 11.575), north="magnetic")
+    nowhere = pdr.track(walk, north="magnetic")
+    assert (track.frame, track.knows_north) == ("north", True)
+    change_rad = wrap_angle(track.walking_heading_rad - nowhere.walking_heading_rad)
+    np.testing.assert_allclose(change_rad, HERE.declination_rad(), atol=1e-9)
+    with pytest.raises(ValueError, match="both say north"):
+        pdr.track(walk, heading_rad=0.3, north="magnetic")
+    with pytest.raises(ValueError, match="both say north"):
+        pdr.track(walk, origin=replace(HERE, turn_rad=0.3), north="magnetic")
+
+
 def test_locations_alone_turn_the_track_of_a_recipe_that_learns_no_directions(walk: Recording) -> None:
     here, config = located(walk), recipes.martinelli2018()
     track, off = pdr.track(here, config), pdr.track(here, config, north="off")

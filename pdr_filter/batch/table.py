@@ -11,8 +11,6 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from pdr_filter.batch.workers import reason_of
 from pdr_filter.io.writers import pandas_for_parquet
 from pdr_filter.tracks import Track
@@ -45,7 +43,7 @@ class Row(Task):
     duration_s: float | None = None
     end_east_m: float | None = None
     end_north_m: float | None = None
-    end_std_m: float | None = None  # square root of the trace of the end's covariance
+    end_uncertainty_95_m: float | None = None  # `Track.uncertainty_95_m` of the end
     stationary_s: float | None = None
     walking_s: float | None = None
     upstairs_s: float | None = None
@@ -160,7 +158,7 @@ def _of_cells(cells: Sequence[str]) -> Row:
 def row_of(task: Task, result: Track) -> Row:
     """The row of a track."""
     seconds = result.context_seconds()
-    end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
+    end_m = result.end_position_m
     of_contexts: dict[str, Any] = {f"{name}_s": seconds.get(name, 0.0) for name in CONTEXTS}
     return Row(
         **asdict(task),
@@ -170,7 +168,7 @@ def row_of(task: Task, result: Track) -> Row:
         duration_s=float(result.duration_s),
         end_east_m=float(end_m[0]),
         end_north_m=float(end_m[1]),
-        end_std_m=float(np.sqrt(np.trace(result.position_cov_m2[-1]))) if result.n_steps else None,
+        end_uncertainty_95_m=float(result.uncertainty_95_m[-1]) if result.n_steps else None,
         notes=_one_line("; ".join(result.notes)),
         **of_contexts,
     )

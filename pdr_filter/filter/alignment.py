@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE
-from pdr_filter.values import FloatArray, read_only, wrap_angle
+from pdr_filter.values import FloatArray, Origin, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -133,18 +133,25 @@ class OpenTurn:
         prob = self.prob * compass.density(_ANGLES_RAD)
         return replace(self, prob=prob / prob.sum())
 
+    @property
+    def angle_rad(self) -> float:
+        """The turn under which places are reported, or the mean direction."""
+        return cmath.phase(self.direction) if self.drawn is None else float(_ANGLES_RAD[self.drawn])
+
+    @property
+    def angle_var_rad2(self) -> float:
+        """Mean square of the turn about that."""
+        return float(self.prob @ wrap_angle(_ANGLES_RAD - self.angle_rad) ** 2)
+
     def world(self, place: Place) -> Place:
         """A place in the world: mean and covariance over all turns."""
         R = _rotations(_ANGLES_RAD)
         each = R @ place.position_m + self.origin_m
-        if self.drawn is None:
-            reported, angle_rad = self.prob @ each, cmath.phase(self.direction)
-        else:
-            reported, angle_rad = each[self.drawn], float(_ANGLES_RAD[self.drawn])
+        reported = self.prob @ each if self.drawn is None else each[self.drawn]
         away = each - reported
         cov = np.einsum("a,aij,jk,alk->il", self.prob, R, place.cov_m2, R)
         cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
-        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + angle_rad)
+        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -176,28 +183,49 @@ class Frame:
             return "fixes"
         return "start" if self.compass is None else "north"
 
+    @property
+    def _open(self) -> OpenTurn | None:
+        """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
+        return None if self.turn is None else self.turn.with_compass(self.compass)
+
     def world(self, place: Place) -> Place:
         """A place that was reported in the frame of the start, by what is known now."""
         if self.north is not None and place.n_steps < self.north.n_steps:
             place = self.north.world(place)
         if self.alignment is not None:
             return self.alignment.world(place)
-        if self.turn is not None:
-            return self.turn.with_compass(self.compass).world(place)
+        if self._open is not None:
+            return self._open.world(place)
         if self.compass is None:
             return place
         angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
         about_start = Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
         return about_start.world(place)
 
+    def origin(self, place: Origin) -> Origin:
+        """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
+
+        The turn is that of the frame of the start, a heading fix before them included.
+        """
+        before_rad = 0.0 if self.north is None else self.north.angle_rad
+        known = self.alignment or self._open
+        if known is None:
+            return place
+        var_m2 = known.centre_var_m2 if isinstance(known, Alignment) else known.origin_var_m2
+        return replace(
+            place,
+            turn_rad=float(wrap_angle(before_rad + known.angle_rad)),
+            turn_std_rad=math.sqrt(known.angle_var_rad2),
+            position_std_m=math.sqrt(var_m2),
+        )
+
     def drawn(self) -> Frame:
         """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
-        if self.turn is None:
+        if self._open is None:
             return self
         # of equal ones the smallest: after one fix all are, but for rounding
-        prob = self.turn.with_compass(self.compass).prob
-        best = int(np.argmax(prob - 1e-9 * np.abs(_ANGLES_RAD)))
-        return replace(self, turn=replace(self.turn, drawn=best))
+        best = int(np.argmax(self._open.prob - 1e-9 * np.abs(_ANGLES_RAD)))
+        return replace(self, turn=replace(self._open, drawn=best), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
         """With one more pair: the first of them and the latest are kept."""

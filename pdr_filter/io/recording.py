@@ -84,6 +84,15 @@ class Recording:
         return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name})
 
     @property
+    def epoch_s(self) -> float | None:
+        """Unix time of time zero in s, if the file says it."""
+        for name, in_s in (("epoch_s", 1.0), ("epoch_ms", 1e-3), ("epoch_ns", 1e-9)):
+            value = self.meta.get(name)
+            if isinstance(value, int | float):
+                return float(value) * in_s
+        return None
+
+    @property
     def placement(self) -> str:
         """Where and how the phone was worn, in the recording's own words, in lower case; empty if not known."""
         return str(self.meta.get("placement") or "").lower()

@@ -87,7 +87,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
     parts = [
         f"<header><h1><bdi>{name}</bdi></h1><p class='facts'>{text(_facts(track))}</p></header>",
         _doubt_section(doubts),
-        _section("Way", _map(track), _context_legend(track)),
+        _section("Way", _map(track), _context_legend(track), _words(track.about_frame)),
         _section("Contexts over time", _contexts(track), _context_table(track)),
         _section("Walking speed", _speed(track)),
         _section("Step lengths", _step_lengths(track)),
@@ -101,8 +101,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1" />'
         f"<title>{name}</title><style>{_STYLE}</style></head>\n<body>\n"
         + "\n".join(parts)
-        + "\n<footer>Made by pdr_filter. Positions are relative to the start; north is true north only where an "
-        "absolute heading was available, otherwise the direction of the phone at the start.</footer>\n</body></html>\n"
+        + "\n<footer>Made by pdr_filter.</footer>\n</body></html>\n"
     )
 
 

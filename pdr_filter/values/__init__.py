@@ -19,6 +19,7 @@ from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.windows import Windows
 
 __all__ = [
@@ -26,6 +27,8 @@ __all__ = [
     "CONTEXTS",
     "DECLINATION_STD_RAD",
     "HARDLY_AGREE",
+    "RADIUS_68",
+    "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
     "BoolArray",

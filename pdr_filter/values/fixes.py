@@ -8,6 +8,11 @@ from typing import Literal
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.origin import Origin, check_place
+from pdr_filter.values.uncertainty import RADIUS_68
+
+# A standard deviation beyond this says nothing, and its square must stay a number.
+_MAX_STD = 1e100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,9 +34,35 @@ class PositionFix:
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
         _check_times(self.time_s, self.received_time_s)
 
+    @classmethod
+    def from_lat_lon(
+        cls,
+        time_s: float,
+        latitude_deg: float,
+        longitude_deg: float,
+        origin: Origin | tuple[float, float],
+        *,
+        std_m: float | None = None,
+        accuracy_m: float | None = None,
+        received_time_s: float | None = None,
+    ) -> PositionFix:
+        """The fix of a place on Earth, in metres east and north of an origin (an Origin, or latitude and longitude).
 
-# A standard deviation beyond this says nothing, and its square must stay a number.
-_MAX_STD = 1e100
+        Either `std_m`, the standard deviation along each axis, or `accuracy_m`, the radius that holds 68 %, as phones
+        report it. It is taken at its word: `pdr_filter.gnss.position_fixes` doubts a phone that claims too much.
+        """
+        check_place("a fix", latitude_deg, longitude_deg)
+        if (std_m is None) == (accuracy_m is None):
+            raise ValueError(
+                "give either std_m (standard deviation along each axis) or accuracy_m (radius of 68 %), got "
+                f"std_m={std_m} and accuracy_m={accuracy_m}"
+            )
+        name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
+        if value is None or not 0 < value < _MAX_STD:
+            raise ValueError(f"{name} must be positive, got {value}; leave out a fix whose place is not known")
+        each_m = value if accuracy_m is None else value / RADIUS_68
+        position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
+        return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
 
 
 @dataclass(frozen=True, slots=True)

@@ -54,7 +54,7 @@ def test_rows_are_those_of_one_by_one_to_the_last_bit(walks: Path, tmp_path: Pat
         assert row.status == "done"
         assert (row.name, row.n_steps, row.distance_m) == (track.name, track.n_steps, track.distance_m)
         assert (row.end_east_m, row.end_north_m) == tuple(track.position_m[-1])
-        assert row.end_std_m == np.sqrt(np.trace(track.position_cov_m2[-1]))
+        assert row.end_uncertainty_95_m == track.uncertainty_95_m[-1]
         assert row.notes == "; ".join(track.notes)
         assert {name: getattr(row, f"{name}_s") for name in CONTEXTS} == track.context_seconds()
     assert rows[-1].n_steps
@@ -377,6 +377,14 @@ def test_recordings_of_a_folder_are_found_in_it_and_below_and_broken_ones_too(tm
     write_recording(pdr.read(walks / "walk_0.zip"), tmp_path / "folder")
     found = recordings_in(tmp_path)
     assert found == [tmp_path / "broken.zip", tmp_path / "deep" / "er" / "walk_0.zip", tmp_path / "folder"]
+
+
+def test_a_folder_whose_files_were_given_a_prefix_is_one_recording(tmp_path: Path) -> None:
+    for name in ("157_Accelerometer.csv", "Gyroscope.csv", "Location.csv"):
+        (tmp_path / name).write_text("Time (s),X (m/s^2)\n0,1\n")
+    assert recordings_in(tmp_path) == [tmp_path]
+    (tmp_path / "158_Accelerometer.csv").write_text("Time (s),X (m/s^2)\n0,1\n")
+    assert recordings_in(tmp_path) != [tmp_path]
 
 
 def square_or_die(n: int) -> int:

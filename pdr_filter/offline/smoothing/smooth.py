@@ -228,6 +228,7 @@ def _smoothed(
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,
         start_position_m=read_only(found.mean[0, :2]),
+        frame="fixes" if observed.fixes else track.frame,
     )
     return Smoothed(
         track=smoothed,
