@@ -16,8 +16,9 @@ from pdr_filter.filter.weighting import HC, WEIGHTINGS
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
+from pdr_filter.sensing.heading.north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
-from pdr_filter.values import Note
+from pdr_filter.values import DECLINATION_STD_RAD, Note
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,6 +51,11 @@ class Config:
         """Modes, transitions, noise and evidence of the tracker."""
         return self.tracker.model
 
+    @property
+    def learns_directions(self) -> bool:
+        """Whether its steps say where the person walks against the phone."""
+        return isinstance(self.sensing.heading, WalkingHeading)
+
     def with_model(self, **changes: Any) -> Config:
         """The same with other values of some fields of the model."""
         return replace(self, tracker=replace(cast(Any, self.tracker), model=replace(self.model, **changes)))
@@ -73,6 +79,22 @@ class Config:
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
         return self.with_model(frame=UNKNOWN_FRAME)
+
+    def with_magnetic_north(self, declination_rad: float, declination_std_rad: float = DECLINATION_STD_RAD) -> Config:
+        """The same in the world frame, with true north, of which the magnetometer says where it is.
+
+        Fixes are then in a frame whose north is true north, too. The declination is by how much magnetic north is east
+        of it: `Origin.declination_rad`. ValueError for a recipe that does not learn where the person walks against the
+        phone.
+        """
+        if not self.learns_directions:
+            raise ValueError(
+                f"recipe {self.name!r} does not learn where the person walks against the phone, so that north of the "
+                'magnetometer says nothing of the track: use recipe "default"'
+            )
+        rate_hz = self.sensing.conditioner.rate_hz
+        north = MagneticNorth(rate_hz, declination_rad, declination_std_rad)
+        return replace(self, sensing=replace(self.sensing, north=north)).in_world_frame()
 
     def in_hindsight(self) -> Config:
         """The same where later windows are known, too: a window says no more than its share of the time."""

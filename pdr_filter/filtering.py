@@ -261,6 +261,9 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if state.n_lost_climbs:
         words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
         notes.append(Note("sensors", words + "both need one clock"))
+    if state.finished and frame.name == "north" and frame.compass is not None:
+        words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
+        notes.append(Note("heading", words))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:

@@ -114,7 +114,8 @@ class OnlineFilter:
     ) -> None:
         """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
 
-        For a configuration in the world frame, `config.in_world_frame()`; ValueError otherwise. East and north are
+        For a configuration in the world frame, `config.in_world_frame()`, or `config.with_magnetic_north(...)` with the
+        magnetometer's north until they have; ValueError otherwise. East and north are
         metres from the first location that can be used, `origin`. `accuracy_m` is the radius that holds 68 %, as phones
         report it.
         """

@@ -8,11 +8,12 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.simulate import Leg, simulate
 
-walk = simulate([Leg("walking", distance_m=110.0), Leg("walking", distance_m=60.0, turn_rad=1.2)], seed=4)
-truth, rng = walk.truth.position, np.random.default_rng(0)
-here, north_rad = pdr.Origin(48.137, 11.575), 0.7  # where the walk begins, and how it is turned
-turn = np.array([[np.cos(north_rad), np.sin(north_rad)], [-np.sin(north_rad), np.cos(north_rad)]])
-true_m = np.column_stack([truth.east_m, truth.north_m]) @ turn.T
+here = pdr.Origin(48.137, 11.575)  # where the walk begins
+legs = [Leg("walking", distance_m=110.0), Leg("walking", distance_m=60.0, turn_rad=1.2)]
+walk = simulate(legs, seed=4, start_heading_rad=0.7)  # its north is magnetic north
+truth, rng, east_of_north_rad = walk.truth.position, np.random.default_rng(0), here.declination_rad()
+c, s = np.cos(east_of_north_rad), np.sin(east_of_north_rad)
+true_m = np.column_stack([truth.east_m, truth.north_m]) @ np.array([[c, s], [-s, c]]).T
 
 time_s = np.arange(1.0, 75.0)  # the door is reached after 75 s
 place_m = np.column_stack([np.interp(time_s, truth.time_s, true_m[:, k]) for k in (0, 1)])

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import numpy as np
 from scipy.stats import chi2
 
-from pdr_filter.filter.motion import HEADING_OFFSET
+from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE
 from pdr_filter.values import FloatArray, Origin, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
@@ -31,6 +31,11 @@ _ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
 # One in so many good sets of fixes loses one of them.
 _DISAGREE_PROB = 1e-3
 _APART = 10.0
+# How often a compass points anywhere: a phone that is held across, a magnet in its case. It did in 1 of 102 recordings,
+# where somebody ran with the phone in his hand (tests/benchmarks/absolute_heading.py), 1 in 21 at most. With so
+# much doubt no compass alone settles a turn.
+_ASTRAY_PROB = 0.05
+_ASTRAY_DENSITY = _ASTRAY_PROB / (2.0 * math.pi)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -89,6 +94,30 @@ class Alignment:
         return replace(place, position_m=position_m, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
 
+@dataclass(frozen=True, slots=True)
+class Compass:
+    """What the magnetic field says of the turn from the frame of the start to true north."""
+
+    angle_rad: float
+    var_rad2: float
+
+    @property
+    def std_rad(self) -> float:
+        """Standard deviation where it does not point anywhere; that of a uniform angle at most."""
+        return math.sqrt(min(self.var_rad2, MAX_HEADING_VARIANCE))
+
+    def density(self, angle_rad: FloatArray) -> FloatArray:
+        """Density at turns (A,): normal, but for the compasses that point anywhere."""
+        away = wrap_angle(angle_rad - self.angle_rad)
+        peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
+        return peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_DENSITY
+
+    def weighed(self, angle_rad: float) -> tuple[float, float]:
+        """Information about a turn near an angle, and by how much the angle is too large for it."""
+        astray_prob = _ASTRAY_DENSITY / float(self.density(np.array(angle_rad)))
+        return (1.0 - astray_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class OpenTurn:
     """What is known of a turn that is not settled: a probability for each angle, and where the track's origin is."""
@@ -102,6 +131,13 @@ class OpenTurn:
     def direction(self) -> complex:
         """Mean of e^(i angle): as long as the turn is sure."""
         return complex(self.prob @ np.exp(1j * _ANGLES_RAD))
+
+    def with_compass(self, compass: Compass | None) -> OpenTurn:
+        """The density with what a compass says."""
+        if compass is None:
+            return self
+        prob = self.prob * compass.density(_ANGLES_RAD)
+        return replace(self, prob=prob / prob.sum())
 
     @property
     def angle_rad(self) -> float:
@@ -131,7 +167,8 @@ class Frame:
     is_joined: bool
     pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
     agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
-    turn: OpenTurn | None = None  # from the first of them on
+    turn: OpenTurn | None = None  # from the first of them on, as they show it
+    compass: Compass | None = None  # until it is
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before
     moves: tuple[Alignment, ...] = ()  # how fixes moved the track later on, each from its step on (`doubt`)
@@ -146,13 +183,31 @@ class Frame:
         """Whether positions are in the frame of fixes, be the turn settled or not."""
         return self.turn is not None or self.alignment is not None
 
+    @property
+    def name(self) -> str:
+        """Which one positions are in: that of the "fixes", that of the start with true "north", or of the "start"."""
+        if self.is_known:
+            return "fixes"
+        return "start" if self.compass is None else "north"
+
+    @property
+    def _open(self) -> OpenTurn | None:
+        """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
+        return None if self.turn is None else self.turn.with_compass(self.compass)
+
     def world(self, place: Place) -> Place:
         """A place that was reported in the frame of the start, by what is known now."""
         if self.north is not None and place.n_steps < self.north.n_steps:
             place = self.north.world(place)
         if self.alignment is not None:
             return self.alignment.world(place)
-        return place if self.turn is None else self.turn.world(place)
+        if self._open is not None:
+            return self._open.world(place)
+        if self.compass is None:
+            return place
+        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
+        about_start = Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
+        return about_start.world(place)
 
     def origin(self, place: Origin) -> Origin:
         """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
@@ -160,7 +215,7 @@ class Frame:
         The turn is that of the frame of the start, a heading fix before them included.
         """
         before_rad = 0.0 if self.north is None else self.north.angle_rad
-        known = self.alignment or self.turn
+        known = self.alignment or self._open
         if known is None:
             return place
         var_m2 = known.centre_var_m2 if isinstance(known, Alignment) else known.origin_var_m2
@@ -173,11 +228,11 @@ class Frame:
 
     def drawn(self) -> Frame:
         """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
-        if self.turn is None:
+        if self._open is None:
             return self
         # of equal ones the smallest: after one fix all are, but for rounding
-        best = int(np.argmax(self.turn.prob - 1e-9 * np.abs(_ANGLES_RAD)))
-        return replace(self, turn=replace(self.turn, drawn=best))
+        best = int(np.argmax(self._open.prob - 1e-9 * np.abs(_ANGLES_RAD)))
+        return replace(self, turn=replace(self._open, drawn=best), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
         """With one more pair: the first of them and the latest are kept."""
@@ -193,7 +248,11 @@ class Frame:
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
-        return replace(self, north=north)._turned()
+        return replace(self, north=north, compass=None)._turned()
+
+    def with_compass(self, compass: Compass) -> Frame:
+        """With what the magnetic field says by now; a heading fix knows better."""
+        return self if self.is_joined or self.north is not None else replace(self, compass=compass)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
@@ -253,13 +312,16 @@ def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) ->
     return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
 
 
-def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf) -> Alignment | None:
+def align(
+    pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf, compass: Compass | None = None
+) -> Alignment | None:
     """The alignment that the pairs show, or None while they leave the turn open.
 
     From the most probable turn of the density by Gauss-Newton; with e_i the fixes turned back into the frame of the
-    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre.
+    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre. A compass
+    counts with the probability that it does not point anywhere.
     """
-    turn = open_turn(pairs, north_var_rad2)
+    turn = open_turn(pairs, north_var_rad2).with_compass(compass)
     length = min(max(abs(turn.direction), 1e-12), 1.0)
     if -2.0 * math.log(length) > MAX_ANGLE_STD_RAD**2:
         return None
@@ -268,8 +330,10 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
     for _ in range(5):
         back = _turned_back(pairs, np.array([angle_rad]))[0]
         slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
-        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2
-        angle_rad -= (float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2) / information
+        of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
+        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2 + of_compass
+        pull = float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2
+        angle_rad -= (pull + of_compass * too_large_rad) / information
     of_each = centre_weights(pairs)
     track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
     centre_var = 2.0 / float(np.trace(fit.shift_weight))

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, Place, moved
+from pdr_filter.filter.alignment import Alignment, Compass, Frame, Place, moved
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
@@ -167,8 +167,14 @@ def with_step(
     is_pause = np.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
     log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
     place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
+    frame = state.frame
+    if np.isfinite(step.north_std_rad) and np.isfinite(step.shown_offset_std_rad):
+        # where the person walks against north, less where he walks in the track's frame
+        angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - x[HEADING_OFFSET]))
+        frame = frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
     return replace(
         state,
+        frame=frame,
         shared_m=shared_m,
         speed=after_step(
             state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=bool(is_pause)

@@ -93,8 +93,9 @@ class Recording:
     def epoch_s(self) -> float | None:
         """Unix time of time zero in s, if the file says it."""
         for name, in_s in (("epoch_s", 1.0), ("epoch_ms", 1e-3), ("epoch_ns", 1e-9)):
-            if name in self.meta:
-                return float(self.meta[name]) * in_s
+            value = self.meta.get(name)
+            if isinstance(value, int | float):
+                return float(value) * in_s
         return None
 
     @property

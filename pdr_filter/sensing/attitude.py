@@ -41,6 +41,7 @@ class AttitudeBlock:
     yaw_bias_std_radps: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) error of the heading's rate
     heading_error_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) that biases found late have left
     heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,)
+    quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (N, 4) wxyz, sensor to the attitude's frame
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -139,6 +140,7 @@ class AttitudeEstimator:
             yaw_bias_std_radps=bias_std,
             heading_error_rad=error_rad,
             heading_error_var_rad2=error_var,
+            quat=quat,
         )
         return replace(state, vqf=estimator.state), attitude
 

@@ -14,6 +14,7 @@ from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, Unifo
 from pdr_filter.sensing.contexts.stage import ContextStage, WindowContext, with_cadence
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.windows import FeatureWindow, FeatureWindows
+from pdr_filter.sensing.heading.north import MagneticNorth
 from pdr_filter.sensing.heading.stage import HeadingStage
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.rattle import Rattle, RattleState
@@ -48,6 +49,7 @@ class SensingState:
     heading: Any
     gate: Any
     even: Any
+    north: Any
     rattle: RattleState
     cadence: tuple[tuple[float, float], ...]  # time and frequency of the last steps of this segment
     n_samples: int  # of this segment
@@ -77,6 +79,8 @@ class Sensing:
         Holds back steps that nobody walked.
     even : EvenSteps, optional
         Moves contacts to where left and right are even, last of all: the samples of a step stay those of the detector.
+    north : MagneticNorth, optional
+        Where north is.
     """
 
     steps: StepDetector[Any]
@@ -86,9 +90,11 @@ class Sensing:
     heading: HeadingStage | None = None
     gate: StepGate | None = None
     even: EvenSteps | None = None
+    north: MagneticNorth | None = None
 
     def __post_init__(self) -> None:
-        stages = [self.conditioner, self.attitude, self.steps, *([self.contexts] if self.contexts else [])]
+        optional = [stage for stage in (self.contexts, self.north) if stage]
+        stages = [self.conditioner, self.attitude, self.steps, *optional]
         rates = {stage.rate_hz for stage in stages}
         if len(rates) > 1:
             raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
@@ -117,6 +123,7 @@ class Sensing:
             heading=self.heading.init() if self.heading else None,
             gate=self.gate.init() if self.gate else None,
             even=self.even.init() if self.even else None,
+            north=self.north.init() if self.north else None,
             rattle=self._rattle.init(),
             cadence=(),
             n_samples=0,
@@ -161,11 +168,13 @@ class Sensing:
         carrying_mode = _held(state.carrying_mode, [(i - n_before, _likely(w.carrying_prob)) for i, w in windows], n)
         contexts = ContextBlock(context, carrying_mode)
         step_state, steps = self.steps.step(state.steps, part, attitude, contexts)
-        heading_state, gate_state, even_state = None, None, None
+        heading_state, gate_state, even_state, north_state = None, None, None, None
         if self.gate:
             gate_state, steps = self.gate.step(state.gate, part, attitude, steps)
         if self.heading:
             heading_state, steps = self.heading.step(state.heading, part, attitude, contexts, steps)
+        if self.north:
+            north_state, steps = self.north.step(state.north, part, attitude, steps)
         if self.even:
             even_state, steps = self.even.step(state.even, steps)
         # A window that ends with the sample that reveals a step is known first: its evidence is for that step too.
@@ -178,6 +187,7 @@ class Sensing:
             heading=heading_state,
             gate=gate_state,
             even=even_state,
+            north=north_state,
             rattle=self._rattle.step(state.rattle, part, steps),
             cadence=cadence,
             n_samples=n_before + n,
@@ -196,6 +206,9 @@ class Sensing:
         if self.heading:
             heading, steps = self.heading.finish(state.heading, steps)
             state = replace(state, heading=heading)
+        if self.north:
+            north, steps = self.north.finish(state.north, steps)
+            state = replace(state, north=north)
         if self.even:
             even, steps = self.even.step(state.even, steps)
             state = replace(state, even=even)
@@ -209,6 +222,7 @@ class Sensing:
             steps=self.steps.init(),
             rattle=self._rattle.after_gap(state.rattle),
             heading=self.heading.after_gap(state.heading) if self.heading else None,
+            north=self.north.init() if self.north else None,
             cadence=(),
             n_samples=0,
         )

@@ -29,7 +29,7 @@ from pdr_filter.values.fixes import (
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
-from pdr_filter.values.origin import Origin
+from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
@@ -39,6 +39,7 @@ from pdr_filter.values.windows import Windows
 __all__ = [
     "CARRYING_MODES",
     "CONTEXTS",
+    "DECLINATION_STD_RAD",
     "HARDLY_AGREE",
     "RADIUS_68",
     "RADIUS_95",

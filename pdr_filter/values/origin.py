@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
@@ -12,6 +13,12 @@ import pymap3d
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.arrays import FloatArray
+
+# Of the declination from the model, because a recording need not know its date: in ten years it changes by less than
+# 0.75 degrees on half of the Earth, by less than 1.9 on nine tenths of it.
+DECLINATION_STD_RAD = math.radians(1.0)
+# The models of the library.
+_FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 
 def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
@@ -67,6 +74,17 @@ class Origin:
     def _here(self) -> tuple[float, float, float]:
         """Latitude, longitude and height: at 1,000 m above the ellipsoid a metre is 0.02 % fewer degrees."""
         return self.latitude_deg, self.longitude_deg, self.height_m or 0.0
+
+    def declination_rad(self, year: float = 2025.0) -> float:
+        """By how much magnetic north is east of true north here, on the ground: World Magnetic Model.
+
+        `year` may have a fraction; the models are of 2010 to 2029, and before and after the nearest counts.
+        """
+        import pygeomag  # for those who ask
+
+        year = min(max(year, _FIRST_YEAR), _LAST_YEAR)
+        model = pygeomag.GeoMag(base_year=year)  # pyright: ignore[reportArgumentType]  (a number is its own example)
+        return math.radians(model.calculate(glat=self.latitude_deg, glon=self.longitude_deg, alt=0.0, time=year).d)
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""

@@ -59,6 +59,10 @@ class Step:
     # How fast the device turned over this step and the one before, without sign: the sway of a stride is not in it.
     turn_rate_radps: float = 0.0
     from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
+    # Heading of true north in the attitude's frame, as the magnetic field shows it: device heading and shown offset
+    # less this is where the person walks against north. Unknown where its standard deviation is infinite.
+    north_rad: float = 0.0
+    north_std_rad: float = np.inf
 
     @property
     def heading_source(self) -> str:

@@ -170,7 +170,7 @@ class TrackRows:
             sure = f", within {min(1.96 * degrees(place.turn_std_rad), 180.0):.0f} degrees (95 %)"
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
-            return f"East and north are metres from {zero}{at}; north is true north as it was given{sure}."
+            return f"East and north are metres from {zero}{at}; north is true north as it was given or measured{sure}."
         if self.frame == "fixes" and sure:
             return f"East and north are metres from the first location{at}; locations turned it to true north{sure}."
         if self.frame == "fixes":

@@ -93,7 +93,8 @@ def simulated(correlation_s: float, share: float, walks: list[tuple[Recording, n
     nis: list[float] = []
     for number, (walk, true_m) in enumerate(walks):
         until_s = share * walk.duration_s
-        track = pdr.track(located(walk, true_m, correlation_s, number, until_s))
+        # the world is turned, and the magnetic field is not
+        track = pdr.track(located(walk, true_m, correlation_s, number, until_s), north="off")
         turned_s = [fix.used_s for fix in track.fixes if fix.outcome in ("placed", "turned")]
         found.append(errors(track, walk, true_m, max(turned_s) if share == 1.0 else until_s))
         nis += [fix.nis for fix in track.fixes if fix.outcome == "used"]
@@ -169,12 +170,14 @@ def of_phone(name: str, recording: Recording) -> list[list[str]]:
 def surveyed(recording: Recording) -> list[list[str]]:
     """Rows of the walk with surveyed points: its locations, and the track with them."""
     points, location = recording.truth.waypoints, recording.location
-    track = pdr.track(recording)
+    tracks = [("track", pdr.track(recording)), ("track without the magnetometer", pdr.track(recording, north="off"))]
     raw_m = SURVEYED.east_north_m(location.values[:, 0], location.values[:, 1])
-    on_map = SURVEYED.east_north_m(track.latitude_deg, track.longitude_deg)
     true_m = np.column_stack([points.east_m, points.north_m])
     rows: list[list[str]] = []
-    for name, time_s, way_m in (("its locations", location.time_s, raw_m), ("track", track.time_s, on_map)):
+    ways = [("its locations", location.time_s, raw_m)]
+    for name, track in tracks:
+        ways.append((name, track.time_s, SURVEYED.east_north_m(track.latitude_deg, track.longitude_deg)))
+    for name, time_s, way_m in ways:
         at_m = np.column_stack([np.interp(points.time_s, time_s, way_m[:, k]) for k in (0, 1)])
         rows.append([name, median_and(np.linalg.norm(at_m - true_m, axis=1), 100, 1)])
     alone = pdr.track(recording, gnss="off")

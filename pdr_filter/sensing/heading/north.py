@@ -1,0 +1,187 @@
+"""Which way is north in the attitude's frame, from the magnetic field along the way, with honest doubt.
+
+In the attitude's frame (east, north, up, turned by an unknown angle) the field that the phone's magnetometer shows is
+
+    f = m + R b + e,
+
+m that of the Earth, R the rotation from the sensor to that frame, b what iron in the phone and a wrong calibration add
+(hard iron), e the disturbances of the place. A linear regression over the way finds m and b together: who turns shows
+b, and before he does the prior of b is the doubt of m. In a building e may turn single readings by a right angle, and
+averages out all the same, because it is another one every few metres; how much is left follows from its scatter. So
+nothing is gated by size or dip of the field: they hardly show which readings point north
+(tests/benchmarks/absolute_heading.py). The field counts where somebody steps: all the samples in one place are one
+witness.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.values import FloatArray, Step
+
+# Mean readings are over half a second, about a step.
+_READING_S = 0.5
+# Columns of the samples that wait for a whole reading, and of readings that wait for their step.
+_FIELD, _QUAT, _KNOWN, _SAMPLE_COLUMNS = slice(0, 3), slice(3, 7), 7, 8
+_TIME, _VALUE, _ROTATION, _READING_COLUMNS = 0, slice(1, 4), slice(4, 13), 13
+# Steps become known some seconds after their contact, behind a gate most of all; no result depends on more.
+_MAX_LATENCY_S = 20.0
+_M, _B = slice(0, 3), slice(3, 6)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class MagneticNorthState:
+    """Readings that wait, and the sums of the regression."""
+
+    samples: FloatArray  # (R, 8) since the last whole reading
+    readings: FloatArray  # (W, 13) mean field in the attitude's frame and mean rotation, by their last time
+    n: float  # readings used, those of long ago counted less
+    squares: FloatArray  # (6, 6) sum of X' X, X = [1 R]
+    products: FloatArray  # (6,) sum of X' f
+    total_ut2: float  # sum of f' f
+    variance_ut2: float  # of e on each axis
+    used_s: float  # time of the last reading used
+
+
+@dataclass(frozen=True)
+class MagneticNorth:
+    """A causal stage: where north is, at each step; it needs a gyroscope and a magnetometer.
+
+    Numbers were chosen on storeys B1 and F1 of ms_indoor; the other storeys and sets agree with them
+    (tests/benchmarks/absolute_heading.py).
+
+    Parameters
+    ----------
+    declination_rad, declination_std_rad : float
+        By how much magnetic north is east of true north, and how well that is known.
+    iron_std_ut : float
+        Hard iron on each axis: its root mean square where people turned, up to 13; 0 to 3 in the other sets. The
+        horizontal field of the Earth is 20 to 35.
+    disturbance_ut, disturbance_readings : float
+        What disturbances are on each axis before they are seen, and after how many independent readings what is seen
+        has as much weight. Malls have 4, an office 6, a building of steel 15.
+    correlation_readings : float
+        Memory of disturbances: their correlation is 0.9 from one step to the next, 0.4 after five and 0.1 after ten.
+    memory_s : float
+        How long a reading counts: the attitude itself drifts by some 0.001 rad/s.
+    """
+
+    rate_hz: float = 100.0
+    declination_rad: float = 0.0
+    declination_std_rad: float = 0.0
+    iron_std_ut: float = 7.0
+    disturbance_ut: float = 8.0
+    disturbance_readings: float = 4.0
+    correlation_readings: float = 6.0
+    memory_s: float = 100.0
+
+    def init(self) -> MagneticNorthState:
+        """State before the first sample."""
+        return MagneticNorthState(
+            samples=np.empty((0, _SAMPLE_COLUMNS)),
+            readings=np.empty((0, _READING_COLUMNS)),
+            n=0.0,
+            squares=np.zeros((6, 6)),
+            products=np.zeros(6),
+            total_ut2=0.0,
+            variance_ut2=self.disturbance_ut**2,
+            used_s=-math.inf,
+        )
+
+    def step(
+        self, state: MagneticNorthState, block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]]
+    ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
+        """New state, and the steps of a block with the heading of north."""
+        known = block.magnetic_field_known & block.angular_rate_known
+        samples = np.concatenate(
+            [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, known.astype(float)])]
+        )
+        size, n_waiting = round(_READING_S * self.rate_hz), len(state.samples)
+        found: list[FloatArray] = []
+        for start in range(0, len(samples) - size + 1, size):
+            rows = samples[start : start + size]
+            if rows[:, _KNOWN].all():
+                found.append(_reading(rows, float(block.time_s[start + size - 1 - n_waiting])))
+        samples = samples[len(samples) // size * size :]
+        readings = np.concatenate([state.readings, np.array(found).reshape(-1, _READING_COLUMNS)])
+        state = replace(state, samples=samples, readings=readings)
+        state, steps = self.finish(state, steps)
+        recent = state.readings[:, _TIME] > block.time_s[-1] - _MAX_LATENCY_S
+        return replace(state, readings=state.readings[recent]), steps
+
+    def finish(
+        self, state: MagneticNorthState, steps: list[tuple[int, Step]]
+    ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
+        """The same for steps that a gap or the end revealed."""
+        result: list[tuple[int, Step]] = []
+        for number, step in steps:
+            state, north_rad, std_rad = self._at_step(state, step)
+            result.append((number, replace(step, north_rad=north_rad, north_std_rad=std_rad)))
+        return state, result
+
+    def _at_step(self, state: MagneticNorthState, step: Step) -> tuple[MagneticNorthState, float, float]:
+        """State with the readings of a step, the heading of north in the attitude's frame, and its deviation."""
+        if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
+            state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
+        time_s = state.readings[:, _TIME]
+        mine = (time_s > max(step.time_s - step.duration_s, state.used_s)) & (time_s <= step.time_s)
+        for row in state.readings[mine]:
+            state = self._with_reading(state, row)
+        if state.n == 0:
+            return state, 0.0, math.inf
+        return self._solved(state)
+
+    def _with_reading(self, state: MagneticNorthState, row: FloatArray) -> MagneticNorthState:
+        stay = math.exp((state.used_s - row[_TIME]) / self.memory_s)
+        X, f = np.column_stack([np.eye(3), row[_ROTATION].reshape(3, 3)]), row[_VALUE]
+        return replace(
+            state,
+            n=stay * state.n + 1.0,
+            squares=stay * state.squares + X.T @ X,
+            products=stay * state.products + X.T @ f,
+            total_ut2=stay * state.total_ut2 + float(f @ f),
+            used_s=float(row[_TIME]),
+        )
+
+    def _solved(self, state: MagneticNorthState) -> tuple[MagneticNorthState, float, float]:
+        """The regression with the variance of e so far, from whose residuals follows that of the next one.
+
+        n correlated readings are worth n / c of independent ones, c = (1 + r) / (1 - r), r = e^(-1 / correlation). With
+        x = (m, b): P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), P^-1 x = sum X' f / (c v); psi = atan2(m_e, m_n) has
+        the variance u' P u / (m_e^2 + m_n^2), u = (cos psi, -sin psi, 0).
+        """
+        c = 1.0 / math.tanh(0.5 / self.correlation_readings)
+        weight = 1.0 / (c * state.variance_ut2)
+        prior = np.zeros(6)
+        prior[_M], prior[_B] = 1e-9, 1.0 / self.iron_std_ut**2  # next to nothing is known of m
+        P = np.linalg.inv(np.diag(prior) + weight * state.squares)
+        x = weight * (P @ state.products)
+        left_ut2 = state.total_ut2 - 2.0 * float(x @ state.products) + float(x @ state.squares @ x)
+        own = self.disturbance_readings * self.disturbance_ut**2
+        # one of the independent readings went into m
+        seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
+        state = replace(state, variance_ut2=(own + share) / (self.disturbance_readings + seen))
+        east, north = float(x[0]), float(x[1])
+        psi = math.atan2(east, north)
+        u = np.array([math.cos(psi), -math.sin(psi)])
+        var = float(u @ P[:2, :2] @ u) / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
+        return state, psi - self.declination_rad, math.sqrt(var)
+
+
+def _reading(rows: FloatArray, time_s: float) -> FloatArray:
+    """Time, mean field in the attitude's frame, and mean rotation, of whole samples."""
+    w, x, y, z = rows[:, _QUAT].T
+    to_frame = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
+            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
+            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    field = (to_frame * rows[:, _FIELD].T).sum(axis=1).mean(axis=1)
+    return np.concatenate([[time_s], field, to_frame.mean(axis=2).ravel()])

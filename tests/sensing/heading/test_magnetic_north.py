@@ -1,0 +1,187 @@
+"""North from the magnetic field: closed forms, iron in the phone and in the building, doubt that holds."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from helpers import a_step, cut_uniform
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.sensing.heading.north import MagneticNorth
+from pdr_filter.values import FloatArray, Step, wrap_angle
+
+STAGE = MagneticNorth()
+RATE_HZ, STEP_S = 100, 0.5
+EARTH_UT = (20.0, -44.0)  # horizontal, up
+TURNS = np.repeat([0.0, 1.6, 3.1, 0.4], 30)  # heading of the phone at each step
+
+
+def way(
+    heading_rad: FloatArray,
+    north_rad: float = 0.0,
+    iron_ut: FloatArray | None = None,
+    place_ut: FloatArray | None = None,
+) -> tuple[UniformBlock, AttitudeBlock, list[tuple[int, Step]]]:
+    """A phone held 0.5 rad upright, a heading for each step; `place_ut` (K, 3) are disturbances."""
+    heading = np.repeat(heading_rad, round(STEP_S * RATE_HZ))
+    n, tilt = len(heading), 0.25
+    # first tilted about x, then turned clockwise about up
+    c, s, a, b = np.cos(-heading / 2), np.sin(-heading / 2), math.cos(tilt), math.sin(tilt)
+    quat = np.column_stack([c * a, c * b, s * b, s * a])
+    earth = [EARTH_UT[0] * math.sin(north_rad), EARTH_UT[0] * math.cos(north_rad), EARTH_UT[1]]
+    field = np.tile(earth, (n, 1))
+    if place_ut is not None:
+        field = field + np.repeat(place_ut, round(STEP_S * RATE_HZ), axis=0)
+    to_frame = rotations(quat)
+    in_sensor = np.einsum("nji,nj->ni", to_frame, field) + (0.0 if iron_ut is None else iron_ut)
+    time_s = (np.arange(n) + 1) / RATE_HZ
+    known = np.ones(n, dtype=bool)
+    block = UniformBlock(time_s, np.zeros((n, 3)), np.zeros((n, 3)), known, in_sensor, known, 0.0)
+    attitude = AttitudeBlock(np.zeros(n), np.zeros((n, 2)), to_frame[:, 2], heading, quat=quat)
+    # each becomes known a second after its contact
+    contacts = np.arange(1, len(heading_rad) - 1) * STEP_S
+    return block, attitude, [(round((t + 1.0) * RATE_HZ) - 1, a_step(float(t), duration_s=STEP_S)) for t in contacts]
+
+
+def rotations(quat: FloatArray) -> FloatArray:
+    w, v = quat[:, :1], quat[:, 1:]
+    eye = np.eye(3)
+    columns = [e + 2 * np.cross(v, np.cross(v, np.tile(e, (len(v), 1))) + w * e) for e in eye]
+    return np.stack(columns, axis=-1)
+
+
+def found(block: UniformBlock, attitude: AttitudeBlock, steps: list[tuple[int, Step]], stage: MagneticNorth = STAGE):
+    return [s for _, s in stage.step(stage.init(), block, attitude, steps)[1]]
+
+
+def error_rad(step: Step, north_rad: float) -> float:
+    return float(wrap_angle(step.north_rad - north_rad))
+
+
+@pytest.mark.parametrize("north_rad", [0.0, 2.0, -3.0])
+def test_north_is_where_the_field_points_less_the_declination(north_rad: float) -> None:
+    last = found(*way(TURNS, north_rad))[-1]
+    assert error_rad(last, north_rad) == pytest.approx(0.0, abs=1e-6)
+    there = found(*way(TURNS, north_rad), MagneticNorth(declination_rad=0.3, declination_std_rad=0.2))[-1]
+    assert error_rad(there, north_rad - 0.3) == pytest.approx(0.0, abs=1e-6)
+    assert there.north_std_rad == pytest.approx(math.hypot(last.north_std_rad, 0.2))
+
+
+def test_who_turns_shows_thirty_microtesla_of_iron_in_the_phone() -> None:
+    last = found(*way(TURNS, 0.7, iron_ut=np.array([25.0, -15.0, 8.0])))[-1]
+    assert abs(error_rad(last, 0.7)) < math.radians(10.0)
+    assert abs(error_rad(last, 0.7)) < 3.0 * last.north_std_rad
+
+
+def test_before_somebody_turns_iron_is_doubt() -> None:
+    last = found(*way(np.zeros(120), iron_ut=np.array([10.0, 0.0, 0.0])))[-1]
+    # ten microtesla across twenty
+    assert error_rad(last, 0.0) == pytest.approx(math.atan(0.5), abs=1e-6)
+    assert last.north_std_rad > math.atan(0.5) / 1.5
+    assert found(*way(TURNS))[-1].north_std_rad < 0.6 * last.north_std_rad
+
+
+def test_the_sums_are_those_of_a_least_squares_fit_to_all_readings() -> None:
+    rng = np.random.default_rng(0)
+    place_ut = np.repeat(rng.normal(scale=5.0, size=(40, 3)), 3, axis=0)
+    block, attitude, steps = way(TURNS, 1.1, np.array([3.0, -4.0, 2.0]), place_ut)
+    # with a variance that is given: as if known from a million readings
+    stage = MagneticNorth(disturbance_ut=6.0, disturbance_readings=1e6)
+    last = found(block, attitude, steps, stage)[-1]
+    size = round(STEP_S * RATE_HZ)
+    to_frame = rotations(attitude.quat)
+    readings = np.einsum("nij,nj->ni", to_frame, block.magnetic_field_ut).reshape(-1, size, 3).mean(axis=1)
+    means = to_frame.reshape(-1, size, 3, 3).mean(axis=1)
+    n = len(steps)
+    weight = np.exp(-(STEP_S * np.arange(n)[::-1]) / stage.memory_s)
+    r = math.exp(-1.0 / stage.correlation_readings)
+    std = 6.0 * np.sqrt((1 + r) / (1 - r) / weight)
+    rows = np.concatenate([np.hstack([np.eye(3), means[k]]) / std[k] for k in range(n)])
+    right = np.concatenate([readings[k] / std[k] for k in range(n)])
+    rows = np.vstack([rows, np.hstack([np.zeros((3, 3)), np.eye(3) / stage.iron_std_ut])])
+    fit = np.linalg.lstsq(rows, np.concatenate([right, np.zeros(3)]), rcond=None)[0]
+    cov = np.linalg.inv(rows.T @ rows)
+    assert last.north_rad == pytest.approx(math.atan2(fit[0], fit[1]), abs=1e-6)
+    # the derivative of the angle by differences
+    slope = [(math.atan2(*(fit[:2] + d)) - math.atan2(*(fit[:2] - d))) / 2e-5 for d in ([1e-5, 0.0], [0.0, 1e-5])]
+    assert last.north_std_rad == pytest.approx(math.sqrt(slope @ cov[:2, :2] @ slope), rel=1e-3)
+
+
+@pytest.mark.parametrize("scatter_ut", [3.0, 6.0, 15.0])
+def test_in_buildings_north_is_as_good_as_it_says(scatter_ut: float) -> None:
+    z = []
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        place_ut, r = rng.normal(scale=scatter_ut, size=(len(TURNS), 3)), math.exp(-1.0 / STAGE.correlation_readings)
+        for k in range(1, len(place_ut)):
+            place_ut[k] = r * place_ut[k - 1] + math.sqrt(1 - r * r) * place_ut[k]
+        iron_ut = rng.normal(scale=5.0, size=3)
+        last = found(*way(TURNS, 0.7, iron_ut, place_ut))[-1]
+        z.append(error_rad(last, 0.7) / last.north_std_rad)
+    # of 60 independent normal ones 0.65 to 1.4 with a probability of 99 %; small ones are too careful
+    assert np.mean(np.square(z)) < 1.4
+    assert np.mean(np.square(z)) > 0.15
+
+
+def test_a_lift_on_the_way_is_doubt() -> None:
+    place_ut = np.zeros((len(TURNS), 3))
+    place_ut[50:58, 0] = 120.0
+    quiet, last = found(*way(TURNS, 0.7))[-1], found(*way(TURNS, 0.7, place_ut=place_ut))[-1]
+    assert last.north_std_rad > 2.0 * quiet.north_std_rad
+    assert abs(error_rad(last, 0.7)) < 2.0 * last.north_std_rad
+
+
+@pytest.mark.parametrize("edges", [[10], [30, 770, 780, 1990], list(range(0, 6000, 70))])
+def test_the_result_does_not_depend_on_the_blocks(edges: list[int]) -> None:
+    block, attitude, steps = way(TURNS, 0.7, np.array([3.0, -4.0, 2.0]))
+    whole = found(block, attitude, steps)
+    state, streamed, n = STAGE.init(), list[Step](), 0
+    for part in cut_uniform(block, edges):
+        m = n + len(part.time_s)
+        state, now = STAGE.step(
+            state,
+            part,
+            AttitudeBlock(
+                np.zeros(m - n), np.zeros((m - n, 2)), np.zeros((m - n, 3)), np.zeros(m - n), quat=attitude.quat[n:m]
+            ),
+            [(k, s) for k, s in steps if n <= k < m],
+        )
+        streamed, n = [*streamed, *(s for _, s in now)], m
+    assert [(s.north_rad, s.north_std_rad) for s in streamed] == [(s.north_rad, s.north_std_rad) for s in whole]
+
+
+def test_without_a_field_nothing_is_said() -> None:
+    block, attitude, steps = way(TURNS)
+    unknown = UniformBlock(
+        block.time_s,
+        block.specific_force_mps2,
+        block.angular_rate_radps,
+        block.angular_rate_known,
+        np.zeros_like(block.magnetic_field_ut),
+        np.zeros(len(block.time_s), dtype=bool),
+        0.0,
+    )
+    assert all(math.isinf(s.north_std_rad) for s in found(unknown, attitude, steps))
+
+
+def test_a_magnetometer_that_reads_zero_knows_nothing() -> None:
+    block, attitude, steps = way(TURNS)
+    block.magnetic_field_ut[:] = 0.0
+    assert all(s.north_std_rad > math.pi for s in found(block, attitude, steps))
+
+
+def test_north_is_sought_anew_when_the_turn_of_the_phone_was_not_measured() -> None:
+    block, attitude, steps = way(TURNS)
+    number, step = steps[60]
+    steps[60] = number, a_step(step.time_s, duration_s=STEP_S, heading_unknown_s=0.4)
+    after = found(block, attitude, steps)
+    assert after[60].north_std_rad == after[0].north_std_rad > 3.0 * after[59].north_std_rad
+
+
+def test_who_stands_for_long_is_one_witness() -> None:
+    block, attitude, steps = way(np.zeros(120))
+    walked, stood = found(block, attitude, steps), found(block, attitude, steps[:5])
+    assert stood[-1].north_std_rad == walked[4].north_std_rad > walked[-1].north_std_rad
