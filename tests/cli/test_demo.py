@@ -31,7 +31,7 @@ def test_the_demo_writes_a_picture_a_map_file_and_a_table(simulated: Demo) -> No
     assert simulated.picture.read_bytes().startswith(b"\x89PNG")
     assert len(simulated.csv.read_text().splitlines()) == simulated.track.n_steps + 1
     (feature,) = json.loads(simulated.geojson.read_text())["features"]
-    lon_deg, lat_deg = feature["geometry"]["coordinates"][0]
+    lon_deg, lat_deg = feature["geometry"]["coordinates"][0][:2]
     assert (lat_deg, lon_deg) == pytest.approx(PLACEHOLDER_ORIGIN_DEG)
 
 
@@ -86,7 +86,7 @@ def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> 
     file = write_recording(replace(walk, location=pdr.Samples(time_s, values)), tmp_path / "mine.zip")
     demo = run_demo(file, tmp_path / "out")
     (feature,) = json.loads(demo.geojson.read_text())["features"]
-    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"]).T
+    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
     assert "placed by the recording's own locations" in printed(demo)
     assert "placeholder" in printed(run_demo(file, tmp_path / "off", gnss="off"))
