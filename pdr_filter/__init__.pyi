@@ -8,6 +8,7 @@ from .calibration import Calibration as Calibration
 from .classifiers.rvm import RelevanceVectorClassifier as RelevanceVectorClassifier
 from .config import Config as Config
 from .filter.pedestrian import StepUpdate as StepUpdate
+from .filter.person import Person as Person
 from .io.errors import RecordingError as RecordingError
 from .io.formats import read as read
 from .io.recording import MissingSensorError as MissingSensorError

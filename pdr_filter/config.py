@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, cast
 
 from pdr_filter.filter.alignment import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.person import Person
 from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
@@ -33,6 +35,7 @@ class Config:
     needs: tuple[str, ...] = ()
     notes: tuple[Note, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
+    person: Person | None = None  # whose step lengths the modes have
 
     def __post_init__(self) -> None:
         heading, drift = self.sensing.heading, self.model.noise.heading_drift
@@ -57,6 +60,16 @@ class Config:
         known = replace(attitude, bias=replace(attitude.bias, device=device))
         return replace(self, sensing=replace(self.sensing, attitude=known))
 
+    def with_person(self, person: Person) -> Config:
+        """The same for a person whose step length is known; ValueError if it knows one already."""
+        if self.person is not None:
+            raise ValueError("the configuration knows a person already: pool the two with Person.pooled")
+        known = replace(self, tracker=replace(cast(Any, self.tracker), model=person.in_model(self.model)))
+        walks = f"{len(person.sessions)} walk" + "s" * (len(person.sessions) != 1)
+        text = f"step lengths of a person with typical steps of {person.step_length_m:.2f} m, of {walks}"
+        notes = (*(n for n in self.notes if n.about != "height"), Note("step lengths", text))
+        return replace(known, person=person, notes=notes if person.sessions else self.notes)
+
     def in_world_frame(self) -> Config:
         """The same for fixes in a frame whose origin and north the track does not know, such as that of a map."""
         return self.with_model(frame=UNKNOWN_FRAME)
@@ -76,7 +89,7 @@ class Config:
         threshold = {"threshold": HC} if weighting == "hc" else {}
         return replace(self, tracker=WeightedTracker(self.model, **threshold))
 
-    @property
+    @cached_property
     def fix_delay_s(self) -> float:
         """How long a fix waits for the step that it falls into to be final."""
         waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s

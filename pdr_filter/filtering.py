@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -14,6 +14,7 @@ from pdr_filter.config import Config
 from pdr_filter.filter import height
 from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -29,6 +30,7 @@ from pdr_filter.values import (
     ImuBlock,
     Note,
     PositionFix,
+    SpeedFix,
     Standstill,
     Step,
     received_s,
@@ -90,10 +92,12 @@ class State:
     walked: StepCounts = StepCounts()
     height: HeightState = field(default_factory=initial_height)
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
+    n_lost_climbs: int = 0  # that waited too long for their windows
     n_climbs_used: int = 0  # of these, by the height
     locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
+    n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
     finished: bool = False
 
     @property
@@ -154,13 +158,25 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
         )
 
 
+# Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.
+MAX_CLIMBS = 600
+
+
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
     """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
 
     Give the pressure of a time before the other samples of that time: a window is classified once.
     """
     barometer, climbs = config.climb_rate.step(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
-    return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
+    all_climbs = (*state.climbs, *climbs)
+    n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
+    return replace(
+        state,
+        barometer=barometer,
+        climbs=all_climbs[n_lost:],
+        n_lost_climbs=state.n_lost_climbs + n_lost,
+        n_climbs_used=max(state.n_climbs_used - n_lost, 0),
+    )
 
 
 def add_location(
@@ -179,8 +195,18 @@ def add_location(
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     """State with fixes, on the track's time base, that wait until they are due."""
-    waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
+    waiting = list(state.waiting_fixes)
+    for fix in fixes:
+        insort(waiting, fix, key=lambda f: due_s(config, f))
     return replace(state, waiting_fixes=tuple(waiting))
+
+
+def person_of(config: Config, state: State) -> Person | None:
+    """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
+    session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
+    if session is None:
+        return config.person
+    return (config.person or Person()).pooled(Person((session,)))
 
 
 # The same of steps: a turn, or a door, is ten of them.
@@ -226,6 +252,15 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         notes.append(Note("fixes", words))
+    if frame.moves:
+        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
+        words = (
+            f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
+        )
+        notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
+    if state.n_lost_climbs:
+        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
+        notes.append(Note("sensors", words + "both need one clock"))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:
@@ -321,10 +356,11 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
-    used: list[FixResult] = []
-    while state.waiting_fixes and due_s(config, state.waiting_fixes[0]) <= until_s:
-        first, *later = state.waiting_fixes
-        state, result = _use_fix(config, replace(state, waiting_fixes=tuple(later)), first, until_s)
+    n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
+    used, due = list[FixResult](), state.waiting_fixes[:n_due]
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:]) if due else state
+    for fix in due:
+        state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
     return state, used
 
@@ -347,8 +383,13 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         state = replace(state, tracker=tracker)
     if isinstance(fix, PositionFix) and fix.floor is not None and outcome != "rejected":
         state = replace(state, height=height.with_floor(state.height, fix.floor))
-    state = replace(state, n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"))
-    return state, FixResult.of(fix, now_s, outcome, nis)
+    result = FixResult.of(fix, now_s, outcome, nis)
+    state = replace(
+        state,
+        n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
+        n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
+    )
+    return state, result
 
 
 def untimely(fix: Fix, first_s: float, last_s: float) -> str:

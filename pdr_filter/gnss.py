@@ -1,22 +1,20 @@
 """Locations of a phone to position fixes in metres that say no more than they know.
 
 What a phone calls a location is already smoothed, and reflections and the ionosphere put consecutive ones off the same
-way: the error at one time is correlated with that a time t later as exp(-t / T). Of fixes at intervals t the mean is
-then (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of independent ones, r = exp(-t / T). Each fix after
-the first gets its variance multiplied by that: any number of them in a time T is one witness.
+way: the error at one time is correlated with that a time t later as exp(-t / T), `PositionFix.correlation_s`. The
+filter takes from each what the one before did not say (`pdr_filter.filter.fixes`).
 """
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Origin, PositionFix
+from pdr_filter.values import RADIUS_68, FloatArray, Origin, PositionFix, Samples
 
-# The horizontal accuracy of a phone is the radius of 68 %: 1.515 standard deviations of one axis of a round normal.
-RADIUS_68 = 1.515
 # Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
 # laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
 MIN_ACCURACY_M = 4.9
@@ -26,6 +24,8 @@ CORRELATION_S = 20.0
 # Half of it: fixes in between would hardly say more, and those that show the turn of a track are few and so reach back
 # for minutes (`filter.alignment.MAX_PAIRS`).
 INTERVAL_S = 10.0
+# Two locations of one moment.
+_SAME_S = 0.01
 # A country: more is no location, and its square must stay a number.
 MAX_ACCURACY_M = 1e5
 
@@ -46,8 +46,9 @@ def position_fixes(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
+    interval_s: float = INTERVAL_S,
 ) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """New state and fixes, `INTERVAL_S` apart or more, of locations (N,) each, however they are cut into blocks.
+    """New state and fixes, `interval_s` apart or more, of locations (N,) each, however they are cut into blocks.
 
     Left out and counted are locations that are no place on Earth, that go back in time, and those without an accuracy:
     a phone that says 0 (Android), less (iOS) or nothing does not know where it is.
@@ -58,14 +59,42 @@ def position_fixes(
         t, latitude, longitude, accuracy = (float(value) for value in row)
         is_usable = _is_place(latitude, longitude) and 0 < accuracy < MAX_ACCURACY_M and state.last_s < t < math.inf
         state = replace(state, n=state.n + 1, n_unusable=state.n_unusable + (not is_usable))
-        if not is_usable or t < state.last_s + INTERVAL_S:
+        if not is_usable or t < state.last_s + interval_s:
             continue
         origin = state.origin or Origin(latitude, longitude)
-        shared = 1.0 / math.tanh((t - state.last_s) / (2.0 * CORRELATION_S))
         std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
-        fixes.append(PositionFix(t, origin.east_north_m(latitude, longitude), shared * std_m**2 * np.eye(2)))
+        place_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
+        fixes.append(PositionFix(t, place_m, cov_m2, correlation_s=CORRELATION_S))
         state = replace(state, origin=origin, last_s=t)
     return state, tuple(fixes)
+
+
+def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
+    """Fixes in the order of time for what takes their errors for independent, such as `pdr_filter.smooth`.
+
+    Of correlated fixes at intervals t the mean is (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of
+    independent ones, r = exp(-t / T). Each but the first gets its variance multiplied by that: any number of them in a
+    time T is one witness.
+    """
+    found: list[PositionFix] = []
+    last_s = -math.inf
+    for fix in sorted(fixes, key=lambda f: f.time_s):
+        if fix.correlation_s > 0:
+            apart_s = max(fix.time_s - last_s, _SAME_S)
+            shared, last_s = 1.0 / math.tanh(apart_s / (2.0 * fix.correlation_s)), fix.time_s
+            fix = replace(fix, cov_m2=shared * fix.cov_m2, correlation_s=0.0)
+        found.append(fix)
+    return tuple(found)
+
+
+def fixes_of(location: Samples) -> tuple[Origin | None, tuple[PositionFix, ...]]:
+    """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
+
+    `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
+    """
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    state, fixes = position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
+    return state.origin, fixes
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

@@ -5,14 +5,28 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, get_args
 
 import numpy as np
 
+from pdr_filter.aligned import aligned
 from pdr_filter.config import Config
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filtering import Output, State, add_fixes, add_location, climb_at, finish, init, notes_of, parts, step
+from pdr_filter.filter.person import Person
+from pdr_filter.filtering import (
+    Output,
+    State,
+    add_fixes,
+    add_location,
+    climb_at,
+    finish,
+    init,
+    notes_of,
+    parts,
+    person_of,
+    step,
+)
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
@@ -29,6 +43,7 @@ from pdr_filter.values import (
     HeadingFix,
     ImuBlock,
     IntArray,
+    Origin,
     PositionFix,
     Step,
     Table,
@@ -41,6 +56,9 @@ from pdr_filter.values import (
 if TYPE_CHECKING:
     from pdr_filter.calibration import Calibration
 
+# What becomes of a recording's own locations.
+GnssUse = Literal["filter", "align", "off"]
+
 
 def track(
     recording: Recording,
@@ -50,7 +68,10 @@ def track(
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
-    gnss: Literal["filter", "off"] | None = None,
+    person: Person | str | Path | None = None,
+    gnss: GnssUse | None = None,
+    origin: Origin | tuple[float, float] | None = None,
+    heading_rad: float | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -73,12 +94,23 @@ def track(
         Of `pdr_filter.calibrate`, or where one was saved: step lengths and their covariance for this person.
     device : Device or path, optional
         `Track.device` of an earlier recording of the same phone, or where one was saved.
-    gnss : {"filter", "off"}, optional
-        Whether the recording's own locations are fixes, in metres from the first of them: the track is then in the
-        world (`Track.origin`), with true north. "filter" if not given, where there are some, unless `fixes` has
-        positions or headings, which are in a frame of their own.
+    person : Person or path, optional
+        `Track.person` of an earlier recording of the same person, or where one was saved: step lengths from its fixes.
+    gnss : {"filter", "align", "off"}, optional
+        What becomes of the recording's own locations. "filter": they are fixes, in metres from the first of them, and
+        the track is in the world (`Track.origin`), with true north. "align": the track of dead reckoning keeps its
+        shape, and is turned and shifted as a whole to where all of them together show it, outliers left out. "off":
+        nothing. "filter" if not given, where there are some, unless `fixes` has positions or headings, which are in a
+        frame of their own, or `origin` or `heading_rad` say it.
+    origin : Origin or (latitude_deg, longitude_deg), optional
+        Where on Earth the track has its zero: the start of the walk, or that of the frame of `fixes`.
+    heading_rad : float, optional
+        True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
+        which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
     """
     with_location = _with_location(recording, fixes, gnss)
+    is_placed = _is_placed(origin, heading_rad, fixes, gnss)
+    with_location = with_location and not is_placed
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
@@ -88,29 +120,68 @@ def track(
         config = known.config(config, recording.subject)
     if device is not None:
         config = config.with_device(device if isinstance(device, Device) else Device.load(device))
+    if person is not None:
+        config = config.with_person(person if isinstance(person, Person) else Person.load(person))
     if weighting is not None:
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    return collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
+    result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
+    if is_placed and recording.location is not None and gnss is None:
+        words = "the recording's own locations are not used: its place or heading was given"
+        result = replace(result, notes=(*result.notes, words))
+    if origin is None:
+        return result if heading_rad is None else result.turned(heading_rad)
+    here = Origin.of(origin)
+    return result.placed(here if heading_rad is None else replace(here, turn_rad=heading_rad))
+
+
+def _is_placed(
+    origin: Origin | tuple[float, float] | None, heading_rad: float | None, fixes: Sequence[Fix], gnss: str | None
+) -> bool:
+    """Whether somebody says where the track lies or which way; ValueError for what contradicts itself."""
+    if origin is None and heading_rad is None:
+        return False
+    if gnss not in ("off", None):
+        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
+        raise ValueError(
+            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
+            "one or the other out"
+        )
+    turn_rad = None if origin is None else Origin.of(origin).turn_rad
+    if heading_rad is not None and not np.isfinite(heading_rad):
+        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
+    if heading_rad is not None and turn_rad is not None:
+        raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
+    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
+        raise ValueError(
+            f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
+            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
+        )
+    return True
 
 
 def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
     """Whether the locations of a recording are used; ValueError for what contradicts itself."""
-    if gnss not in ("filter", "off", None):
-        raise ValueError(f'gnss must be "filter" or "off", got {gnss!r}')
-    if gnss == "filter" and recording.location is None:
+    if gnss is not None and gnss not in get_args(GnssUse):
+        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
+    is_asked = gnss in ("filter", "align")
+    if is_asked and recording.location is None:
         raise MissingSensorError(
-            f'{recording.name or "the recording"} has no location, got gnss="filter": leave it out'
+            f'{recording.name or "the recording"} has no location, got gnss="{gnss}": leave it out'
         )
-    if gnss == "filter" and any(isinstance(fix, PositionFix) for fix in fixes):
+    own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
+    if is_asked and own_frame:
         raise ValueError(
-            'gnss="filter" makes the first location of the recording the origin, and fixes has positions in a frame of '
-            'their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
+            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has positions in a frame '
+            'of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
             "pdr_filter.gnss.position_fixes)"
         )
-    own_frame = any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes)
-    return recording.location is not None and (gnss == "filter" or (gnss is None and not own_frame))
+    own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
+    if gnss == "align" and own_frame:
+        raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')
+    return recording.location is not None and (is_asked or (gnss is None and not own_frame))
 
 
 def outputs(
@@ -157,6 +228,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
         frame = frame.drawn()
+        origin = frame.origin(origin)
     updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
@@ -170,6 +242,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         fixes=(*whole.fixes, *late),
         floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
+        person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from pdr_filter.filter.person import Person
 from pdr_filter.io import writers
 from pdr_filter.report import trust
 from pdr_filter.sensing.device import Device
@@ -20,22 +21,31 @@ class Track(TrackRows):
     """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
 
     device: Device | None = None  # what the recording taught of the phone, for its next one
+    person: Person | None = None  # what its fixes taught of the person, with what was known before; None if nothing
 
     def report(self) -> str:
         """What the track is, how sure it is, and where not to trust it; see `pdr_filter.report.trust`."""
         return trust.report(self)
 
-    def to_csv(self, path: str | Path) -> Path:
+    def to_csv(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write one line for each step and return the path; see `pdr_filter.io.writers.write_csv`."""
-        return writers.write_csv(self, path)
+        return writers.write_csv(self, path, origin)
 
-    def to_parquet(self, path: str | Path) -> Path:
+    def to_parquet(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""
-        return writers.write_parquet(self, path)
+        return writers.write_parquet(self, path, origin)
 
     def to_geojson(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write a GeoJSON line in WGS 84 and return the path; a track without `origin` needs (lat_deg, lon_deg)."""
         return writers.write_geojson(self, path, origin)
+
+    def to_local_geojson(self, path: str | Path) -> Path:
+        """Write the shape of a track that has no `origin` and return the path, which ends in .local.geojson."""
+        return writers.write_local_geojson(self, path)
+
+    def to_kml(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
+        """Write a KML document for Google Earth and return the path; a track without `origin` needs one."""
+        return writers.write_kml(self, path, origin)
 
     def to_gpx(
         self, path: str | Path, origin: Origin | tuple[float, float] | None = None, epoch_s: float = 0.0

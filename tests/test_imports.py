@@ -86,6 +86,7 @@ ROOMS = [
     "report",
     "calibration",
     "tracks",
+    "aligned",
     "recording_run",
     "simulate",
     "evaluate",

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
+from typing import cast, get_args
 
 from pdr_filter import recording_run
 from pdr_filter.batch.progress import Clock, Progress
@@ -18,6 +19,7 @@ from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import FORMATS, read
 from pdr_filter.recipes import check_name, for_recording
+from pdr_filter.recording_run import GnssUse
 
 
 def track(
@@ -32,6 +34,7 @@ def track(
     file_format: str | None = None,
     height_m: float | None = None,
     calibration: str | Path | None = None,
+    gnss: GnssUse | None = None,
     retry_failed: bool = False,
 ) -> list[Row]:
     """Rows of the recordings in the order of the paths, after all of them are in the table at `out`.
@@ -44,13 +47,13 @@ def track(
     ----------
     paths
         Recordings; a folder that is not a recording stands for all recordings in it.
-    recipe, weighting, file_format, height_m, calibration
+    recipe, weighting, file_format, height_m, calibration, gnss
         As in `pdr_filter.track`; a recipe is made for each recording's person and placement.
     out : path
         CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
         written as parquet in the end, which needs pandas and pyarrow.
     jobs : int
-        Processes on this machine (joblib); -1 for as many as there are cores. With 1 the work is done in this one,
+        Processes on this machine; -1 for as many as there are cores. With 1 the work is done in this one,
         where a recording that exhausts the memory takes the batch with it.
     scheduler : str, optional
         Address of a Dask scheduler, such as tcp://host:8786, instead of `jobs`. Its workers must see the same files
@@ -65,10 +68,10 @@ def track(
     ValueError
         If an option cannot be used, or the table is of something else. What is wrong with a recording is in its row.
     """
-    _check(recipe, weighting, file_format, calibration)
+    _check(recipe, weighting, file_format, calibration, gnss)
     table, parquet = tables(out)
     paths_of_others = [path for path in recordings_of(paths) if path != str(table.resolve())]
-    tasks = _tasks(paths_of_others, recipe, weighting, file_format, height_m, calibration)
+    tasks = _tasks(paths_of_others, recipe, weighting, file_format, height_m, calibration, gnss)
     with opened(table, retry_failed) as (known, append):
         rows = {row.task: row for row in known}
         clock = None if progress is None else Clock(tasks, rows, progress)
@@ -93,7 +96,13 @@ def track_one(task: Task) -> Row:
         if task.height_m is not None:
             recording = recording.of_height(task.height_m)
         config = for_recording(task.recipe, recording)
-        result = recording_run.track(recording, config, task.weighting or None, calibration=task.calibration or None)
+        result = recording_run.track(
+            recording,
+            config,
+            task.weighting or None,
+            calibration=task.calibration or None,
+            gnss=cast(GnssUse, task.gnss) if task.gnss else None,
+        )
     except Exception as error:  # whatever a file provokes belongs beside the successes, not in place of them
         return failed_row(task, reason_of(error))
     return row_of(task, result)
@@ -106,21 +115,26 @@ def _tasks(
     file_format: str | None,
     height_m: float | None,
     calibration: str | Path | None,
+    gnss: str | None,
 ) -> list[Task]:
     for path in paths:
         if "\n" in path or "\r" in path:
             raise ValueError(f"{path!r} has a line break in its name, which a line of a table cannot hold: rename it")
     height_m = None if height_m is None else float(height_m)
     where = "" if calibration is None else str(Path(calibration).resolve())
-    return [Task(path, recipe, weighting or "", file_format or "", height_m, where) for path in paths]
+    return [Task(path, recipe, weighting or "", file_format or "", height_m, where, gnss or "") for path in paths]
 
 
-def _check(recipe: str, weighting: str | None, file_format: str | None, calibration: str | Path | None) -> None:
+def _check(
+    recipe: str, weighting: str | None, file_format: str | None, calibration: str | Path | None, gnss: str | None
+) -> None:
     """ValueError for what would otherwise be the reason of every row."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
     if file_format is not None and file_format.lower().replace("-", "_") not in FORMATS:
         raise ValueError(f"format is {file_format!r}; known are {', '.join(FORMATS)}")
+    if gnss is not None and gnss not in get_args(GnssUse):
+        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
     if calibration is not None:
         load_calibration(calibration)

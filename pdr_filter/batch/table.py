@@ -11,9 +11,9 @@ from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import IO, Any
 
-import numpy as np
-
 from pdr_filter.batch.workers import reason_of
+from pdr_filter.io.files import whole_file
+from pdr_filter.io.texts import csv_cell, of_csv_cell
 from pdr_filter.io.writers import pandas_for_parquet
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS
@@ -31,6 +31,7 @@ class Task:
     file_format: str = ""  # found by content if empty
     height_m: float | None = None  # what the recording says if None
     calibration: str = ""  # path of one, absolute; none if empty
+    gnss: str = ""  # what becomes of locations: "filter" where there are some if empty
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,7 +46,7 @@ class Row(Task):
     duration_s: float | None = None
     end_east_m: float | None = None
     end_north_m: float | None = None
-    end_std_m: float | None = None  # square root of the trace of the end's covariance
+    end_uncertainty_95_m: float | None = None  # `Track.uncertainty_95_m` of the end
     stationary_s: float | None = None
     walking_s: float | None = None
     upstairs_s: float | None = None
@@ -143,8 +144,9 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def _cells(row: Row) -> list[str]:
-    """Floats with all their digits: what is read back has the same bits."""
-    return ["" if value is None else str(value) for value in (getattr(row, name) for name in COLUMNS)]
+    """Floats with all their digits, texts that no program takes for a formula: what is read back has the same bits."""
+    values = (getattr(row, name) for name in COLUMNS)
+    return [csv_cell(v) if isinstance(v, str) else "" if v is None else str(v) for v in values]
 
 
 def _of_cells(cells: Sequence[str]) -> Row:
@@ -153,14 +155,17 @@ def _of_cells(cells: Sequence[str]) -> Row:
     values: dict[str, Any] = {}
     for f, cell in zip(fields(Row), cells, strict=True):
         kind = str(f.type).removesuffix(" | None")
-        values[f.name] = cell if kind == "str" else None if not cell else int(cell) if kind == "int" else float(cell)
+        if kind == "str":
+            values[f.name] = of_csv_cell(cell)
+        else:
+            values[f.name] = None if not cell else int(cell) if kind == "int" else float(cell)
     return Row(**values)
 
 
 def row_of(task: Task, result: Track) -> Row:
     """The row of a track."""
     seconds = result.context_seconds()
-    end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
+    end_m = result.end_position_m
     of_contexts: dict[str, Any] = {f"{name}_s": seconds.get(name, 0.0) for name in CONTEXTS}
     return Row(
         **asdict(task),
@@ -170,7 +175,7 @@ def row_of(task: Task, result: Track) -> Row:
         duration_s=float(result.duration_s),
         end_east_m=float(end_m[0]),
         end_north_m=float(end_m[1]),
-        end_std_m=float(np.sqrt(np.trace(result.position_cov_m2[-1]))) if result.n_steps else None,
+        end_uncertainty_95_m=float(result.uncertainty_95_m[-1]) if result.n_steps else None,
         notes=_one_line("; ".join(result.notes)),
         **of_contexts,
     )
@@ -200,6 +205,5 @@ def tables(out: str | Path) -> tuple[Path, Path | None]:
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
     """Write all rows at once; the file is there when it is whole."""
     frame: Any = pandas_for_parquet(path).DataFrame([asdict(row) for row in rows], columns=list(COLUMNS))
-    part = path.with_name(path.name + ".part")
-    frame.to_parquet(part, index=False)
-    part.replace(path)
+    with whole_file(path) as file:
+        frame.to_parquet(file, index=False)

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from pdr_filter.cli import console
+from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.io.texts import file_name, printable_lines
 
 
 @dataclass(frozen=True)
@@ -68,36 +69,56 @@ def calibrate(
         if figure is not None:
             result.plot(figure)
             written.append(figure)
-    typer.echo(result.report())
+    typer.echo(printable_lines(result.report()))
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
 
 
 def smooth(
-    file: Annotated[Path, typer.Argument(metavar="FILE", help="Recording with waypoints, or with --fixes.")],
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A recording.")],
     fixes: Annotated[
-        Path | None, typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m; else its waypoints.")
+        Path | None,
+        typer.Option(help="CSV of fixes, time_s,east_m,north_m and perhaps std_m."),
     ] = None,
     fix_std_m: Annotated[float, typer.Option("--fix-std", min=0.01, help="Standard deviation of a fix, m.")] = 1.0,
+    loop_closures: Annotated[
+        Path | None,
+        typer.Option(help="CSV of two times at one place, first_s,second_s and perhaps std_m; with --fixes or alone."),
+    ] = None,
     calibration: CalibrationFile = None,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against its waypoints, or fixes of a file."""
+    """Smooth a whole recording against fixes and loop closures of files, or else its own waypoints or locations.
+
+    Times in the files are seconds of the recording.
+    """
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
-    from pdr_filter.offline.smoothing.observations import fixes_of_file, waypoint_fixes
+    from pdr_filter.gnss import fixes_of
+    from pdr_filter.offline.smoothing.observations import fixes_of_file, loop_closures_of_file, waypoint_fixes
 
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
         known = None if calibration is None else load_calibration(calibration)
-        known_places = waypoint_fixes(recording, fix_std_m) if fixes is None else fixes_of_file(fixes, fix_std_m)
-        result = pdr.smooth(recording, known_places, calibration=known)
+        closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
+        origin, known_places = None, ()
+        if fixes is not None:
+            known_places = fixes_of_file(fixes, fix_std_m)
+        elif not closed and recording.truth.waypoints is None and recording.location is not None:
+            origin, known_places = fixes_of(recording.location)
+        elif not closed:
+            known_places = waypoint_fixes(recording, fix_std_m)
+        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed)
+        track = result.track if origin is None else result.track.placed(origin)
         if out is not None:
-            console.write_track(result.track, out, result.track.name)
-    console.print_tracks([result.track])
+            name = file_name(track.name)
+            console.write_track(track, out, name)
+            if origin is not None:
+                console.write_map(track, out / f"{name}.geojson")
+    console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "
-        f"step scale {result.scale:.3f} +- {result.scale_std:.3f}"
+        f"step scale {result.scale:.3f} ± {1.96 * result.scale_std:.3f} (95 %)"
     )
     console.say_written(out)

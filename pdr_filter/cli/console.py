@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
+from rich import markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+
+from pdr_filter.io.texts import printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
@@ -24,6 +26,11 @@ T = TypeVar("T")
 def stderr() -> Console:
     """Console of the messages; made when used, so that a redirected stderr is respected."""
     return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def escape(text: object) -> str:
+    """Text of a file or of its name as a console prints it: as text, without effect on the terminal."""
+    return markup.escape(printable_lines(text))
 
 
 def message(error: Exception) -> str:
@@ -108,10 +115,10 @@ def print_json(value: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(value, allow_nan=False))
 
 
-def print_notes(result: Track, console: Console | None = None) -> None:
-    """The notes of a track, a line each; on stdout if no console is given."""
+def print_notes(result: Track) -> None:
+    """The notes of a track, a line each."""
     for note in result.notes:
-        (console or Console(highlight=False, soft_wrap=True)).print(f"{escape(result.name)}: {escape(note)}")
+        Console(highlight=False, soft_wrap=True).print(f"{escape(result.name)}: {escape(note)}")
 
 
 def new_table(*columns: str) -> Table:
@@ -132,14 +139,14 @@ def print_table(table: Table) -> None:
     console.print(table)
 
 
-def in_m(value: float, spec: str = ".1f") -> str:
+def in_m(value: float, spec: str = "z.1f") -> str:
     """A length."""
     return f"{value:{spec}} m"
 
 
 def print_tracks(tracks: Sequence[Track]) -> None:
     """A row for each track, their notes below."""
-    table = new_table("recording", "steps", "distance", "end east", "end north", "duration")
+    table = new_table("recording", "steps", "distance", "end east", "end north", "within (95 %)", "duration")
     table.add_column("contexts")
     for result in tracks:
         summary = result.summary()
@@ -150,12 +157,18 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(result.distance_m),
             in_m(summary["end_east_m"]),
             in_m(summary["end_north_m"]),
+            in_m(summary["end_uncertainty_95_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
-            ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+            ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
     print_table(table)
     for result in tracks:
         print_notes(result)
+
+
+def write_map(result: Track, path: Path) -> Path:
+    """The map file of a track, .geojson; one that lies nowhere on Earth says so in its name and content."""
+    return result.to_local_geojson(path) if result.origin is None else result.to_geojson(path)
 
 
 def write_track(result: Track, folder: Path, name: str) -> None:

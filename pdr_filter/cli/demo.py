@@ -5,25 +5,22 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Column, Table
 
+from pdr_filter.cli.console import escape, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
-from pdr_filter.recording_run import track
+from pdr_filter.io.texts import file_name
+from pdr_filter.recording_run import GnssUse, track
 from pdr_filter.report.palette import context_colours
 from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray
 
-# Royal Observatory, Greenwich (latitude, longitude in degrees): a map needs some place, and a recording without
-# location does not say where on Earth it began.
-PLACEHOLDER_ORIGIN_DEG = (51.4779, -0.0015)
 _BAR_CELLS = 30
 
 
@@ -48,7 +45,6 @@ class Demo:
             console.print(f"[bold]{escape(result.name)}[/] from {escape(self.recording.source)}", soft_wrap=True)
         console.print()
         console.print(_facts(self))
-        console.print(f"  how sure   {_end_std(result)}")
         console.print()
         console.print(_context_bars(result))
         console.print()
@@ -65,35 +61,39 @@ class Demo:
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
         console.print()
-        console.print("Next, with your own recording:  pdr-filter track YOUR.zip --out results")
+        placed = "" if result.origin else " --origin LAT,LON --heading DEG"
+        console.print(
+            f"Next, with your own recording:  pdr-filter track YOUR.zip --out results{placed}", soft_wrap=True
+        )
 
 
 def run_demo(
     file: Path | None,
     out_dir: Path,
     progress: Callable[[float], None] | None = None,
-    gnss: Literal["filter", "off"] | None = None,
+    gnss: GnssUse | None = None,
 ) -> Demo:
-    """Track a file, or the simulated walk, and write NAME.png, NAME.geojson and NAME.csv to a folder."""
+    """Track a file, or the simulated walk, and write picture, map file and table to a folder."""
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     result = track(recording, progress=progress, gnss=gnss)
-    picture = out_dir / f"{result.name}.png"
+    name = file_name(result.name)
+    picture = out_dir / f"{name}.png"
     plot_track(result, picture, _true_way(recording) if is_simulated else None)
     return Demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
         picture=picture,
-        geojson=result.to_geojson(out_dir / f"{result.name}.geojson", result.origin or PLACEHOLDER_ORIGIN_DEG),
-        csv=result.to_csv(out_dir / f"{result.name}.csv"),
+        geojson=write_map(result, out_dir / f"{name}.geojson"),
+        csv=result.to_csv(out_dir / f"{name}.csv"),
     )
 
 
 def _placed(result: Track) -> str:
     """How the map is placed."""
     if result.origin is None:
-        return "placed in Greenwich, only a placeholder"
+        return "only its shape: nothing says where on Earth"
     return "placed by the recording's own locations"
 
 
@@ -106,12 +106,13 @@ def _true_way(recording: Recording) -> FloatArray:
 def _facts(demo: Demo) -> Table:
     """Steps, distance and end point; against the truth where the walk is simulated."""
     result = demo.track
-    end_m = result.position_m[-1] if result.n_steps else np.zeros(2)
+    end_m = result.end_position_m
     table = Table.grid("", "", "", padding=(0, 3))
     truth = _true_facts(demo.recording, end_m) if demo.is_simulated else ("", "", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
-    table.add_row("  end", f"{end_m[0]:.1f} m east, {end_m[1]:.1f} m north", truth[2])
+    table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
+    table.add_row("  how sure", result.how_sure, "")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 
@@ -125,14 +126,6 @@ def _true_facts(recording: Recording, end_m: FloatArray) -> tuple[str, str, str]
         f"(truth: {float(truth.segments.distance_m.sum()):.1f} m)",
         f"({apart_m:.1f} m from the truth)",
     )
-
-
-def _end_std(result: Track) -> str:
-    """Standard deviation of the last position along the axis where it is largest."""
-    if result.n_steps == 0:
-        return "no step, no position"
-    largest_m2 = float(np.linalg.eigvalsh(result.position_cov_m2[-1])[-1])
-    return f"± {np.sqrt(largest_m2):.1f} m at the end (one standard deviation, worst direction)"
 
 
 def _context_bars(result: Track) -> Table:

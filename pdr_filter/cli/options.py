@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import inspect
+import math
 from collections.abc import Callable
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
@@ -24,14 +25,50 @@ class GnssUse(StrEnum):
     """What becomes of a recording's own locations."""
 
     FILTER = "filter"
+    ALIGN = "align"
     OFF = "off"
 
 
 Gnss = Annotated[
     GnssUse | None,
-    typer.Option(help="Whether its locations place and turn the track; if not given, where it has some."),
+    typer.Option(help="Whether its locations are fixes, turn and shift the whole track, or are left out."),
+]
+Origin = Annotated[
+    str | None,
+    typer.Option(metavar="LAT,LON", help="Where the walk starts, in degrees; its own locations are not used then."),
+]
+Heading = Annotated[
+    str | None,
+    typer.Option(metavar="DEG", help="True heading in which the person first walks, clockwise from north: 90 is east."),
 ]
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
+
+
+def origin_deg(text: str | None) -> tuple[float, float] | None:
+    """Latitude and longitude from LAT,LON."""
+    from pdr_filter.values.origin import check_place
+
+    if text is None:
+        return None
+    try:
+        latitude_deg, longitude_deg = (float(part) for part in text.split(","))
+    except ValueError:
+        raise ValueError(f"--origin must be LAT,LON in degrees, such as 51.4779,-0.0015, got {text!r}") from None
+    check_place("--origin", latitude_deg, longitude_deg)
+    return latitude_deg, longitude_deg
+
+
+def heading_rad(text: str | None) -> float | None:
+    """Radians from DEG."""
+    if text is None:
+        return None
+    try:
+        heading_deg = float(text)
+    except ValueError:
+        heading_deg = math.nan
+    if not abs(heading_deg) <= 360:
+        raise ValueError(f"--heading must be degrees clockwise from north, such as 90 for east, got {text!r}")
+    return math.radians(heading_deg)
 
 
 def in_groups(command: Callable[..., None]) -> Callable[..., None]:

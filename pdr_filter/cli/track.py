@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 from pathlib import Path
@@ -11,7 +11,20 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from pdr_filter.cli import console
-from pdr_filter.cli.options import AsJson, CalibrationFile, Files, Folder, Format, Gnss, Scheduler
+from pdr_filter.cli.options import (
+    AsJson,
+    CalibrationFile,
+    Files,
+    Folder,
+    Format,
+    Gnss,
+    Heading,
+    Origin,
+    Scheduler,
+    heading_rad,
+    origin_deg,
+)
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -41,7 +54,12 @@ class Method:
     device: Annotated[
         Path | None, typer.Option(help="What is known of the phone: read if it is there, and written anew.")
     ] = None
+    person: Annotated[
+        Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
+    ] = None
     gnss: Gnss = None
+    origin: Origin = None
+    heading: Heading = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -55,6 +73,8 @@ class Method:
         from pdr_filter.classifiers.transitions import load_transitions
 
         recipes.check_name(self.recipe)
+        origin_deg(self.origin)
+        heading_rad(self.heading)
         model = None if self.model is None else load_model(self.model)
         learnt = None if self.transitions is None else load_transitions(self.transitions)
 
@@ -88,8 +108,9 @@ class Output:
     """Files that are written."""
 
     out: Folder = None
-    origin: Annotated[
-        str | None, typer.Option(metavar="LAT,LON", help="Start in degrees, if no location says it: also NAME.geojson.")
+    export: Annotated[
+        list[str] | None,
+        typer.Option(metavar="KIND,...", help="Also NAME.KIND: csv, geojson, gpx, kml, parquet or tum, some of them."),
     ] = None
     report: Annotated[bool, typer.Option("--report", help="Also NAME.html: one page with all there is to see.")] = False
     parquet: Annotated[bool, typer.Option("--parquet", help="Also NAME.parquet, or the table of many so.")] = False
@@ -99,30 +120,52 @@ class Output:
         """Of many recordings."""
         return (self.out or Path()) / ("tracks.parquet" if self.parquet else "tracks.csv")
 
+    @property
+    def kinds(self) -> list[str]:
+        """Of the files that are asked for, each once; ValueError for those that nobody knows."""
+        asked = [kind.strip().lower() for part in self.export or () for kind in part.split(",")]
+        for kind in asked:
+            if kind not in _EXPORTS:
+                raise ValueError(f"--export writes {', '.join(_EXPORTS)}, got {kind!r}; give some of them, with commas")
+        return list(dict.fromkeys([*asked, *(["parquet"] if self.parquet else [])]))
+
     def check(self) -> None:
         """ValueError for options that cannot be used, before a file is read."""
         from pdr_filter.io.writers import pandas_for_parquet
 
-        if _origin(self.origin) is not None and self.out is None:
-            raise ValueError("--origin places the GeoJSON file, so it needs --out DIR")
-        if self.parquet:
-            if self.out is None:
-                raise ValueError("--parquet writes a file for each track, so it needs --out DIR")
-            pandas_for_parquet(self.out)
+        if "parquet" in self.kinds:
+            pandas_for_parquet(self.out or Path())
 
     def write(self, result: Track, recording: Recording, name: str) -> None:
         """The files of one track."""
+        folder, kinds = self.out or Path(), self.kinds
+        nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
+        if nowhere and result.origin is None:
+            raise ValueError(
+                f"{result.name}: --export {','.join(nowhere)} needs a place on Earth, and nothing says where this walk "
+                "was: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
+            )
         if self.out is not None:
-            console.write_track(result, self.out, name)
-            origin = _origin(self.origin) or result.origin
-            if origin is not None:
-                result.to_geojson(self.out / f"{name}.geojson", origin)
-            if self.parquet:
-                result.to_parquet(self.out / f"{name}.parquet")
+            console.write_track(result, folder, name)
+            if result.origin is not None:
+                kinds = [*kinds, "geojson"]
+        for kind in dict.fromkeys(kinds):
+            _EXPORTS[kind](result, folder / f"{name}.{kind}", recording)
         if self.report:
             from pdr_filter.report.html import write_report
 
-            write_report(result, (self.out or Path()) / f"{name}.html", recording)
+            write_report(result, folder / f"{name}.html", recording)
+
+
+# How each kind of file is written.
+_EXPORTS: Mapping[str, Callable[[Track, Path, Recording], Path]] = {
+    "csv": lambda track, path, _: track.to_csv(path),
+    "geojson": lambda track, path, _: console.write_map(track, path),
+    "gpx": lambda track, path, recording: track.to_gpx(path, epoch_s=recording.epoch_s or 0.0),
+    "kml": lambda track, path, _: track.to_kml(path),
+    "parquet": lambda track, path, _: track.to_parquet(path),
+    "tum": lambda track, path, _: track.to_tum(path),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -145,6 +188,9 @@ def track(
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
+    The end is within the distance that is shown beside it with a probability of 95 % or more: the longer half axis of
+    its 95 % ellipse.
+
     A folder of recordings, --jobs or --scheduler make one table, tracks.csv in the folder of --out: it grows as
     recordings finish, and a run that was broken off goes on from it.
     """
@@ -152,19 +198,21 @@ def track(
 
     with console.one_line_errors():
         if workers.make_one_table(files):
-            of_one = (
-                method.model,
-                method.transitions,
-                method.device,
-                method.gnss,
-                output.origin,
-                output.report,
-                as_json,
-            )
-            if any(of_one):
+            of_one = {
+                "--model": method.model,
+                "--transitions": method.transitions,
+                "--device": method.device,
+                "--person": method.person,
+                "--origin": method.origin,
+                "--heading": method.heading,
+                "--export": output.export,
+                "--report": output.report,
+                "--json": as_json,
+            }
+            if given := [name for name, value in of_one.items() if value]:
                 raise ValueError(
-                    "many recordings make one table: leave out --model, --transitions, --device, --gnss, --origin, "
-                    "--report and --json"
+                    f"many recordings make one table, without {', '.join(given)}: leave it out, or give the files "
+                    "themselves, without --jobs and --scheduler"
                 )
             _track_many(files, method, source, output.table, workers)
             return
@@ -175,22 +223,28 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
-        known = method.device if method.device is not None and method.device.exists() else None
+        device, person = (
+            path if path is not None and path.exists() else None for path in (method.device, method.person)
+        )
         result = pdr.track(
             recording,
             config,
             method.weighting_name,
             progress=progress,
             calibration=method.calibration,
-            device=known,
+            device=device,
+            person=person,
             gnss=None if method.gnss is None else method.gnss.value,
+            origin=origin_deg(method.origin),
+            heading_rad=heading_rad(method.heading),
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
-        output.write(result, recording, _unused(result.name, written))
+        if method.person is not None and result.person is not None:
+            result.person.save(method.person)
+        output.write(result, recording, _unused(file_name(result.name), written))
         if as_json:
             console.print_json(result.summary())
-            console.print_notes(result, console.stderr())
         return result
 
     tracks, failed = console.each(files, track_one, as_json)
@@ -221,6 +275,7 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
                 file_format=source.file_format,
                 height_m=source.height_m,
                 calibration=method.calibration,
+                gnss=None if method.gnss is None else method.gnss.value,
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error
@@ -229,19 +284,6 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
         console.say_error(f"{path}: {reason}")
     typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
     console.exit_if_failed(failed, len(rows))
-
-
-def _origin(text: str | None) -> tuple[float, float] | None:
-    """Latitude and longitude in degrees from LAT,LON."""
-    if text is None:
-        return None
-    try:
-        lat_deg, lon_deg = (float(part) for part in text.split(","))
-    except ValueError:
-        raise ValueError(f"--origin must be LAT,LON in degrees, such as 51.4779,-0.0015, got {text!r}") from None
-    if not (-90 <= lat_deg <= 90 and -180 <= lon_deg <= 180):
-        raise ValueError(f"--origin must be LAT,LON, -90..90 and -180..180 degrees, got {text!r}; exchanged?")
-    return lat_deg, lon_deg
 
 
 def _unused(name: str, written: set[str]) -> str:

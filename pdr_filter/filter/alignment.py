@@ -21,7 +21,7 @@ import numpy as np
 from scipy.stats import chi2
 
 from pdr_filter.filter.motion import HEADING_OFFSET
-from pdr_filter.values import FloatArray, read_only
+from pdr_filter.values import FloatArray, Origin, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -41,6 +41,12 @@ class PairedPoint:
     world_m: FloatArray  # (2,)
     var_m2: float  # of the fix, mean of both axes
     walked_var_m2: float = 0.0  # of the track since its start, but for its heading: it only grows
+    time_s: float = 0.0
+    correlation_s: float = 0.0  # of the errors of fixes, see `PositionFix`
+
+    def moved(self, alignment: Alignment) -> PairedPoint:
+        """With the place of the track moved."""
+        return replace(self, track_m=read_only(alignment.positions(self.track_m)))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,18 +103,25 @@ class OpenTurn:
         """Mean of e^(i angle): as long as the turn is sure."""
         return complex(self.prob @ np.exp(1j * _ANGLES_RAD))
 
+    @property
+    def angle_rad(self) -> float:
+        """The turn under which places are reported, or the mean direction."""
+        return cmath.phase(self.direction) if self.drawn is None else float(_ANGLES_RAD[self.drawn])
+
+    @property
+    def angle_var_rad2(self) -> float:
+        """Mean square of the turn about that."""
+        return float(self.prob @ wrap_angle(_ANGLES_RAD - self.angle_rad) ** 2)
+
     def world(self, place: Place) -> Place:
         """A place in the world: mean and covariance over all turns."""
         R = _rotations(_ANGLES_RAD)
         each = R @ place.position_m + self.origin_m
-        if self.drawn is None:
-            reported, angle_rad = self.prob @ each, cmath.phase(self.direction)
-        else:
-            reported, angle_rad = each[self.drawn], float(_ANGLES_RAD[self.drawn])
+        reported = self.prob @ each if self.drawn is None else each[self.drawn]
         away = each - reported
         cov = np.einsum("a,aij,jk,alk->il", self.prob, R, place.cov_m2, R)
         cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
-        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + angle_rad)
+        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,6 +134,7 @@ class Frame:
     turn: OpenTurn | None = None  # from the first of them on
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before
+    moves: tuple[Alignment, ...] = ()  # how fixes moved the track later on, each from its step on (`doubt`)
 
     @property
     def north_var_rad2(self) -> float:
@@ -140,6 +154,23 @@ class Frame:
             return self.alignment.world(place)
         return place if self.turn is None else self.turn.world(place)
 
+    def origin(self, place: Origin) -> Origin:
+        """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
+
+        The turn is that of the frame of the start, a heading fix before them included.
+        """
+        before_rad = 0.0 if self.north is None else self.north.angle_rad
+        known = self.alignment or self.turn
+        if known is None:
+            return place
+        var_m2 = known.centre_var_m2 if isinstance(known, Alignment) else known.origin_var_m2
+        return replace(
+            place,
+            turn_rad=float(wrap_angle(before_rad + known.angle_rad)),
+            turn_std_rad=math.sqrt(known.angle_var_rad2),
+            position_std_m=math.sqrt(var_m2),
+        )
+
     def drawn(self) -> Frame:
         """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
         if self.turn is None:
@@ -157,7 +188,7 @@ class Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
-        agreeing = _that_agree(self.pairs, self.north_var_rad2)
+        agreeing = that_agree(self.pairs, self.north_var_rad2)
         return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
@@ -166,8 +197,7 @@ class Frame:
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
-        pairs = tuple(replace(p, track_m=read_only(alignment.positions(p.track_m))) for p in self.pairs)
-        return replace(self, pairs=pairs)._turned()
+        return replace(self, pairs=tuple(pair.moved(alignment) for pair in self.pairs))._turned()
 
 
 START_FRAME = Frame(is_joined=True)
@@ -184,14 +214,25 @@ class _LeastSquares(NamedTuple):
 
 
 def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
-    """Errors of the fixes are independent; those of the track are shared by all that came after them."""
+    """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
-    weight = np.kron(np.linalg.inv(np.diag([p.var_m2 for p in pairs]) + shared), np.eye(2))
+    weight = np.kron(np.linalg.inv(_fix_cov(pairs) + shared), np.eye(2))
     ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
     shift_weight = ones.T @ weight @ ones
     projected = weight - weight @ ones @ np.linalg.solve(shift_weight, ones.T @ weight)
     return _LeastSquares(weight, projected, shift_weight, np.concatenate([p.track_m for p in pairs]))
+
+
+def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """Covariance (N, N) of the errors of fixes along one axis."""
+    std, time_s = np.sqrt([p.var_m2 for p in pairs]), np.array([p.time_s for p in pairs])
+    correlation_s = np.array([p.correlation_s for p in pairs])
+    alike_s = np.minimum(correlation_s[:, None], correlation_s)
+    apart_s = np.abs(time_s[:, None] - time_s)
+    alike = np.exp(-apart_s / np.maximum(alike_s, 1e-9)) * (alike_s > 0)
+    np.fill_diagonal(alike, 1.0)
+    return std[:, None] * std * alike
 
 
 def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
@@ -229,21 +270,31 @@ def align(pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = ma
         slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
         information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2
         angle_rad -= (float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2) / information
-    of_each = fit.weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
-    of_each = of_each / of_each.sum()
+    of_each = centre_weights(pairs)
     track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
     centre_var = 2.0 / float(np.trace(fit.shift_weight))
     return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
 
 
-def _that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> tuple[PairedPoint, ...]:
+def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
+    of_each = _least_squares(pairs).weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
+    return of_each / of_each.sum()
+
+
+def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
+    """Sum of squared errors over their covariance that the best shift and turn leave, chi-square distributed."""
+    return float(_squares(pairs, _least_squares(pairs), north_var_rad2).min())
+
+
+def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf) -> tuple[PairedPoint, ...]:
     """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
 
     Of two or three none is in the minority: they must be ten standard deviations apart.
     """
 
     def best(some: tuple[PairedPoint, ...]) -> float:
-        return float(_squares(some, _least_squares(some), north_var_rad2).min())
+        return least_squares_error(some, north_var_rad2)
 
     while len(pairs) > 1:
         limit = chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
@@ -263,6 +314,13 @@ def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatAr
     """The fixes turned back by each angle, (A, 2 N)."""
     world = np.stack([p.world_m for p in pairs])
     return np.einsum("aij,ni->anj", _rotations(angle_rad), world).reshape(len(angle_rad), -1)
+
+
+def walked_var_m2(cov: FloatArray) -> float:
+    """Variance of a position with covariance (4, 4) that its heading does not explain, mean of both axes."""
+    # a heading that is known exactly divides nothing
+    of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
+    return 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
 
 
 def moved(mean: FloatArray, cov: FloatArray, alignment: Alignment) -> tuple[FloatArray, FloatArray]:

@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align
+from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align, walked_var_m2
+from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
 from pdr_filter.filter.pedestrian import (
     TRAIL_HEADING,
     TRAIL_POSITION,
@@ -19,6 +21,7 @@ from pdr_filter.filter.pedestrian import (
     PedestrianState,
     in_other_frame,
     own_place,
+    parameters_cov,
     shared_cov,
 )
 from pdr_filter.values import (
@@ -58,7 +61,7 @@ def use_fix(
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, then[:2])
-    return _on_position(model, arithmetic, state, fix, then[:2])
+    return _on_known_frame(model, arithmetic, state, fix, then[:2])
 
 
 def _on_position(
@@ -66,15 +69,73 @@ def _on_position(
 ) -> _Result:
     """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is."""
     since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
+    z, H, own_cov = _without_error_of_last(state, fix, then_m)
     # what was walked since is known as well as a person's step length is
-    R = fix.cov_m2 + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
+    R = own_cov + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
     cov = state.cov.copy()
     cov[:, :2, :2] += shared_cov(state)
-    updated = arithmetic.update(state.mean, cov, fix.position_m + since_m, np.eye(2, N_STATES), R)
-    state, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
+    updated = arithmetic.update(state.mean, cov, z + since_m, H, R)
+    after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
     if outcome == "used":
-        state = replace(state, shared_m=np.zeros_like(state.shared_m))
-    return state, outcome, nis
+        last = fix if fix.correlation_s > 0 else state.last_fix
+        has_gap = state.gap_since_fix and last is state.last_fix
+        rest = {"doubt": Doubt(), "last_fix": last, "gap_since_fix": has_gap}
+        after = replace(after, shared_m=np.zeros_like(state.shared_m), **rest)
+    return after, outcome, nis
+
+
+# Two fixes of one moment: what the second says is in the first, but for a thousandth.
+_MOST_ALIKE = 0.999
+
+
+def _without_error_of_last(
+    state: PedestrianState, fix: PositionFix, then_m: FloatArray
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Measurement z (2,) = H x + noise of covariance R, whose noise has no part in common with that of the last fix.
+
+    With z_1 the last fix, a the share of its error that is left in z_2, and d the way of the track between,
+    z_2 - a z_1 = p_2 - a p_1 + w, p_1 = p_2 - d_true. So z = (z_2 - a (z_1 + d)) / (1 - a)
+    = p_2 + a / (1 - a) (d_true - d) + w', with R = (R_2 - a^2 R_1) / (1 - a)^2. The way d is wrong as heading and log
+    scale are, the columns of H. It is what a filter with the error as two more states would do (A. E. Bryson and L. J.
+    Henrikson, "Estimation using sampled data containing sequentially correlated noise", J. Spacecraft 5, 1968).
+    """
+    H, last = np.eye(2, N_STATES), state.last_fix
+    if last is None or fix.correlation_s == 0:
+        return fix.position_m, H, fix.cov_m2
+    left = min(float(np.exp(-abs(fix.time_s - last.time_s) / fix.correlation_s)), _MOST_ALIKE)
+    before = None if state.gap_since_fix else _place_at(state, last.time_s)
+    if before is None:
+        # the way since then is forgotten, or has a gap: as many such fixes would say together
+        return fix.position_m, H, (1 + left) / (1 - left) * fix.cov_m2
+    a = left * min(1.0, float(np.sqrt(fix.var_m2 / last.var_m2)))
+    d = then_m - before[:2]
+    z = (fix.position_m - a * (last.position_m + d)) / (1 - a)
+    H[:, HEADING_OFFSET] = a / (1 - a) * np.array([d[1], -d[0]])
+    H[:, LOG_SCALE] = a / (1 - a) * d
+    x, _ = imm.combine(state.mean, state.cov, state.prob)
+    R = (fix.cov_m2 - a**2 * last.cov_m2) / (1 - a) ** 2
+    return z + H[:, 2:] @ x[2:], H, R
+
+
+def _on_known_frame(
+    model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
+) -> _Result:
+    """As `_on_position`; a track that many rejected fixes contradict is moved to where they show it."""
+    after, outcome, nis = _on_position(model, arithmetic, state, fix, then_m)
+    if outcome == "used":
+        return after, outcome, nis
+    pair, heading_var = _paired(state, fix, then_m)
+    state = replace(state, doubt=state.doubt.with_rejected(pair))
+    alignment = state.doubt.alignment(heading_var, state.n_final, state.frame.alignment is not None)
+    if alignment is None:
+        return state, outcome, nis
+    # what was known of the heading is in the alignment
+    doubted = state.doubt.pairs
+    known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
+    state = in_other_frame(known, alignment)
+    state = replace(state, frame=replace(state.frame, moves=(*state.frame.moves, alignment)))
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), doubted)
+    return state, "moved", nis
 
 
 def _on_heading(
@@ -151,13 +212,7 @@ def _on_first_positions(
     The fix that settles it says two things, how far the track is turned and where it is now, each with half of what
     it knows.
     """
-    _, P = imm.combine(state.mean, state.cov, state.prob)
-    cov = P.copy()
-    cov[:2, :2] += shared_cov(state)
-    # a heading that is known has no part in it
-    of_heading, heading_var = cov[:2, HEADING_OFFSET], max(float(cov[HEADING_OFFSET, HEADING_OFFSET]), 1e-12)
-    walked_var = 0.5 * float(np.trace(cov[:2, :2]) - of_heading @ of_heading / heading_var)
-    pair = PairedPoint(read_only(then_m), fix.position_m, 0.5 * float(np.trace(fix.cov_m2)), walked_var)
+    pair, _ = _paired(state, fix, then_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
     if agreeing[-1] is not pair:
@@ -168,9 +223,37 @@ def _on_first_positions(
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
     joined = Frame(is_joined=True, alignment=alignment, north=frame.north)
     state = replace(in_other_frame(state, alignment), frame=joined)
-    now_m = alignment.positions(then_m)
-    state, _, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), agreeing)
     return state, "turned", nis
+
+
+def _with_other_half(
+    model: PedestrianModel,
+    arithmetic: ImmArithmetic,
+    state: PedestrianState,
+    fix: PositionFix,
+    now_m: FloatArray,
+    pairs: Sequence[PairedPoint],
+) -> tuple[PedestrianState, float]:
+    """State that an alignment by pairs has placed, with the half of the last fix that the alignment does not have."""
+    before = pairs[-2] if len(pairs) > 1 else None
+    last = None
+    if before is not None and before.correlation_s > 0:
+        cov_m2 = before.var_m2 * np.eye(2)
+        last = PositionFix(before.time_s, before.world_m, cov_m2, correlation_s=before.correlation_s)
+    half = replace(fix, cov_m2=2.0 * fix.cov_m2)
+    state, _, nis = _on_position(model, arithmetic, replace(state, last_fix=last), half, now_m)
+    return replace(state, last_fix=fix if fix.correlation_s > 0 else None, gap_since_fix=False), nis
+
+
+def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:
+    """The fix with where the track was, and the variance of the heading, which has no part in that of the track."""
+    _, P = imm.combine(state.mean, state.cov, state.prob)
+    cov = P.copy()
+    cov[:2, :2] += parameters_cov(state)
+    walked_var = walked_var_m2(cov)
+    pair = PairedPoint(read_only(then_m), fix.position_m, fix.var_m2, walked_var, fix.time_s, fix.correlation_s)
+    return pair, float(P[HEADING_OFFSET, HEADING_OFFSET])
 
 
 def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:

@@ -8,6 +8,7 @@ import numpy as np
 
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, Frame, Place, moved
+from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -20,7 +21,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, Step, read_only, wrap_angle
+from pdr_filter.values import FloatArray, PositionFix, Step, read_only, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -75,6 +76,9 @@ class PedestrianState:
     first_heading_s: float  # contact of the step that it was known from; infinite before
     trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
     frame: Frame  # whether positions are in the frame of the fixes yet
+    doubt: Doubt  # position fixes that the track does not explain
+    last_fix: PositionFix | None  # the last used one whose error the next one has a part of
+    gap_since_fix: bool  # whether nobody knows where that has led since
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
 
@@ -95,6 +99,9 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         first_heading_s=np.inf,
         trail=np.empty((0, 4)),
         frame=model.frame,
+        doubt=Doubt(),
+        last_fix=None,
+        gap_since_fix=False,
         standstills=(),
         n_final=0,
     )
@@ -186,6 +193,7 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
         shared_m=state.shared_m @ alignment.rotation.T,
         frame=state.frame.moved(alignment),
+        doubt=state.doubt.moved(alignment),
     )
 
 
@@ -243,3 +251,9 @@ def position_cov(P: FloatArray, state: PedestrianState) -> FloatArray:
 def shared_cov(state: PedestrianState) -> FloatArray:
     """What the errors that all steps share add to the position's covariance, (2, 2)."""
     return state.shared_m.T @ state.shared_m
+
+
+def parameters_cov(state: PedestrianState) -> FloatArray:
+    """The part of `shared_cov` that is due to the parameters of the lengths, whatever the heading, (2, 2)."""
+    own = state.shared_m[_PARAMETERS]
+    return own.T @ own

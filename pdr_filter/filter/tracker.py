@@ -31,7 +31,7 @@ def over_gap(before: PedestrianState, gap_s: float, noise: MotionNoise) -> tuple
     The gap's own growth stands for the time since the last step.
     """
     cov = grow_over_gap(before.cov, gap_s, noise)
-    after = replace(before, cov=cov, last_step_s=np.nan, speed=None, gap_s=before.gap_s + gap_s)
+    after = replace(before, cov=cov, last_step_s=np.nan, speed=None, gap_s=before.gap_s + gap_s, gap_since_fix=True)
     stay = np.broadcast_to(np.eye(N_STATES), cov.shape)
     transition = Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, cov - before.cov)
     known = ModeEstimates(before.mean, before.cov, before.prob)

@@ -10,6 +10,8 @@ from pdr_filter.io.generic_csv import mapping_beside
 
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "raw data.csv"}
+# Endings of which a folder that is one recording has one file each, whatever its owner put before them.
+_SENSORS = ("accelerometer.csv", "gyroscope.csv")
 _TEXTS = {".csv", ".txt", ".json"}
 _FILES = {".zip", ".hdf5", ".h5"}
 
@@ -31,7 +33,8 @@ def recordings_in(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    if any(path.name.lower() in _MEMBERS for path in inside):
+    names = [path.name.lower() for path in inside]
+    if _MEMBERS.intersection(names) or all(sum(n.endswith(end) for n in names) == 1 for end in _SENSORS):
         return [folder]
     found: list[Path] = []
     for path in inside:

@@ -6,10 +6,8 @@ import math
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, Windows
+from pdr_filter.values import RADIUS_95, FloatArray, Windows
 
-# Half axes of the 95 % ellipse in standard deviations: the square root of chi-square with two degrees of freedom.
-SCALE_95 = 2.4477
 N_ELLIPSES = 8
 # Fewer metres than this across look like a zoom into noise.
 MIN_EXTENT_M = 4.0
@@ -27,12 +25,12 @@ def ellipse_rows(step_length_m: FloatArray) -> list[int]:
 def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Half axes of 95 % ellipses, (N, 2) in m, the longer one last, and its angle from east, (N,), of (N, 2, 2)."""
     variance, direction = np.linalg.eigh(cov_m2)
-    return SCALE_95 * np.sqrt(np.maximum(variance, 0.0)), np.arctan2(direction[:, 1, 1], direction[:, 0, 1])
+    return RADIUS_95 * np.sqrt(np.maximum(variance, 0.0)), np.arctan2(direction[:, 1, 1], direction[:, 0, 1])
 
 
 def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
     """How far 95 % ellipses reach to the east and to the north, (N, 2) in m, of (N, 2, 2)."""
-    return SCALE_95 * np.sqrt(np.maximum(np.diagonal(cov_m2, axis1=1, axis2=2), 0.0))
+    return RADIUS_95 * np.sqrt(np.maximum(np.diagonal(cov_m2, axis1=1, axis2=2), 0.0))
 
 
 def round_up(value: float) -> float:

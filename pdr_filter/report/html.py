@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io.describe import ReadingReport, reading_report
+from pdr_filter.io.files import write_text
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
@@ -71,10 +72,7 @@ footer { color: #888; font-size: 12px; margin-top: 2.5em; }
 
 def write_report(track: TrackRows, path: str | Path, recording: Recording | None = None) -> Path:
     """Write the page of `html_report` and return its path; folders are created."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html_report(track, recording), encoding="utf-8")
-    return path
+    return write_text(path, html_report(track, recording))
 
 
 def html_report(track: TrackRows, recording: Recording | None = None) -> str:
@@ -87,7 +85,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
     parts = [
         f"<header><h1><bdi>{name}</bdi></h1><p class='facts'>{text(_facts(track))}</p></header>",
         _doubt_section(doubts),
-        _section("Way", _map(track), _context_legend(track)),
+        _section("Way", _map(track), _context_legend(track), _words(track.about_frame)),
         *([] if track.is_level else [_section("Height", _heights(track), _floor_changes(track))]),
         _section("Contexts over time", _contexts(track), _context_table(track)),
         _section("Walking speed", _speed(track)),
@@ -102,8 +100,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
         '<meta name="viewport" content="width=device-width, initial-scale=1" />'
         f"<title>{name}</title><style>{_STYLE}</style></head>\n<body>\n"
         + "\n".join(parts)
-        + "\n<footer>Made by pdr_filter. Positions are relative to the start; north is true north only where an "
-        "absolute heading was available, otherwise the direction of the phone at the start.</footer>\n</body></html>\n"
+        + "\n<footer>Made by pdr_filter.</footer>\n</body></html>\n"
     )
 
 

@@ -15,6 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from pdr_filter.io.files import whole_file
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.palette import FAINT, GRID, INK, context_colours, floor_colours
@@ -55,10 +56,9 @@ def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: Fl
 
 def save(figure: Figure, path: str | Path) -> None:
     """Save a figure with its fonts; the suffix gives the format, folders are created."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
-        figure.savefig(path, dpi=120)
+    ending = Path(path).suffix.removeprefix(".") or None
+    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}), whole_file(path) as file:
+        figure.savefig(file, dpi=120, format=ending)
 
 
 def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:

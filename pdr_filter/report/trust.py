@@ -74,6 +74,7 @@ def report(track: TrackRows) -> str:
     ]
     if track.n_steps:
         lines.append(f"end: {end(track)}")
+        lines.append(track.about_frame)
     every = {**track.context_seconds(), "moving without steps": track.seconds_without_steps}
     seconds = {name: s for name, s in every.items() if s >= 0.5}
     if seconds:
@@ -89,10 +90,9 @@ def report(track: TrackRows) -> str:
 
 
 def end(track: TrackRows) -> str:
-    """Where a track with steps ends, and how sure that is: the square root of the trace of the covariance."""
-    std_m = np.sqrt(max(float(np.trace(track.position_cov_m2[-1])), 0.0))
+    """Where a track with steps ends, and how sure that is."""
     east_m, north_m = track.position_m[-1]
-    return f"{east_m:.1f} m east, {north_m:.1f} m north, uncertain by {std_m:.1f} m"
+    return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
 
 
 def _has_step(track: TrackRows) -> BoolArray:

@@ -1,8 +1,21 @@
 """Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
+from pdr_filter.values.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Table,
+    as_floats,
+    check_columns,
+    check_cov,
+    check_transition_prob,
+    read_only,
+    table,
+)
+from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -20,12 +33,15 @@ from pdr_filter.values.origin import Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
+from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.windows import Windows
 
 __all__ = [
     "CARRYING_MODES",
     "CONTEXTS",
     "HARDLY_AGREE",
+    "RADIUS_68",
+    "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
     "BoolArray",
@@ -50,7 +66,13 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "as_floats",
+    "check_columns",
+    "check_cov",
+    "check_declared",
+    "check_numbers",
     "check_transition_prob",
+    "check_whole",
     "circular_mean",
     "heading_from_yaw",
     "read_only",

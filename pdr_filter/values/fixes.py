@@ -8,6 +8,11 @@ from typing import Literal
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, read_only
+from pdr_filter.values.origin import Origin, check_place
+from pdr_filter.values.uncertainty import RADIUS_68
+
+# A standard deviation beyond this says nothing, and its square must stay a number.
+_MAX_STD = 1e100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -18,6 +23,7 @@ class PositionFix:
     position_m: FloatArray  # (2,) east, north
     cov_m2: FloatArray  # (2, 2) positive definite
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
     floor: int | None = None  # number of the storey
 
     def __post_init__(self) -> None:
@@ -28,15 +34,48 @@ class PositionFix:
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
         if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if not 0 <= self.correlation_s < np.inf:
+            raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
         if self.floor is not None:
             if self.floor != np.round(self.floor):
                 raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
             object.__setattr__(self, "floor", int(self.floor))
         _check_times(self.time_s, self.received_time_s)
 
+    @property
+    def var_m2(self) -> float:
+        """Variance of one axis, the mean of both."""
+        return 0.5 * float(np.trace(self.cov_m2))
 
-# A standard deviation beyond this says nothing, and its square must stay a number.
-_MAX_STD = 1e100
+    @classmethod
+    def from_lat_lon(
+        cls,
+        time_s: float,
+        latitude_deg: float,
+        longitude_deg: float,
+        origin: Origin | tuple[float, float],
+        *,
+        std_m: float | None = None,
+        accuracy_m: float | None = None,
+        received_time_s: float | None = None,
+    ) -> PositionFix:
+        """The fix of a place on Earth, in metres east and north of an origin (an Origin, or latitude and longitude).
+
+        Either `std_m`, the standard deviation along each axis, or `accuracy_m`, the radius that holds 68 %, as phones
+        report it. It is taken at its word: `pdr_filter.gnss.position_fixes` doubts a phone that claims too much.
+        """
+        check_place("a fix", latitude_deg, longitude_deg)
+        if (std_m is None) == (accuracy_m is None):
+            raise ValueError(
+                "give either std_m (standard deviation along each axis) or accuracy_m (radius of 68 %), got "
+                f"std_m={std_m} and accuracy_m={accuracy_m}"
+            )
+        name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
+        if value is None or not 0 < value < _MAX_STD:
+            raise ValueError(f"{name} must be positive, got {value}; leave out a fix whose place is not known")
+        each_m = value if accuracy_m is None else value / RADIUS_68
+        position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
+        return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
 
 
 @dataclass(frozen=True, slots=True)
@@ -106,7 +145,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -117,8 +156,9 @@ class FixResult:
     time_s: float  # when it was true
     used_s: float  # when the filter took it
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
-    # those that show which way the track lies there; "rejected": it does not fit, or is of another time; "waiting": for
-    # samples of its time; "nothing to compare": no step yet that it says something of.
+    # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
+    # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
+    # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where
     # there was nothing to compare it with.
@@ -132,4 +172,4 @@ class FixResult:
     @property
     def accepted(self) -> bool:
         """Whether the filter used it."""
-        return self.outcome in ("used", "placed", "turned")
+        return self.outcome in ("used", "placed", "turned", "moved")

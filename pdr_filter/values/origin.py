@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
+from math import isfinite
+from typing import cast
 
 import numpy as np
 import pymap3d
@@ -11,29 +14,68 @@ from numpy.typing import ArrayLike
 from pdr_filter.values.arrays import FloatArray
 
 
+def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
+    """ValueError unless it is a place on Earth."""
+    if not (-90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
+        raise ValueError(
+            f"{what} must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({latitude_deg}, "
+            f"{longitude_deg}); are the two exchanged?"
+        )
+
+
 @dataclass(frozen=True, slots=True)
 class Origin:
-    """The place where east and north are zero, on WGS 84; north is true north there."""
+    """The place where east and north are zero, on WGS 84; north is true north there.
+
+    A track that was put there knows how: `turn_rad` is the true heading of the first heading, by which the frame of its
+    start was turned, and the standard deviations say how well turn and shift were known then. `Track.placed` takes them
+    from an origin that is given.
+    """
 
     latitude_deg: float
     longitude_deg: float
+    height_m: float | None = None  # above the ellipsoid, where it is known
+    turn_rad: float | None = None  # of the frame of the start, clockwise; None if not known
+    turn_std_rad: float | None = None  # None if nobody said it
+    position_std_m: float | None = None  # of the shift along each axis; None if nobody said it
 
     def __post_init__(self) -> None:
-        if not (-90 <= self.latitude_deg <= 90 and -180 <= self.longitude_deg <= 180):
-            raise ValueError(
-                "origin must be (latitude, longitude) in degrees, -90..90 and -180..180, got "
-                f"({self.latitude_deg}, {self.longitude_deg}); are the two exchanged, or in radians?"
-            )
+        check_place("origin", self.latitude_deg, self.longitude_deg)
+        for name in ("height_m", "turn_rad"):
+            value = getattr(self, name)
+            if value is not None and not isfinite(value):
+                raise ValueError(f"{name} of an origin must be finite, got {value}; leave it out if it is not known")
+        for name in ("turn_std_rad", "position_std_m"):
+            value = getattr(self, name)
+            if value is not None and not 0 <= value < np.inf:
+                raise ValueError(f"{name} of an origin must be 0 or more, got {value}; leave it out if it is not known")
+
+        if self.turn_std_rad is not None and self.turn_rad is None:
+            raise ValueError(f"turn_std_rad of an origin is that of turn_rad, got {self.turn_std_rad} alone: give both")
+
+    @classmethod
+    def of(cls, place: Origin | tuple[float, float]) -> Origin:
+        """The origin that is given, or the one at (latitude_deg, longitude_deg)."""
+        if isinstance(place, Origin):
+            return place
+        numbers = cast(Sequence[float], place)
+        if isinstance(place, str) or len(numbers) != 2:
+            raise ValueError(f"origin must be an Origin, or (latitude, longitude) in degrees, got {place!r}")
+        return cls(float(numbers[0]), float(numbers[1]))
+
+    @property
+    def _here(self) -> tuple[float, float, float]:
+        """Latitude, longitude and height: at 1,000 m above the ellipsoid a metre is 0.02 % fewer degrees."""
+        return self.latitude_deg, self.longitude_deg, self.height_m or 0.0
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""
-        here = (self.latitude_deg, self.longitude_deg, 0.0)
-        east_m, north_m, _ = pymap3d.geodetic2enu(np.asarray(latitude_deg), np.asarray(longitude_deg), 0.0, *here)
+        latitude, longitude = np.asarray(latitude_deg), np.asarray(longitude_deg)
+        east_m, north_m, _ = pymap3d.geodetic2enu(latitude, longitude, self._here[2], *self._here)
         return np.stack([np.asarray(east_m, dtype=float), np.asarray(north_m, dtype=float)], axis=-1)
 
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (...) of positions (..., 2) in the frame."""
         east_m, north_m = position_m[..., 0], position_m[..., 1]
-        here = (self.latitude_deg, self.longitude_deg, 0.0)
-        latitude_deg, longitude_deg, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), *here)
+        latitude_deg, longitude_deg, _ = pymap3d.enu2geodetic(east_m, north_m, np.zeros_like(east_m), *self._here)
         return np.asarray(latitude_deg, dtype=float), np.asarray(longitude_deg, dtype=float)

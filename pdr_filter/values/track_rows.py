@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass, field, replace
+from math import cos, degrees, sin
+from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
+from pdr_filter.values.uncertainty import uncertainty_95_m
 from pdr_filter.values.windows import Windows
 
 _WINDOW_S = 2.0  # of the context windows
@@ -23,8 +26,9 @@ class TrackRows:
     """Where the pedestrian walked: one row for each step, positions in metres with covariance.
 
     Positions are in one frame, which `frame` names: that of the "start", whose origin is where the track begins and
-    whose north is where the device's heading was zero, or that of the "fixes". Where few fixes leave open how the track
-    is turned in their frame, a position is the mean over all turns, and its covariance says how far they differ.
+    whose north is where the device's heading was zero; the same turned to true "north"; or that of the "fixes". Where
+    few fixes leave open how the track is turned in their frame, a position is the mean over all turns, and its
+    covariance says how far they differ. `about_frame` says it in words.
 
     `context_prob` is what the classifier said of the window, `mode_prob` what the filter made of it over time; step
     lengths come from the latter. With `imm` position and walked distance are the best estimates at their step: when the
@@ -61,8 +65,8 @@ class TrackRows:
     fixes: tuple[FixResult, ...] = field(default=())
     floor_passages: tuple[FloorPassage, ...] = field(default=())  # see `floor_changes`
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
-    frame: str = "start"  # of positions and headings: "start" or "fixes"
-    origin: Origin | None = None  # where its zero is, if the recording's own locations placed the track
+    frame: str = "start"  # of positions and headings: "start", "north" or "fixes"
+    origin: Origin | None = None  # where on Earth its zero is, if the recording's own locations or somebody said it
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
@@ -78,25 +82,101 @@ class TrackRows:
         return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
+    def uncertainty_95_m(self) -> FloatArray:
+        """How far off each position may be, shape (K,): within this distance with a probability of 95 % or more.
+
+        The longer half axis of the 95 % ellipse that `plot` draws. Reports, tables and summaries say it of the end.
+        """
+        return uncertainty_95_m(self.position_cov_m2)
+
+    @property
+    def end_position_m(self) -> FloatArray:
+        """Where it ends, (2,): where it starts if there is no step."""
+        return self.position_m[-1] if self.n_steps else self.start_position_m
+
+    @property
+    def how_sure(self) -> str:
+        """`uncertainty_95_m` of the end, in the words of all reports."""
+        return f"within {self.uncertainty_95_m[-1]:.1f} m (95 %)" if self.n_steps else "no step, no position"
+
+    @property
     def latitude_deg(self) -> FloatArray:
         """Latitude of each step on WGS 84, shape (K,); ValueError if the track has no `origin`."""
-        return self.placed_at(None).latitude_longitude_deg(self.position_m)[0]
+        return self.latitude_longitude_deg(self.position_m)[0]
 
     @property
     def longitude_deg(self) -> FloatArray:
         """Longitude of each step, shape (K,); ValueError if the track has no `origin`."""
-        return self.placed_at(None).latitude_longitude_deg(self.position_m)[1]
+        return self.latitude_longitude_deg(self.position_m)[1]
 
-    def placed_at(self, origin: Origin | tuple[float, float] | None) -> Origin:
-        """Where its zero is: as given, Origin or (latitude_deg, longitude_deg), or else the track's own `origin`."""
-        if origin is None:
-            origin = self.origin
-        if origin is None:
+    def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """Latitudes and longitudes (...) of positions (..., 2) in its frame; ValueError if it has no `origin`."""
+        if self.origin is None:
             raise ValueError(
-                f"no location says where on Earth the track {self.name!r} is: give a file origin=(latitude_deg, "
-                "longitude_deg), or the recording a location stream"
+                f"no location says where on Earth the track {self.name!r} is: give origin=(latitude_deg, "
+                "longitude_deg), or the recording a location stream; to_local_geojson writes its shape without a place"
             )
-        return origin if isinstance(origin, Origin) else Origin(*origin)
+        return self.origin.latitude_longitude_deg(position_m)
+
+    @property
+    def knows_north(self) -> bool:
+        """Whether its north is true north, as locations or somebody said it."""
+        return self.frame == "north" or (self.frame == "fixes" and self.origin is not None)
+
+    def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
+        """The same turned clockwise about its zero, so that its north is true north.
+
+        `turn_rad` is the true heading of what was its north: for a track in the frame of the start, the direction in
+        which the person first walked. Its error turns the whole track: P' = R P R' + std^2 g g', g = (north, -east).
+        """
+        if self.knows_north:
+            raise ValueError(
+                f"the north of {self.name!r} is true north already, got a turn of {turn_rad} rad: leave it out"
+            )
+        rotation = np.array([[cos(turn_rad), sin(turn_rad)], [-sin(turn_rad), cos(turn_rad)]])
+        position_m = self.position_m @ rotation.T
+        g = (std_rad or 0.0) * np.stack([position_m[:, 1], -position_m[:, 0]], axis=1)
+        return replace(
+            self,
+            position_m=read_only(position_m),
+            position_cov_m2=read_only(rotation @ self.position_cov_m2 @ rotation.T + g[:, :, None] * g[:, None, :]),
+            walking_heading_rad=read_only(wrap_angle(self.walking_heading_rad + turn_rad)),
+            start_position_m=read_only(rotation @ self.start_position_m),
+            frame="north",
+            origin=self.origin and replace(self.origin, turn_rad=turn_rad, turn_std_rad=std_rad),
+        )
+
+    def placed(self, origin: Origin | tuple[float, float]) -> Self:
+        """The same with its zero at a place on Earth, an Origin or (latitude_deg, longitude_deg).
+
+        A track in the frame of its start is `turned` by the turn of the origin, if it has one, and its covariance grows
+        by what the origin says of its standard deviations. One in the frame of fixes stays as it is.
+        """
+        here = Origin.of(origin)
+        if self.frame == "fixes":
+            return replace(self, origin=here)
+        turned = self
+        if here.turn_rad is not None and self.frame == "start":
+            turned = self.turned(here.turn_rad, here.turn_std_rad)
+        var_m2 = (here.position_std_m or 0.0) ** 2 if self.origin is None else 0.0
+        return replace(turned, origin=here, position_cov_m2=read_only(turned.position_cov_m2 + var_m2 * np.eye(2)))
+
+    @property
+    def about_frame(self) -> str:
+        """Where its zero is and what its north is, in words."""
+        place, sure = self.origin, ""
+        at = "" if place is None else f" at {place.latitude_deg:.6f}, {place.longitude_deg:.6f}"
+        if place is not None and place.turn_std_rad is not None:
+            sure = f", within {min(1.96 * degrees(place.turn_std_rad), 180.0):.0f} degrees (95 %)"
+        if self.frame == "north":
+            zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
+            return f"East and north are metres from {zero}{at}; north is true north as it was given{sure}."
+        if self.frame == "fixes" and sure:
+            return f"East and north are metres from the first location{at}; locations turned it to true north{sure}."
+        if self.frame == "fixes":
+            return f"East and north are metres in the frame of the fixes{at and f', whose origin is{at}'}."
+        words = f"East and north are metres from the start of the walk{at}; north is the direction of the first heading"
+        return f"{words}: nothing says which way is true north."
 
     @property
     def is_level(self) -> bool:
@@ -166,10 +246,10 @@ class TrackRows:
 
     def summary(self) -> dict[str, Any]:
         """What `pdr-filter track --json` prints: name, n_steps, distance_m, duration_s, end, contexts and more."""
-        end = self.position_m[-1] if self.n_steps else np.zeros(2)
+        end = self.end_position_m
         place: dict[str, float] = {}
         if self.origin is not None:
-            latitude_deg, longitude_deg = self.origin.latitude_longitude_deg(end)
+            latitude_deg, longitude_deg = self.latitude_longitude_deg(end)
             place = {
                 "end_latitude_deg": round(float(latitude_deg), 7),
                 "end_longitude_deg": round(float(longitude_deg), 7),
@@ -181,7 +261,10 @@ class TrackRows:
             "duration_s": round(self.duration_s, 3),
             "end_east_m": round(float(end[0]), 3),
             "end_north_m": round(float(end[1]), 3),
+            "end_uncertainty_95_m": round(float(self.uncertainty_95_m[-1]), 3) if self.n_steps else None,
+            "frame": self.frame,
             **place,
             "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
             "moving_without_steps_s": round(self.seconds_without_steps, 1),
+            "notes": list(self.notes),
         }

@@ -17,7 +17,7 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
-from pdr_filter.offline.smoothing.observations import fixes_of_file
+from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 from pdr_filter.training import run as training
 
@@ -47,6 +47,51 @@ def one_line(text: str) -> str:
     return line
 
 
+# --- text of others ------------------------------------------------------------------------------------------------
+
+
+def on_a_terminal(*arguments: object) -> str:
+    """What a command prints, with all escapes."""
+    done = CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "200", "TERM": "dumb"}, color=True)
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of walks whose texts clear the terminal or are too long for a file name, and a broken one."""
+    folder = tmp_path_factory.mktemp("hostile")
+    walk = pdr.simulate.demo_walk()
+    labels = walk.truth.labels
+    assert labels is not None
+    odd = labels.astype([(n, "U20" if n in ("context", "carrying_mode") else "f8") for n in labels.dtype.names or ()])
+    odd["context"][0] = "\x1b[2J"
+    meta = {**walk.meta, "placement": "\x1b[2Jhand", "reading": {"source": "\x1b[2J", "clock": "\x9b2J"}}
+    write_recording(replace(walk, meta=meta, truth=replace(walk.truth, labels=odd)), folder / "a.zip")
+    write_recording(replace(walk, name="\u4e00" * 200), folder / "b.zip")
+    write_recording(replace(walk, name="\x1b[2J"), folder / "c\x1b[2J.zip")  # called after its file
+    (folder / "broken\x1b[2J.zip").write_text("no zip file")
+    return folder
+
+
+@pytest.mark.parametrize("command", ["info", "track", "compare"])
+@pytest.mark.parametrize("name", ["a.zip", "c\x1b[2J.zip", "broken\x1b[2J.zip"])
+def test_text_of_a_file_or_of_its_name_does_not_act_on_the_terminal(hostile: Path, command: str, name: str) -> None:
+    printed = on_a_terminal(command, hostile / name)
+    assert printed
+    assert "\x1b[2J" not in printed
+    assert "\x9b" not in printed
+    if command == "info" or name != "a.zip":
+        assert "\\x1b[2J" in printed
+
+
+def test_a_name_too_long_for_a_file_is_shortened_and_all_files_are_written(hostile: Path, tmp_path: Path) -> None:
+    assert run("track", hostile / "b.zip", "--out", tmp_path, "--report", "--origin", "51,0").exit_code == 0
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".csv", ".geojson", ".html", ".png"]
+    assert len({path.stem for path in tmp_path.iterdir()}) == 1
+    assert run("demo", hostile / "b.zip", "--out", tmp_path / "demo").exit_code == 0
+    assert len(list((tmp_path / "demo").iterdir())) == 3
+
+
 # --- track ---------------------------------------------------------------------------------------------------------
 
 
@@ -73,13 +118,13 @@ def test_track_prints_one_row_for_each_file(walk: Path) -> None:
         assert value in rows[0]
 
 
-def test_notes_stand_below_the_table_and_with_json_on_stderr(tmp_path: Path) -> None:
+def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path) -> None:
     recording = replace(pdr.simulate.demo_walk(), gyroscope=None, name="no_gyroscope")
     file = write_recording(recording, tmp_path / "no_gyroscope.zip")
     assert "no gyroscope" in run("track", file).stdout
     with_json = run("track", "--json", file)
-    assert "no gyroscope" in with_json.stderr
-    assert len(with_json.stdout.splitlines()) == 1
+    assert any("no gyroscope" in note for note in json.loads(with_json.stdout)["notes"])
+    assert with_json.stderr == ""
 
 
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
@@ -128,11 +173,56 @@ def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path:
     assert not list((tmp_path / "off").glob("*.geojson"))
 
 
-def test_gnss_of_a_recording_without_location_or_of_a_folder_is_one_line(walk: Path, tmp_path: Path) -> None:
-    alone = run("track", walk, "--gnss", "filter")
-    assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
+def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path, tmp_path: Path) -> None:
+    result = run("track", walk, "--origin", "-43.77,11.25", "--heading", "-90", "--json", "--out", tmp_path)
+    expected = pdr.track(pdr.read(walk), origin=(-43.77, 11.25), heading_rad=-np.pi / 2)
+    assert json.loads(result.stdout) == expected.summary()
+    assert json.loads(result.stdout)["frame"] == "north"
+    assert (tmp_path / "demo_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
+
+
+def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, tmp_path: Path) -> None:
+    kinds = ["csv", "geojson", "gpx", "kml", "tum"]
+    options = ["--export", "csv, geojson,GPX", "--export", "kml,tum", "--export", "csv", "--origin", "43.77,11.25"]
+    assert run("track", walk, walk, *options, "--out", tmp_path).exit_code == 0
+    names = {path.name for path in tmp_path.iterdir()}
+    assert names == {f"{name}.{kind}" for name in ("demo_walk", "demo_walk_2") for kind in [*kinds, "png"]}
+    track = pdr.track(pdr.read(walk), origin=(43.77, 11.25))
+    for kind in kinds:
+        written = getattr(track, f"to_{kind}")(tmp_path / "expected")
+        assert written.read_bytes() == (tmp_path / f"demo_walk.{kind}").read_bytes()
+
+
+def test_a_map_that_is_asked_for_without_a_place_is_a_local_one_and_others_are_refused(
+    walk: Path, tmp_path: Path
+) -> None:
+    assert run("track", walk, "--export", "geojson", "--out", tmp_path).exit_code == 0
+    assert {p.name for p in tmp_path.iterdir()} == {"demo_walk.csv", "demo_walk.png", "demo_walk.local.geojson"}
+    refused = run("track", walk, "--export", "kml,gpx", "--out", tmp_path / "no")
+    assert (refused.exit_code, "--origin LAT,LON" in one_line(refused.stderr)) == (2, True)
+    assert not (tmp_path / "no").exists()
+
+
+def test_points_of_gpx_have_the_time_at_which_they_were_walked_if_the_file_says_it(tmp_path: Path) -> None:
+    recording = pdr.simulate.demo_walk()
+    for name, value in (("epoch_s", 1.7e9), ("epoch_ms", 1_700_000_000_000), ("epoch_ns", 1_700_000_000 * 10**9)):
+        timed = replace(recording, name=name, meta={**recording.meta, name: value})
+        assert timed.epoch_s == pytest.approx(1.7e9, abs=1e-3)
+    assert recording.epoch_s is None
+    file = timed.save(tmp_path / "walk.zip")
+    assert run("track", file, "--origin", "43.77,11.25", "--export", "gpx", "--out", tmp_path).exit_code == 0
+    assert "<time>2023-11-14T22:13:20" in (tmp_path / "epoch_ns.gpx").read_text()
+
+
+def test_gnss_of_a_recording_without_location_is_one_line_and_of_many_stands_in_their_rows(
+    walk: Path, tmp_path: Path
+) -> None:
+    for gnss in ("filter", "align"):
+        alone = run("track", walk, "--gnss", gnss)
+        assert (alone.exit_code, "has no location" in one_line(alone.stderr)) == (2, True)
     many = run("track", walk, "--jobs", "1", "--gnss", "off", "--out", tmp_path)
-    assert (many.exit_code, "leave out" in one_line(many.stderr)) == (2, True)
+    assert many.exit_code == 0
+    assert [row.gnss for row in pdr.batch.read_table(tmp_path / "tracks.csv")] == ["off"]
 
 
 def test_recordings_of_one_name_do_not_overwrite_each_other(walk: Path, tmp_path: Path) -> None:
@@ -173,7 +263,13 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--origin", "Florence", "--out", "x"], "LAT,LON"),
         (["--origin", "11.25,143.77,3", "--out", "x"], "LAT,LON"),
         (["--origin", "143.77,11.25", "--out", "x"], "exchanged"),
-        (["--origin", "43.77,11.25"], "--out"),
+        (["--origin", "nan,11.25"], "--origin must be (latitude, longitude)"),
+        (["--heading", "north"], "--heading must be degrees clockwise from north"),
+        (["--heading", "nan"], "--heading must be degrees clockwise from north"),
+        (["--heading", "4000"], "--heading must be degrees clockwise from north"),
+        (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
+        (["--export", "csv,gpx"], "demo_walk: --export gpx needs a place on Earth"),
+        (["--origin", "43.77,11.25", "--gnss", "filter"], "has no location"),
     ],
 )
 def test_an_option_that_cannot_be_used_is_one_line_with_the_remedy(walk: Path, options: list[str], said: str) -> None:
@@ -355,6 +451,56 @@ def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) 
         assert words in result.stderr
 
 
+def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "loops.csv").write_text("first_s,second_s\n3,120\n", encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "loops.csv", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "1 observations, 0 not used" in result.stdout
+    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(3.0, 120.0)])
+    smoothed.track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
+    both = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--loop-closures", tmp_path / "loops.csv")
+    assert "3 observations" in both.stdout
+
+
+def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Path) -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)], seed=2, name="located")
+    truth, here = walk.truth.position, pdr.Origin(43.77, 11.25)
+    time_s = np.arange(1.0, walk.duration_s, 2.0)
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("north_m", "east_m")])  # to the east
+    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 4.0)])
+    located = replace(walk, location=pdr.Samples(time_s, values), truth=replace(walk.truth, waypoints=None))
+    result = run("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
+    assert result.exit_code == 0
+    line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
+    longitude_deg, latitude_deg = np.array(line).T
+    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
+    bare = run("smooth", replace(located, location=None).save(tmp_path / "bare.zip"))
+    assert (bare.exit_code, "located has no waypoints; give fixes" in one_line(bare.stderr)) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("first_s,std_m\n1,2\n", "no column 'second_s'"),
+        ("first_s,second_s\n", "no loop closures"),
+        ("first_s,second_s\n1,\n", "row 1: first_s,second_s must all be numbers"),
+        ("first_s,second_s\n1,x\n", "'x' is not a number"),
+        ("first_s,second_s\n1,9\n9,9\n", "row 2: first_s must be before second_s, got 9 and 9"),
+        ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m must be positive"),
+        ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to 127"),
+    ],
+)
+def test_a_file_of_loop_closures_that_cannot_be_used_is_one_line(
+    walk: Path, tmp_path: Path, content: str, words: str
+) -> None:
+    (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "bad.csv")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in one_line(result.stderr)
+
+
 def test_the_format_can_be_forced_and_an_unknown_one_is_refused(walk: Path) -> None:
     assert run("info", walk, "--format", "own").exit_code == 0
     result = run("info", walk, "--format", "quux")
@@ -378,7 +524,7 @@ def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Pat
         assert len(lines) == 4
     result = run("track", folder, "--json")
     assert result.exit_code == 2
-    assert "leave out --model" in result.stderr
+    assert "without --json: leave it out" in result.stderr
 
 
 def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:

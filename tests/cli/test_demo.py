@@ -11,7 +11,7 @@ import pytest
 from rich.console import Console
 
 import pdr_filter as pdr
-from pdr_filter.cli.demo import PLACEHOLDER_ORIGIN_DEG, Demo, run_demo
+from pdr_filter.cli.demo import Demo, run_demo
 from pdr_filter.io.own_format import write_recording
 
 
@@ -31,8 +31,17 @@ def test_the_demo_writes_a_picture_a_map_file_and_a_table(simulated: Demo) -> No
     assert simulated.picture.read_bytes().startswith(b"\x89PNG")
     assert len(simulated.csv.read_text().splitlines()) == simulated.track.n_steps + 1
     (feature,) = json.loads(simulated.geojson.read_text())["features"]
-    lon_deg, lat_deg = feature["geometry"]["coordinates"][0][:2]
-    assert (lat_deg, lon_deg) == pytest.approx(PLACEHOLDER_ORIGIN_DEG)
+    assert len(feature["geometry"]["coordinates"]) == simulated.track.n_steps + 1
+
+
+def test_a_map_file_without_a_place_says_so_in_its_name_and_content_and_on_screen(simulated: Demo) -> None:
+    assert simulated.geojson.name == "demo_walk.local.geojson"
+    (feature,) = json.loads(simulated.geojson.read_text())["features"]
+    assert feature["properties"]["frame"] == "local, not on Earth"
+    assert "not on Earth" in feature["properties"]["name"]
+    places_deg = np.array(feature["geometry"]["coordinates"])[:, :2]
+    assert np.abs(places_deg).max() < 0.01  # in the open sea, where a metre is a metre both ways
+    assert "only its shape: nothing says where on Earth" in printed(simulated)
 
 
 def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
@@ -60,8 +69,7 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
     text = printed(simulated)
     for path in (simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
-    assert "placeholder" in text
-    assert "standard deviation" in text
+    assert f"within {simulated.track.uncertainty_95_m[-1]:.1f} m (95 %)" in text
     assert "pdr-filter track YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen
 
@@ -89,7 +97,7 @@ def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> 
     longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 15.0
     assert "placed by the recording's own locations" in printed(demo)
-    assert "placeholder" in printed(run_demo(file, tmp_path / "off", gnss="off"))
+    assert run_demo(file, tmp_path / "off", gnss="off").geojson.name.endswith(".local.geojson")
 
 
 def test_a_recording_without_steps_makes_a_demo_that_says_so(tmp_path: Path) -> None:

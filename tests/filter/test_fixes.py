@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -12,6 +13,9 @@ from scipy.stats import chi2, multivariate_normal
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align, open_turn
+from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
+from pdr_filter.filter.pedestrian import present_position
+from pdr_filter.filtering import add_fixes, init
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
@@ -203,6 +207,110 @@ def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk
     assert [f.kind for f in whole.fixes].count("position") == len(fixes) - 3
 
 
+# --- fixes whose errors are alike -------------------------------------------------------------------------------------
+
+
+def somebody_who_stands(std_m: float) -> tuple[ImmTracker, ImmState]:
+    """In a known frame, so unsure of the position."""
+    tracker = recipes.default().tracker
+    assert isinstance(tracker, ImmTracker)
+    state = tracker.init()
+    cov = state.pedestrian.cov.copy()
+    cov[:, :2, :2] = std_m**2 * np.eye(2)
+    return tracker, replace(state, pedestrian=replace(state.pedestrian, cov=cov))
+
+
+@pytest.mark.parametrize("std_m", [(5.0, 5.0, 5.0, 5.0), (4.0, 9.0, 3.0, 5.0)])
+def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_of_them(
+    std_m: tuple[float, ...],
+) -> None:
+    tracker, state = somebody_who_stands(8.0)
+    times, places = np.array([0.0, 10.0, 18.0, 40.0]), np.random.default_rng(2).normal(scale=2.0, size=(4, 2))
+    stds = np.array(std_m)
+    for t, place, std in zip(times, places, stds, strict=True):
+        fix = PositionFix(float(t), place, std**2 * np.eye(2), correlation_s=20.0)
+        state, outcome, _ = tracker.on_fix(state, fix)
+        assert outcome == "used"
+    # e_k = a e_k-1 + w: a keeps no more of an error than the better fix of the two has
+    left = np.exp(-np.diff(times) / 20.0) * np.minimum(1.0, stds[1:] / stds[:-1])
+    cov = np.diag(stds**2)
+    for k in range(1, 4):
+        cov[k, :k] = cov[:k, k] = left[k - 1] * cov[k - 1, :k]
+    precision = np.ones(4) @ np.linalg.inv(cov) @ np.ones(4) + 1 / 64.0
+    expected = np.ones(4) @ np.linalg.inv(cov) @ places / precision
+    position_m, cov_m2 = present_position(state.pedestrian)
+    np.testing.assert_allclose(position_m, expected, atol=1e-9)
+    np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
+
+
+def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> None:
+    """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
+    tracker, state = somebody_who_stands(2.0)
+    first = PositionFix(0.0, np.zeros(2), 16.0 * np.eye(2), correlation_s=20.0)
+    state, _, _ = tracker.on_fix(state, first)
+    state, _ = tracker.on_gap(state, 20.0)
+    heading = state.pedestrian.mean[:, 2].copy()
+    state, outcome, _ = tracker.on_fix(state, replace(first, time_s=20.0, position_m=np.array([40.0, 0.0])))
+    assert outcome == "used"
+    position_m, cov_m2 = present_position(state.pedestrian)
+    left = np.exp(-1.0)
+    own_var, before_var = 16.0 * (1 + left) / (1 - left), 20.0**2 + 1 / (1 / 4.0 + 1 / 16.0)
+    np.testing.assert_allclose(position_m, [40.0 * before_var / (before_var + own_var), 0.0], atol=1e-9)
+    np.testing.assert_allclose(cov_m2, np.eye(2) / (1 / before_var + 1 / own_var), atol=1e-9)
+    np.testing.assert_array_equal(state.pedestrian.mean[:, 2], heading)
+
+
+def test_the_innovations_of_correlated_fixes_are_as_large_as_they_say_and_independent() -> None:
+    rng, nis = np.random.default_rng(7), []
+    for _ in range(60):
+        tracker, state = somebody_who_stands(6.0)
+        truth = rng.normal(scale=6.0, size=2)
+        error = rng.normal(scale=4.0, size=2)
+        for t in np.arange(0.0, 80.0, 8.0):
+            fix = PositionFix(float(t), truth + error, 16.0 * np.eye(2), correlation_s=20.0)
+            state, _, value = tracker.on_fix(state, fix)
+            nis.append(value)
+            error = np.exp(-0.4) * error + np.sqrt(1 - np.exp(-0.8)) * rng.normal(scale=4.0, size=2)
+    n = len(nis)
+    assert chi2.ppf(0.001, 2 * n) < sum(nis) < chi2.isf(0.001, 2 * n)
+    assert abs(np.corrcoef(nis[:-1], nis[1:])[0, 1]) < 4 / np.sqrt(n)
+
+
+def test_the_way_between_correlated_fixes_teaches_the_scale_of_the_steps_as_two_more_states_would() -> None:
+    """A straight walk of two legs with a known heading: only the scale is learnt, and only from the way."""
+    tracker, state = somebody_who_stands(3.0)
+    scale_var = 0.1**2
+    pedestrian = state.pedestrian
+    mean, cov = pedestrian.mean.copy(), np.zeros_like(pedestrian.cov)
+    cov[:, :2, :2], cov[:, 3, 3] = 9.0 * np.eye(2), scale_var
+    trail = np.array([[0.0, 0.0, 0.0, 0.0]])
+    state = replace(state, pedestrian=replace(pedestrian, mean=mean, cov=cov, trail=trail))
+    # the oracle: position, log scale and the error of the fix along north
+    oracle, oracle_cov, left = np.zeros(3), np.diag([9.0, scale_var, 16.0]), np.exp(-0.5)
+    for k in range(4):
+        if k:
+            now, mean, transition = state.pedestrian, state.pedestrian.mean.copy(), np.eye(4)
+            mean[:, 1] += 12.0 * (1.0 + mean[:, 3])
+            transition[1, 3] = 12.0
+            trail = np.vstack([now.trail, [10.0 * k, *mean[0, :2], 0.0]])
+            cov = transition @ now.cov @ transition.T
+            state = replace(state, pedestrian=replace(now, mean=mean, cov=cov, trail=trail))
+            ahead = np.array([[1.0, 12.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, left]])
+            oracle = ahead @ oracle + [12.0, 0.0, 0.0]
+            oracle_cov = ahead @ oracle_cov @ ahead.T + np.diag([0.0, 0.0, 16.0 * (1 - left**2)])
+        z = 13.5 * k + [1.0, -2.0, 0.5, 1.5][k]
+        fix = PositionFix(10.0 * k, np.array([0.0, z]), 16.0 * np.eye(2), correlation_s=20.0)
+        state, outcome, _ = tracker.on_fix(state, fix)
+        assert outcome == "used"
+        h = np.array([1.0, 0.0, 1.0])
+        gain = oracle_cov @ h / (h @ oracle_cov @ h)
+        oracle, oracle_cov = oracle + gain * (z - h @ oracle), oracle_cov - np.outer(gain, h @ oracle_cov)
+    # to first order: the way that was walked counts as it was then
+    mean, cov = state.pedestrian.mean[0], state.pedestrian.cov[0]
+    np.testing.assert_allclose(mean[[1, 3]], oracle[:2], rtol=0.03)
+    np.testing.assert_allclose(np.diag(cov)[[1, 3]], np.diag(oracle_cov)[:2], rtol=0.03)
+
+
 # --- headings, speeds, standstills ------------------------------------------------------------------------------------
 
 
@@ -276,6 +384,7 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad positive"),
         (lambda: SpeedFix(1.0, 1.0, 1e200), "must be positive"),
         (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "finite"),
+        (lambda: PositionFix(1.0, np.zeros(2), np.eye(2), correlation_s=-1.0), "correlation_s must be 0 or more"),
     ],
 )
 def test_a_fix_that_cannot_be_is_refused_before_it_reaches_a_filter(make, words: str) -> None:
@@ -340,6 +449,19 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> N
     online.finish()
     with pytest.raises(ValueError, match="the filter is finished"):
         online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
+
+
+def test_ten_thousand_fixes_that_wait_are_added_in_a_second_and_used_in_the_order_in_which_they_are_due() -> None:
+    """Sorted anew with each, they took minutes."""
+    times = np.random.default_rng(0).permutation(10_000) / 100
+    fixes = [PositionFix(float(t), np.zeros(2), np.eye(2), received_time_s=float(t) + 0.5) for t in times]
+    online, begin = pdr.OnlineFilter(), process_time()
+    for fix in fixes:
+        online.add_fix(fix)
+    assert process_time() - begin < 5.0
+    waiting = online.state.waiting_fixes
+    assert [fix.time_s for fix in waiting] == sorted(times.tolist())
+    assert add_fixes(online.config, init(online.config), fixes).waiting_fixes == waiting
 
 
 def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(walk: Recording) -> None:

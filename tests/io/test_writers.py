@@ -67,6 +67,8 @@ WRITERS: dict[str, Callable[[Track, Path], Path]] = {
     "csv": writers.write_csv,
     "geojson": lambda track, path: writers.write_geojson(track, path, ORIGIN),
     "gpx": lambda track, path: writers.write_gpx(track, path, ORIGIN, 1.7e9),
+    "kml": lambda track, path: writers.write_kml(track, path, ORIGIN),
+    "local.geojson": writers.write_local_geojson,
     "tum": writers.write_tum,
 }
 PARQUET = importlib.util.find_spec("pyarrow") is not None and importlib.util.find_spec("pandas") is not None
@@ -88,6 +90,9 @@ def test_the_methods_of_a_track_write_the_same_files(tmp_path: Path) -> None:
         (track.to_geojson(tmp_path / "c", ORIGIN), writers.write_geojson(track, tmp_path / "d", ORIGIN)),
         (track.to_gpx(tmp_path / "e", ORIGIN), writers.write_gpx(track, tmp_path / "f", ORIGIN)),
         (track.to_tum(tmp_path / "g"), writers.write_tum(track, tmp_path / "h")),
+        (track.to_kml(tmp_path / "i", ORIGIN), writers.write_kml(track, tmp_path / "j", ORIGIN)),
+        (track.to_csv(tmp_path / "k", ORIGIN), writers.write_csv(track, tmp_path / "l", ORIGIN)),
+        (track.to_local_geojson(tmp_path / "m"), writers.write_local_geojson(track, tmp_path / "n")),
     ]
     for ours, theirs in pairs:
         assert ours.read_bytes() == theirs.read_bytes()
@@ -105,6 +110,7 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "cov_ee_m2": 0.2,
             "cov_en_m2": 0.04,
             "cov_nn_m2": 0.4,
+            "uncertainty_95_m": 2.4477 * np.sqrt(np.linalg.eigvalsh([[0.2, 0.04], [0.04, 0.4]])[-1]),
             "step_length_m": 0.8,
             "walked_m": 1.5,
             "walking_heading_rad": 0.0,
@@ -118,6 +124,15 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "mode_prob_walk, normal": 1.0,
         }
     )
+
+
+def test_csv_of_a_placed_track_says_where_each_step_was_on_earth(tmp_path: Path) -> None:
+    track = small_track().placed(ORIGIN)
+    for path in (track.to_csv(tmp_path / "a.csv"), small_track().to_csv(tmp_path / "b.csv", ORIGIN)):
+        with path.open(newline="") as file:
+            rows = list(csv.DictReader(file))
+        place = np.array([[float(row["latitude_deg"]), float(row["longitude_deg"])] for row in rows])
+        np.testing.assert_allclose(place, np.column_stack([track.latitude_deg, track.longitude_deg]), atol=1e-9)
 
 
 def test_csv_of_a_track_without_steps_is_the_header(tmp_path: Path) -> None:
@@ -148,11 +163,14 @@ def test_parquet_has_in_its_metadata_what_is_in_no_column(tmp_path: Path) -> Non
     assert (said["name"], said["weighting"]) == ("small <walk>", "imm")
     assert (said["start_time_s"], said["duration_s"]) == (1.0, 2.0)
     assert said["notes"] == ["only a test"]
-    assert "true north only where" in said["frame"]
+    assert said["frame"] == small_track().about_frame
+    assert said["origin"] is None
 
 
 @needs_parquet
-def test_the_command_line_writes_parquet_and_a_page_for_each_of_two_tracks_of_one_name(tmp_path: Path) -> None:
+def test_the_command_line_writes_parquet_and_a_page_for_each_of_two_tracks_of_one_name(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     import pandas as pd
 
     walk = pdr.simulate.simulate([Leg("walking", distance_m=12.0)], rate_hz=50.0, name="walk")
@@ -164,8 +182,9 @@ def test_the_command_line_writes_parquet_and_a_page_for_each_of_two_tracks_of_on
         frame = pd.read_parquet(tmp_path / "out" / f"{name}.parquet")
         csv_frame = pd.read_csv(tmp_path / "out" / f"{name}.csv", dtype=float)
         pd.testing.assert_frame_equal(frame, csv_frame, rtol=1e-6, atol=1e-6)
-    refused = CliRunner().invoke(app, ["track", paths[0], "--parquet"])
-    assert refused.exit_code == 2
+    monkeypatch.chdir(tmp_path)
+    assert CliRunner().invoke(app, ["track", paths[0], "--export", "parquet"]).exit_code == 0
+    assert (tmp_path / "walk.parquet").read_bytes() == (tmp_path / "out" / "walk.parquet").read_bytes()
     many = CliRunner().invoke(app, ["track", *paths, "--jobs", "1", "--parquet", "--out", str(tmp_path / "many")])
     assert many.exit_code == 0
     assert len(pd.read_parquet(tmp_path / "many" / "tracks.parquet")) == 2
@@ -195,7 +214,8 @@ def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -
     assert properties["coordTimes"] == [1.0, 1.5, 2.0, 2.5]
     assert properties["covariance_m2"] == [[0, 0, 0], [0.1, 0.02, 0.2], [0.2, 0.04, 0.4], [0.3, 0.06, 0.6]]
     assert properties["distance_m"] == 2.2
-    assert "true north" in properties["frame"]
+    assert (properties["frame"], properties["about"]) == ("start", track.placed(ORIGIN).about_frame)
+    assert properties["end_uncertainty_95_m"] == pytest.approx(track.uncertainty_95_m[-1], abs=1e-3)
     assert properties["notes"] == ["only a test"]
 
 
@@ -208,10 +228,54 @@ def test_geojson_of_a_track_without_steps_is_the_origin(tmp_path: Path) -> None:
 def test_an_origin_that_is_nowhere_is_refused_and_nothing_is_written(
     tmp_path: Path, origin: tuple[float, float]
 ) -> None:
-    for write in (writers.write_geojson, writers.write_gpx):
+    for write in (writers.write_geojson, writers.write_gpx, writers.write_kml, writers.write_csv):
         with pytest.raises(ValueError, match=r"origin must be \(latitude, longitude\)"):
             write(small_track(), tmp_path / "t", origin)
     assert not list(tmp_path.iterdir())
+
+
+def test_a_track_without_a_place_is_drawn_in_the_open_sea_and_says_that_it_is_nowhere(tmp_path: Path) -> None:
+    track = small_track()
+    for name in ("a.geojson", "a.local.geojson", "a"):
+        assert track.to_local_geojson(tmp_path / name) == tmp_path / "a.local.geojson"
+    (feature,) = json.loads((tmp_path / "a.local.geojson").read_text())["features"]
+    said = feature["properties"]
+    assert (said["name"], said["frame"]) == ("small <walk> (local, not on Earth)", "local, not on Earth")
+    assert said["about"].startswith(track.about_frame)
+    lon, lat = np.array(feature["geometry"]["coordinates"]).T
+    east, north, _ = pymap3d.geodetic2enu(lat[1:], lon[1:], 0, 0.0, 0.0, 0)
+    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    with pytest.raises(ValueError, match="has a place on Earth"):
+        track.placed(ORIGIN).to_local_geojson(tmp_path / "b.geojson")
+
+
+KML = {"k": "http://www.opengis.net/kml/2.2"}
+
+
+def test_kml_has_the_way_its_start_and_its_end_with_how_far_and_how_sure(tmp_path: Path) -> None:
+    track = small_track()
+    root = ElementTree.parse(track.to_kml(tmp_path / "t.kml", ORIGIN)).getroot()
+    assert root.findtext("k:Document/k:name", namespaces=KML) == "small <walk>"
+    about = root.findtext("k:Document/k:description", "", KML)
+    for words in ("3 steps, 2.2 m", track.how_sure, track.placed(ORIGIN).about_frame, "Note: only a test."):
+        assert words in about
+    places = {
+        placemark.findtext("k:name", "", KML): [
+            [float(value) for value in vertex.split(",")]
+            for vertex in (placemark.findtext("*/k:coordinates", "", KML)).split()
+        ]
+        for placemark in root.findall("k:Document/k:Placemark", KML)
+    }
+    way = np.array(places["small <walk>"])
+    east, north, _ = pymap3d.geodetic2enu(way[1:, 1], way[1:, 0], 0, *ORIGIN, 0)
+    np.testing.assert_allclose(np.column_stack([east, north]), track.position_m, atol=1e-3)
+    assert places["start"] == [list(way[0])] == [[ORIGIN[1], ORIGIN[0]]]
+    assert places["end"] == [list(way[-1])]
+
+
+def test_kml_of_a_track_without_steps_is_its_start(tmp_path: Path) -> None:
+    root = ElementTree.parse(small_track(0).to_kml(tmp_path / "t.kml", ORIGIN)).getroot()
+    assert [p.findtext("k:name", "", KML) for p in root.findall("k:Document/k:Placemark", KML)] == ["start"]
 
 
 def test_gpx_has_a_point_with_time_for_the_start_and_each_step(tmp_path: Path) -> None:
@@ -229,9 +293,11 @@ def test_gpx_has_a_point_with_time_for_the_start_and_each_step(tmp_path: Path) -
     np.testing.assert_allclose(np.column_stack([east, north]), small_track().position_m, atol=1e-3)
 
 
-def test_gpx_stays_readable_with_a_name_that_xml_cannot_hold(tmp_path: Path) -> None:
-    path = writers.write_gpx(replace(small_track(), name="a\x00\ud800b"), tmp_path / "t.gpx", ORIGIN)
-    assert ElementTree.parse(path).getroot().findtext("g:trk/g:name", namespaces=GPX) == "ab"
+def test_gpx_and_kml_stay_readable_with_a_name_that_xml_cannot_hold(tmp_path: Path) -> None:
+    odd = replace(small_track(), name="a\x00\ud800b")
+    gpx = ElementTree.parse(writers.write_gpx(odd, tmp_path / "t.gpx", ORIGIN)).getroot()
+    kml = ElementTree.parse(writers.write_kml(odd, tmp_path / "t.kml", ORIGIN)).getroot()
+    assert gpx.findtext("g:trk/g:name", namespaces=GPX) == kml.findtext("k:Document/k:name", namespaces=KML) == "ab"
 
 
 @pytest.mark.parametrize("epoch_s", [-10.0, 1.7e12, float("nan"), float("inf")])

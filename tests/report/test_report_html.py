@@ -296,6 +296,13 @@ def test_a_single_step_has_a_page(track: Track) -> None:
     assert len(pictures(page)) == 4
 
 
+def test_the_page_says_in_which_frame_the_way_is_drawn_and_how_sure_its_end_is(track: Track) -> None:
+    placed = track.placed((48.137, 11.575))
+    words = Seen(html_report(placed)).words
+    assert placed.about_frame in words
+    assert placed.how_sure in words
+
+
 @pytest.mark.parametrize("value", [np.nan, np.inf, 1e300])
 def test_numbers_that_mean_nothing_are_left_out(track: Track, value: float) -> None:
     position_m, cov_m2, speed = track.position_m.copy(), track.position_cov_m2.copy(), track.smoothed_speed_mps.copy()

@@ -28,7 +28,7 @@ def track(walk: Recording) -> Track:
 def test_of_an_ordinary_walk_nothing_is_doubted(track: Track) -> None:
     assert doubts(track) == []
     assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
-    assert "uncertain by" in track.report()
+    assert f"within {track.uncertainty_95_m[-1]:.1f} m (95 %)" in track.report()
 
 
 def test_a_phone_on_the_table_is_called_one() -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.calibration import slices_of
-from pdr_filter.filter.step_length import StepLengthModel
+from pdr_filter.filter.step_length import RECORDING_STD, StepLengthModel
 from pdr_filter.offline.calibration.estimation import Hierarchy, ParameterEstimate, estimate_parameters
 from pdr_filter.offline.calibration.hierarchy import SingularError
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS, StepLengthPrior, as_wide_as, candidates
@@ -17,8 +17,6 @@ from pdr_filter.offline.calibration.segments import AnySegment, SegmentSums, int
 from pdr_filter.offline.robust import DISTRUST
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
-# One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
-RECORDING_STD = 0.025
 # Fewer segments, people or recordings do not choose a form. From so many on the chosen one is no worse than the default
 # on the totals of walks left out of the choice, at five sites (docs/methods/calibration.md).
 MIN_SEGMENTS, MIN_GROUPS = 30, 5

@@ -9,9 +9,9 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, moved
+from pdr_filter.filter.alignment import Alignment, Frame, moved
 from pdr_filter.filter.imm import ModeEstimates, Transition
-from pdr_filter.filter.motion import N_STATES
+from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.filter.tracker import Passage
 from pdr_filter.filtering import Output, State
 from pdr_filter.io.recording import Recording
@@ -65,23 +65,44 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
     config = config.in_hindsight()
     passages: list[Passage] = []
     last: list[ModeEstimates] = []
-    alignments: list[Alignment | None] = []
+    frames: list[Frame] = []
 
     def kept() -> Iterator[tuple[State, Output]]:
         for state, output in outputs(recording, config, fixes):
             passages.extend(output.passages)
             known = state.tracker.pedestrian
             last[:] = [ModeEstimates(known.mean, known.cov, known.prob)]
-            alignments[:] = [known.frame.alignment]
+            frames[:] = [known.frame]
             yield state, output
 
     track = collected(recording, config, kept())
     if track.n_steps == 0:
         return Hindsight(track, np.zeros((0, 4)), np.zeros((0, 4, 4)))
-    if alignments[0] is not None:
-        passages = _in_world(passages, alignments[0])
+    alignment = frames[0].alignment
+    if alignment is not None:
+        passages = _in_world(passages, alignment)
+    passages = _with_moves(passages, frames[0].moves)
     smoothed = smooth_imm([*(p.before for p in passages), *last], [p.transition for p in passages])
-    return _with_hindsight(track, smoothed, passages, alignments[0] is not None)
+    return _with_hindsight(track, smoothed, passages, alignment is not None)
+
+
+# Of a ride, or of first fixes in another town: nothing is said of where the track was before by where it is after.
+_ANYWHERE_VAR_M2 = 1e10
+
+
+def _with_moves(passages: Sequence[Passage], moves: Sequence[Alignment]) -> list[Passage]:
+    """Passages of which those that led to where fixes moved the track may have led anywhere."""
+    found = list(passages)
+    steps = np.flatnonzero([passage.is_step for passage in passages])
+    for move in moves:
+        last = int(steps[move.n_steps - 1])
+        transition = found[last].transition
+        Q = transition.Q.copy()
+        Q[:, :2, :2] += _ANYWHERE_VAR_M2 * np.eye(2)
+        if move.angle_var_rad2 > 0:
+            Q[:, HEADING_OFFSET, HEADING_OFFSET] += MAX_HEADING_VARIANCE
+        found[last] = replace(found[last], transition=replace(transition, Q=Q))
+    return found
 
 
 def _in_world(passages: Sequence[Passage], alignment: Alignment) -> list[Passage]:

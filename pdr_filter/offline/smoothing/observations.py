@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
 from pdr_filter.values import BoolArray, PositionFix
@@ -74,11 +76,12 @@ class Observations:
                 f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
                 f"is within the recording, {start_s:.1f} to {end_s:.1f} s: are their times of the same clock?"
             )
-        closed_s = [t for c in self.loop_closures for t in (c.first_s, c.second_s)]
-        for time_s in (*closed_s, *(t for h in self.known_headings for t in (h.start_s, h.end_s))):
+        closed_s = [("loop closure", k, t) for k, c in enumerate(self.loop_closures) for t in (c.first_s, c.second_s)]
+        known_s = [("known heading", k, t) for k, h in enumerate(self.known_headings) for t in (h.start_s, h.end_s)]
+        for what, k, time_s in (*closed_s, *known_s):
             if not is_inside(time_s):
                 raise ValueError(
-                    f"an observation at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; times are "
+                    f"{what} {k + 1} at {time_s} s is outside the recording, {start_s:.1f} to {end_s:.1f} s; times are "
                     "those of the samples"
                 )
         return inside
@@ -88,7 +91,7 @@ def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix
     """The surveyed waypoints of a recording as fixes; ValueError where they are missing or their times go back."""
     points = recording.truth.waypoints
     if points is None:
-        raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes")
+        raise ValueError(f"{recording.name or 'the recording'} has no waypoints; give fixes or loop closures")
     back = np.flatnonzero(np.diff(points.time_s) < 0)
     if len(back):
         k = int(back[0]) + 1
@@ -105,21 +108,40 @@ def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:
 
     Times are those of the samples. ValueError names the file, the line and the remedy.
     """
-    file = Path(path)
-    try:
-        rows = TextTable([file.read_bytes()], str(file))
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror or error}; give a CSV file of fixes") from error
-    columns = ("time_s", "east_m", "north_m", *(("std_m",) if "std_m" in rows.fields else ()))
-    values = rows.parse(rows.places(columns), []).values
+    rows = _rows(Path(path), ("time_s", "east_m", "north_m"), "fixes", std_m)
+    return [PositionFix(t, np.array([east, north]), std**2 * np.eye(2)) for t, east, north, std in rows]
+
+
+def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClosure]:
+    """Loop closures of a CSV file with the columns `first_s,second_s`, and `std_m` of each if the file has it.
+
+    Times are those of the samples. ValueError names the file, the line and the remedy.
+    """
+    rows = _rows(Path(path), ("first_s", "second_s"), "loop closures", std_m)
+    back = next((k for k, (first_s, second_s, _) in enumerate(rows) if not first_s < second_s), None)
+    if back is not None:
+        raise ValueError(
+            f"{path}, row {back + 1}: first_s must be before second_s, got {rows[back][0]:g} and {rows[back][1]:g}; "
+            "exchange the two"
+        )
+    return [LoopClosure(*row) for row in rows]
+
+
+def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[list[float]]:
+    """Numbers of the columns, and of `std_m` after them: that of the file if it has this column."""
+    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
+    columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
+    values = table.parse(table.places(columns), []).values
     unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unknown):
         raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
+    if len(values) > limits.MAX_FIXES:
+        raise ValueError(f"{file}: {len(values)} {what}, more than {limits.MAX_FIXES}; leave out some")
     if not len(values):
-        raise ValueError(f"{file}: no fixes below the line {','.join(columns)}")
-    std = values[:, 3] if len(columns) == 4 else np.full(len(values), std_m)
+        raise ValueError(f"{file}: no {what} below the line {','.join(columns)}")
+    if len(columns) == len(names):
+        values = np.column_stack([values, np.full(len(values), std_m)])
+    std = values[:, -1]
     if not (std > 0).all():
         raise ValueError(f"{file}, row {int(np.argmin(std > 0)) + 1}: std_m must be positive, got {std.min():g}")
-    return [
-        PositionFix(float(v[0]), v[1:3].copy(), float(s) ** 2 * np.eye(2)) for v, s in zip(values, std, strict=True)
-    ]
+    return values.tolist()

@@ -23,6 +23,7 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     second_order_errors,
 )
+from pdr_filter.gnss import independent
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight, knowing_the_device
 from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
@@ -106,7 +107,8 @@ def smooth(
     recording : Recording
         From `read`.
     fixes : sequence of PositionFix
-        In any order. Those outside the recording are not used; ValueError if all are.
+        In any order. Those outside the recording are not used; ValueError if all are. Locations whose errors are alike
+        count as `pdr_filter.gnss.independent` has it.
     calibration : Calibration, optional
         Step lengths of the person of the recording (its subject); those of the recipe if not given.
     config : Config, optional
@@ -124,7 +126,7 @@ def smooth(
     if calibration is not None:
         config = calibration.config(config, recording.subject)
     config = knowing_the_device(recording, config)
-    observed = Observations(tuple(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    observed = Observations(independent(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
         return _from_hindsight(in_hindsight(recording, config), observed)
     config = config.in_hindsight()
@@ -228,6 +230,7 @@ def _smoothed(
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,
         start_position_m=read_only(found.mean[0, :2]),
+        frame="fixes" if observed.fixes else track.frame,
     )
     return Smoothed(
         track=smoothed,

@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
@@ -85,10 +85,9 @@ class ClimbRate:
     temperature_c: float = 15.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.hop_s <= self.window_s < np.inf:
-            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
-        if not (self.max_gap_s > 0 and self.noise_hpa > 0):
-            raise ValueError(f"max_gap_s and noise_hpa must be positive, got {self.max_gap_s} and {self.noise_hpa}")
+        check_numbers(self, signed=("temperature_c",))
+        if self.hop_s > self.window_s:
+            raise ValueError(f"hop_s must be at most window_s, got {self.hop_s} and {self.window_s}")
         if not -60 <= self.temperature_c <= 60:
             raise ValueError(f"temperature_c must be in degrees Celsius, -60 to 60, got {self.temperature_c}")
 

@@ -1,0 +1,118 @@
+"""Dead reckoning that the locations of a recording turn and shift as a whole, and do not bend."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.filter import imm
+from pdr_filter.filter.alignment import Frame, PairedPoint, align, centre_weights, open_turn, that_agree, walked_var_m2
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.tracker import Passage
+from pdr_filter.filtering import Output, State
+from pdr_filter.gnss import INTERVAL_S, LocationState, position_fixes
+from pdr_filter.io.recording import Recording
+from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples, read_only
+
+# Locations that turn and shift a track: of more, as many at even intervals. The effort grows with their fourth power.
+MAX_LOCATIONS = 40
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Way:
+    """Where dead reckoning led, the start among it, and the variance of that for a known heading."""
+
+    time_s: FloatArray  # (K + 1,)
+    position_m: FloatArray  # (K + 1, 2) in the frame of the start
+    walked_var_m2: FloatArray  # (K + 1,)
+
+    @classmethod
+    def of(cls, start_s: float, updates: Sequence[StepUpdate], passages: Sequence[Passage]) -> _Way:
+        steps = [passage for passage in passages if passage.is_step]
+        # what is known before a step is what is known after the one before
+        covs = [imm.combine(s.before.mean, s.before.cov, s.before.mode_prob)[1] for s in steps[1:] + steps[-1:]]
+        places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
+        return cls(
+            np.array([start_s, *(update.step.time_s for update in updates)]),
+            np.vstack([np.zeros((1, 2)), *places]),
+            np.array([0.0, *(walked_var_m2(cov) for cov in covs)]),
+        )
+
+    def at(self, time_s: float) -> tuple[FloatArray, float]:
+        """Position (2,) and variance at a time."""
+        values = np.column_stack([self.position_m, self.walked_var_m2])
+        east_m, north_m, var_m2 = (float(np.interp(time_s, self.time_s, values[:, k])) for k in range(3))
+        return read_only(np.array([east_m, north_m])), var_m2
+
+
+def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> Iterator[tuple[State, Output]]:
+    """What dead reckoning brings (`recording_run.outputs` in an unknown frame), placed by the recording's locations.
+
+    The last state knows where, so that `recording_run.collected` finds the track in the frame of the locations, with a
+    result for each of those that were asked.
+    """
+    last: State | None = None
+    whole = Output()
+    for state, output in brought:
+        last = state
+        whole.extend(output)
+    if last is None or recording.location is None:
+        return
+    report, known = last.sensing.conditioner.report, last.tracker.pedestrian
+    locations, fixes = _even_fixes(recording.location, report.first_time_s, report.last_time_s)
+    if fixes:
+        finals = [update for update in whole.updates if update.is_final]
+        way = _Way.of(report.first_time_s, finals, whole.passages)
+        pairs = tuple(_paired(way, fix) for fix in fixes)
+        agreeing = that_agree(pairs)
+        known = replace(known, frame=_frame(pairs, agreeing, known.n_final))
+        whole.fixes.extend(
+            FixResult.of(fix, last.sensing.processed_s, "turned" if pair in agreeing else "rejected")
+            for fix, pair in zip(fixes, pairs, strict=True)
+        )
+        if known.frame.alignment is not None:
+            whole.updates[:] = _with_own_errors(finals, way, agreeing)
+    tracker = replace(cast(Any, last.tracker), pedestrian=known)
+    n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
+    yield replace(last, tracker=tracker, locations=locations, n_rejected_fixes=n_rejected), whole
+
+
+def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """Fixes of the time of the samples, at even intervals."""
+    inside = (location.time_s >= first_s) & (location.time_s <= last_s)
+    latitude_deg, longitude_deg, _, accuracy_m = location.values[inside].T
+    interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S
+    return position_fixes(LocationState(), location.time_s[inside], latitude_deg, longitude_deg, accuracy_m, interval_s)
+
+
+def _paired(way: _Way, fix: PositionFix) -> PairedPoint:
+    track_m, var_m2 = way.at(fix.time_s)
+    return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
+
+
+def _frame(pairs: Sequence[PairedPoint], agreeing: tuple[PairedPoint, ...], n_steps: int) -> Frame:
+    alignment = align(agreeing, n_steps)
+    if alignment is None:
+        return Frame(is_joined=False, pairs=tuple(pairs), agreeing=agreeing, turn=open_turn(agreeing))
+    return Frame(is_joined=True, alignment=alignment)
+
+
+def _with_own_errors(updates: Sequence[StepUpdate], way: _Way, agreeing: Sequence[PairedPoint]) -> list[StepUpdate]:
+    """Steps whose covariance is what their own way adds to the error of the alignment.
+
+    With w(t) the variance of the way walked until t, whose errors all that comes after shares, and a_i the weights of
+    the locations in the centre of the alignment, the error at t less that of the centre has the variance
+    w(t) - 2 sum_i a_i min(w(t), w_i) + sum_ij a_i a_j min(w_i, w_j). The centre's own variance has all of the last term
+    but w_0, the least of w_i; near the centre what is left is negative: steps there are known better than the centre.
+    """
+    weight, walked = centre_weights(agreeing), np.array([pair.walked_var_m2 for pair in agreeing])
+    moved: list[StepUpdate] = []
+    for update, w in zip(updates, way.walked_var_m2[1:], strict=True):
+        own_var = w - 2.0 * float(weight @ np.minimum(w, walked)) + walked.min()
+        if update.of_start is not None:
+            update = replace(update, of_start=replace(update.of_start, cov_m2=own_var * np.eye(2)))
+        moved.append(update)
+    return moved

@@ -1,0 +1,87 @@
+"""Fixes that do not fit the track and agree with each other: when they are right and the track is wrong.
+
+A fix that is off alone is an outlier. Reflections put fixes off together, for a while; a fix that stays where it was
+is no fix. But a track that is off, after a ride or from wrong first fixes, stays off: fixes follow its shape from then
+on, somewhere else. Three hypotheses for the rejected fixes since the last used one:
+
+- the track is moved by some shift, or shifted and turned: it leaves chi-square c_1 between fixes and track;
+- the fixes are off together and follow the track, which lasts for t with probability exp(-t / T);
+- the fixes stay in one place: chi-square c_0.
+
+The first wins when both odds, exp(t / T) and exp((c_0 - c_1) / 2), are above those that it has before.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from scipy.stats import chi2
+
+from pdr_filter.filter.alignment import Alignment, PairedPoint, align, least_squares_error
+
+# T: somebody who walks leaves a reflection behind after some tens of seconds.
+EPISODE_S = 20.0
+# Fixes are off together about every ten minutes in a street, a track about once in five hours of walking: in 1 of 10
+# recordings there is a ride, or a wrong start.
+LOG_ODDS_BEFORE = math.log(30.0)
+# Rejected fixes that are remembered: with locations ten seconds apart, two minutes.
+MAX_DOUBTS = 12
+# Two of them agree whatever they are, or nearly.
+_MIN_DOUBTS = 3
+_DISAGREE_PROB = 1e-3
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Doubt:
+    """Rejected fixes that agree with each other, and the last one if it does not."""
+
+    pairs: tuple[PairedPoint, ...] = ()
+    stray: PairedPoint | None = None
+
+    def moved(self, alignment: Alignment) -> Doubt:
+        """With the places of the track moved."""
+        stray = None if self.stray is None else self.stray.moved(alignment)
+        return Doubt(tuple(pair.moved(alignment) for pair in self.pairs), stray)
+
+    def with_rejected(self, pair: PairedPoint) -> Doubt:
+        """With one more: it joins those that it agrees with, or begins anew with the one before."""
+        together = (*self.pairs, pair)[-MAX_DOUBTS:]
+        if _agree(together):
+            return Doubt(together)
+        if self.stray is not None and _agree((self.stray, pair)):
+            return Doubt((self.stray, pair))
+        return Doubt(self.pairs if self.stray is None else (), pair)
+
+    def alignment(self, heading_var_rad2: float, n_steps: int, can_turn: bool) -> Alignment | None:
+        """How the track must be shifted and turned, or None as long as it may be right.
+
+        The heading, with its variance, is a measurement of the turn. If that contradicts the fixes, and the turn of the
+        track is from fixes too (`can_turn`), it may be any.
+        """
+        pairs = self.pairs
+        if self.stray is not None or len(pairs) < _MIN_DOUBTS:
+            return None
+        if (pairs[-1].time_s - pairs[0].time_s) / EPISODE_S < LOG_ODDS_BEFORE:
+            return None
+        # a heading that is known exactly divides nothing
+        turn_var = max(heading_var_rad2, 1e-12)
+        if least_squares_error(pairs, turn_var) - least_squares_error(pairs) > _limit(1):
+            if not can_turn:
+                return None
+            turn_var = math.inf
+        staying = tuple(replace(pair, track_m=pairs[0].track_m) for pair in pairs)
+        if least_squares_error(staying, turn_var) - least_squares_error(pairs, turn_var) < 2.0 * LOG_ODDS_BEFORE:
+            return None
+        return align((*pairs[:-1], replace(pairs[-1], var_m2=2.0 * pairs[-1].var_m2)), n_steps, turn_var)
+
+
+def _agree(pairs: Sequence[PairedPoint]) -> bool:
+    """Whether all of them can be right, for a track that may be shifted and turned."""
+    return least_squares_error(pairs) <= _limit(2 * len(pairs) - 3)
+
+
+def _limit(n_free: int) -> float:
+    """Chi-square that one in a thousand sets of good fixes exceeds."""
+    return float(chi2.isf(_DISAGREE_PROB, n_free)) if n_free > 0 else math.inf
