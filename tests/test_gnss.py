@@ -440,7 +440,7 @@ def test_map_files_of_a_located_track_need_no_origin_and_others_say_what_is_miss
 ) -> None:
     track = pdr.track(walk)
     feature = json.loads(track.to_geojson(tmp_path / "a.geojson").read_text())["features"][0]
-    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:].T
+    longitude_deg, latitude_deg = np.array(feature["geometry"]["coordinates"])[1:, :2].T
     np.testing.assert_allclose(latitude_deg, track.latitude_deg, atol=1e-8)
     np.testing.assert_allclose(longitude_deg, track.longitude_deg, atol=1e-8)
     assert feature["properties"]["frame"] == "fixes"
