@@ -14,8 +14,9 @@ from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair, o
 from pdr_filter.config import Config
 from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
+from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
-from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, read_only, table
+from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, check_columns, check_cov, read_only, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -24,6 +25,14 @@ if TYPE_CHECKING:
 FORMAT = ArtefactFormat("calibration", 1, "calibrate again, or use the version that wrote it")
 _ARRAYS = ("theta", "theta_cov", "between_cov", "people", "people_cov", "heights_m")
 _SEGMENT = "segment_"  # before the names of the columns of `segments`
+_TEXTS, _FLAGS = ("subject", "recording", "context"), ("summed", "distrusted")
+_LENGTHS = ("distance_m", "predicted_m", "left_out_m", "stranger_m", "uncalibrated_m")
+_COLUMN_KINDS = {
+    **dict.fromkeys(_TEXTS, "U"),
+    **dict.fromkeys(_FLAGS, "b"),
+    **dict.fromkeys(("start_s", "end_s", "n_steps", "misfit", "weight", *_LENGTHS), "if"),
+}
+_LARGEST_STD = 1e3  # no step is longer, in m, and nobody as far from others: it says that nothing is known
 _MOST_PEOPLE, _MOST_NOTES = 20, 12  # in the report
 # Whose recordings are that do not say it: somebody who calibrates his own steps seldom gives himself a name.
 UNNAMED = "unnamed"
@@ -107,6 +116,8 @@ class Calibration:
                 raise ValueError(f"{name} must be {shape}, got {getattr(self, name).shape}")
         if not set(self.models) <= set(CONTEXTS):
             raise ValueError(f"contexts must be among {CONTEXTS}, got {tuple(self.models)}")
+        check_columns(self.segments, _COLUMN_KINDS, "segments")
+        _check_numbers(self)
 
     def __repr__(self) -> str:
         contexts = ", ".join(self.contexts) or "no context"
@@ -331,6 +342,28 @@ class Calibration:
         return {name: cov[part, part] for name, part in slices_of(self.models)[0].items()}
 
 
+def _check_numbers(calibration: Calibration) -> None:
+    """Numbers that a filter can use: what one person's parameters are is known, however people differ."""
+    for name in ("theta", "people"):
+        if not np.isfinite(getattr(calibration, name)).all():
+            raise ValueError(f"{name} must be finite, got {getattr(calibration, name)}")
+    for name in ("theta_cov", "people_cov"):
+        check_cov(getattr(calibration, name), name)
+    if not (np.diagonal(calibration.between_cov) >= 0).all():
+        raise ValueError("between_cov must have variances on its diagonal")
+    heights_m, (least_m, largest_m) = calibration.heights_m, HEIGHT_RANGE_M
+    if ((heights_m < least_m) | (heights_m > largest_m)).any():
+        raise ValueError(f"heights_m must be {least_m} to {largest_m}, NaN where unknown, got {heights_m}")
+    for name in ("residual_std_m", "n_segments"):
+        if not set(calibration.models) <= set(getattr(calibration, name)):
+            raise ValueError(f"{name} must be there for each of {tuple(calibration.models)}")
+    known = {**calibration.residual_std_m, "recording_std": calibration.recording_std}
+    if not all(0 <= std <= _LARGEST_STD for std in known.values()):
+        raise ValueError(f"residual_std_m and recording_std must be from 0 to {_LARGEST_STD}, got {known}")
+    if calibration.main_context not in calibration.models:
+        raise ValueError(f"models must hold that of {calibration.main_context}, got {tuple(calibration.models)}")
+
+
 def slices_of(models: Mapping[str, StepLengthModel]) -> tuple[dict[str, slice], int]:
     """Where the parameters of each context are in theta (P,), and P."""
     ends = np.cumsum([0, *(m.n_params for m in models.values())])
@@ -397,5 +430,5 @@ def _model_from_plain(plain: Mapping[str, Any]) -> StepLengthModel:
     kind = getattr(step_length, str(plain["class"]), None)
     if not (isinstance(kind, type) and is_dataclass(kind) and hasattr(kind, "n_params")):
         raise ValueError(f"no step-length model {plain['class']!r}")
-    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name != "class"}
+    values = {name: np.inf if v is None else float(v) for name, v in plain.items() if name not in ("class", "n_params")}
     return cast(StepLengthModel, kind(**values))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any, cast
 
 from pdr_filter.filter.alignment import UNKNOWN_FRAME
@@ -88,7 +89,7 @@ class Config:
         threshold = {"threshold": HC} if weighting == "hc" else {}
         return replace(self, tracker=WeightedTracker(self.model, **threshold))
 
-    @property
+    @cached_property
     def fix_delay_s(self) -> float:
         """How long a fix waits for the step that it falls into to be final."""
         waits_s = self.tracker.waits_for_windows * self.sensing.window_hop_s

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from bisect import bisect_right
+from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from math import isfinite
@@ -11,6 +11,8 @@ from operator import attrgetter
 import numpy as np
 
 from pdr_filter.config import Config
+from pdr_filter.filter import height
+from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
@@ -24,6 +26,7 @@ from pdr_filter.values import (
     Fix,
     FixResult,
     FloatArray,
+    FloorPassage,
     ImuBlock,
     Note,
     PositionFix,
@@ -87,7 +90,10 @@ class State:
     barometer: ClimbState
     seen: WindowCounts = WindowCounts()
     walked: StepCounts = StepCounts()
+    height: HeightState = field(default_factory=initial_height)
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
+    n_lost_climbs: int = 0  # that waited too long for their windows
+    n_climbs_used: int = 0  # of these, by the height
     locations: LocationState = field(default_factory=LocationState)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
@@ -108,10 +114,11 @@ class Output:
     windows: list[WindowContext] = field(default_factory=list[WindowContext])
     fixes: list[FixResult] = field(default_factory=list[FixResult])
     passages: list[Passage] = field(default_factory=list[Passage])  # how steps and gaps led the estimates on
+    floor_passages: list[FloorPassage] = field(default_factory=list[FloorPassage])  # that ended
 
     def extend(self, later: Output) -> None:
         """Add what came later."""
-        for name in ("updates", "windows", "fixes", "passages"):
+        for name in ("updates", "windows", "fixes", "passages", "floor_passages"):
             getattr(self, name).extend(getattr(later, name))
 
 
@@ -151,13 +158,25 @@ def parts(block: ImuBlock) -> Iterator[ImuBlock]:
         )
 
 
+# Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.
+MAX_CLIMBS = 600
+
+
 def add_pressure(config: Config, state: State, time_s: FloatArray, pressure_hpa: FloatArray) -> State:
     """State with samples of a barometer, (N,) each; windows that end after them use the climb rate.
 
     Give the pressure of a time before the other samples of that time: a window is classified once.
     """
     barometer, climbs = config.climb_rate.step(state.barometer, time_s + state.clock_offset_s, pressure_hpa)
-    return replace(state, barometer=barometer, climbs=(*state.climbs, *climbs))
+    all_climbs = (*state.climbs, *climbs)
+    n_lost = max(len(all_climbs) - MAX_CLIMBS, 0)
+    return replace(
+        state,
+        barometer=barometer,
+        climbs=all_climbs[n_lost:],
+        n_lost_climbs=state.n_lost_climbs + n_lost,
+        n_climbs_used=max(state.n_climbs_used - n_lost, 0),
+    )
 
 
 def add_location(
@@ -176,7 +195,9 @@ def add_location(
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     """State with fixes, on the track's time base, that wait until they are due."""
-    waiting = sorted([*state.waiting_fixes, *fixes], key=lambda f: due_s(config, f))
+    waiting = list(state.waiting_fixes)
+    for fix in fixes:
+        insort(waiting, fix, key=lambda f: due_s(config, f))
     return replace(state, waiting_fixes=tuple(waiting))
 
 
@@ -221,7 +242,7 @@ def notes_of(config: Config, state: State) -> list[Note]:
         words = f"in {state.walked.untrusted} of {state.walked.n} steps strides do not agree on where walking leads, "
         words += "as in a bag: the turn of the phone alone leads there"
         notes.append(Note("heading", words))
-    notes += config.notes
+    notes += [*config.notes, *height.notes(state.height)]
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
         words = (
@@ -237,6 +258,9 @@ def notes_of(config: Config, state: State) -> list[Note]:
             f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
         )
         notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
+    if state.n_lost_climbs:
+        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
+        notes.append(Note("sensors", words + "both need one clock"))
     if state.n_rejected_fixes:
         notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
     if state.finished and state.waiting_fixes:
@@ -263,9 +287,13 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
         return state, Output()
     state, output = _process(config, state, config.sensing.finish(state.sensing))
     tracker, last = config.tracker.finish(state.tracker)
-    output.updates.extend(last.updates)
-    output.passages.extend(last.passages)
     end_s = state.sensing.processed_s
+    state = _with_steps(config, state, end_s, last.updates, output)
+    output.passages.extend(last.passages)
+    state = _with_pressure(config, state, np.inf, output)
+    known, passages = height.finish(state.height)
+    output.floor_passages.extend(passages)
+    state = replace(state, height=known)
     due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later = [f for f in state.waiting_fixes if received_s(f) > end_s]
     state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
@@ -280,7 +308,9 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
     for known_s, event in events:
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
+        state = _with_pressure(config, state, known_s, output)
         if isinstance(event, WindowContext):
+            state = replace(state, height=height.on_window(state.height, event, config.model))
             context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)
             state = replace(state, seen=state.seen.plus(context))
@@ -290,20 +320,47 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         else:
             state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
-        state = replace(state, tracker=tracker)
-        output.updates.extend(brought.updates)
+        state = _with_steps(config, replace(state, tracker=tracker), known_s, brought.updates, output)
         output.passages.extend(brought.passages)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
-    climbs = state.climbs[max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0) :]
-    return replace(state, climbs=climbs), output
+    state = _with_pressure(config, state, state.sensing.processed_s, output)
+    n_past = max(bisect_right(state.climbs, state.sensing.processed_s, key=attrgetter("time_s")) - 1, 0)
+    n_past = min(n_past, state.n_climbs_used)
+    return replace(state, climbs=state.climbs[n_past:], n_climbs_used=state.n_climbs_used - n_past), output
+
+
+def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
+    """State whose height knows the pressure up to a time whose steps are known, but for the first of a bout."""
+    until_s -= config.sensing.step_latency_s
+    while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
+        known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
+        output.floor_passages.extend(passages)
+        state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
+    return state
+
+
+def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[StepUpdate], output: Output) -> State:
+    """State whose height knows the steps that became final, and the output with theirs."""
+    known = state.height
+    for update in updates:
+        if update.is_final:
+            up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
+            known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
+            output.floor_passages.extend(passages)
+        else:
+            own = known.known
+        there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
+        output.updates.append(replace(update, **there))
+    return state if known is state.height else replace(state, height=known)
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
-    used: list[FixResult] = []
-    while state.waiting_fixes and due_s(config, state.waiting_fixes[0]) <= until_s:
-        first, *later = state.waiting_fixes
-        state, result = _use_fix(config, replace(state, waiting_fixes=tuple(later)), first, until_s)
+    n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
+    used, due = list[FixResult](), state.waiting_fixes[:n_due]
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:]) if due else state
+    for fix in due:
+        state, result = _use_fix(config, state, fix, until_s)
         used.append(result)
     return state, used
 
@@ -324,6 +381,8 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
+    if isinstance(fix, PositionFix) and fix.floor is not None and outcome != "rejected":
+        state = replace(state, height=height.with_floor(state.height, fix.floor))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
         state,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import fields, is_dataclass
+import warnings
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +26,16 @@ from pdr_filter.filtering import (
 from pdr_filter.io.recording import Subject
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import Fix, FloatArray, ImuBlock, Origin
+from pdr_filter.values import (
+    STANDARD_GRAVITY_MPS2,
+    Fix,
+    FloatArray,
+    ImuBlock,
+    Origin,
+    PositionFix,
+    as_floats,
+    check_cov,
+)
 
 
 class OnlineFilter:
@@ -92,11 +101,12 @@ class OnlineFilter:
         return output.updates
 
     def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
-        """Take samples of a barometer, (N,) each: the climb rate distinguishes stairs from flat walking.
+        """Take samples of a barometer, (N,) each: the height follows it, and its climb rate distinguishes stairs.
 
         Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
         """
-        time, pressure = (np.atleast_1d(np.asarray(values, dtype=float)) for values in (time_s, pressure_hpa))
+        columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
+        time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
         self.state = add_pressure(self.config, self.state, time, pressure)
 
     def push_location(
@@ -115,8 +125,13 @@ class OnlineFilter:
                 "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
                 "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
             )
-        columns = (time_s, latitude_deg, longitude_deg, accuracy_m)
-        time, latitude, longitude, accuracy = (np.atleast_1d(np.asarray(values, dtype=float)) for values in columns)
+        columns = {
+            "time_s": time_s,
+            "latitude_deg": latitude_deg,
+            "longitude_deg": longitude_deg,
+            "accuracy_m": accuracy_m,
+        }
+        time, latitude, longitude, accuracy = (np.atleast_1d(as_floats(v, name)) for name, v in columns.items())
         if not time.shape == latitude.shape == longitude.shape == accuracy.shape == (len(time),):
             raise ValueError(
                 "time_s, latitude_deg, longitude_deg and accuracy_m must have one number for each location, got shapes "
@@ -156,6 +171,21 @@ class OnlineFilter:
         return present_position(self.state.tracker.pedestrian)[1]
 
     @property
+    def height_m(self) -> float:
+        """Height above the start now, with or without steps."""
+        return self.state.height.known.height_m
+
+    @property
+    def height_std_m(self) -> float:
+        """Standard deviation of `height_m`."""
+        return self.state.height.known.height_std_m
+
+    @property
+    def floor(self) -> int:
+        """The storey now: from that of the start, which is 0, or as a fix has named it."""
+        return self.state.height.known.floors.floor
+
+    @property
     def origin(self) -> Origin | None:
         """Where on Earth `position_m` is zero; None before a location has placed the track."""
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
@@ -188,18 +218,48 @@ class OnlineFilter:
         if not (whole and isinstance(content["config"], Config) and isinstance(content["state"], State)):
             raise ValueError("these bytes hold no filter; give what OnlineFilter.save returned")
         loaded = cls(content["config"])
-        if _shape(content["state"]) != _shape(loaded.state):
+        if not serialise.like(content["state"], loaded.state):
             raise ValueError("these bytes hold a state of another configuration; save the filter again")
         loaded.state = content["state"]
+        _try(loaded)
         return loaded
 
 
-def _shape(state: State) -> tuple[object, ...]:
-    """What a configuration fixes of a state: the arrays of its modes, and the kinds of the stages' own states."""
-    stages = (getattr(state.sensing, f.name) for f in fields(state.sensing))
-    sensing = tuple(type(stage) for stage in stages if is_dataclass(stage))
-    known = state.tracker.pedestrian
-    return (type(state.tracker), known.mean.shape, known.cov.shape, known.prob.shape, known.shared_m.shape, sensing)
+def _try(online: OnlineFilter) -> None:
+    """ValueError unless this filter goes on: a copy of it is given a fix, some seconds of a walk, and the end.
+
+    States are values, so nothing is left of it. What no declaration of a field can tell, whether the parts of a state
+    belong together, shows here and not while somebody walks.
+    """
+    state = online.state
+    last_s = state.sensing.conditioner.report.last_time_s - state.clock_offset_s
+    begin_s = last_s if np.isfinite(last_s) else 0.0
+    copy, time_s = OnlineFilter.__new__(OnlineFilter), begin_s + _TRIAL_S
+    copy.config, copy.state = online.config, state
+    try:
+        with np.errstate(all="ignore"), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            updates = list[StepUpdate]()
+            if not state.finished:
+                copy.push_pressure(time_s[::10], np.full(len(time_s[::10]), 1000.0))
+                copy.add_fix(PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)))
+                updates += copy.push(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
+                updates += copy.finish()
+            _ = copy.notes, copy.device
+        numbers = [copy.position_m, *(u.position_m for u in updates), *(u.mode_prob for u in updates)]
+        if not all(np.isfinite(n).all() for n in numbers):
+            raise ValueError("its positions are no numbers")
+        check_cov(copy.position_cov_m2, "the covariance of its position")
+    except Exception as error:  # whatever a damaged state provokes
+        raise ValueError(f"these bytes hold a filter that cannot go on ({error}); save the filter again") from error
+
+
+# Eight seconds of a walk with four steps in two seconds: the first steps of a bout are known after five.
+_TRIAL_S = 0.01 * np.arange(1, 801)
+_PHASE = 2 * np.pi * 2.0 * _TRIAL_S
+_TRIAL_FORCE_MPS2 = np.column_stack([np.cos(_PHASE / 2), np.cos(_PHASE), STANDARD_GRAVITY_MPS2 + 3 * np.sin(_PHASE)])
+_TRIAL_RATE_RADPS = 0.3 * np.column_stack([np.sin(_PHASE / 2), np.cos(_PHASE), np.cos(_PHASE / 2)])
+_TRIAL_FIELD_UT = np.tile([0.0, 20.0, -40.0], (len(_TRIAL_S), 1))
 
 
 def imu_block(
@@ -209,7 +269,7 @@ def imu_block(
     magnetic_field_ut: ArrayLike | None = None,
 ) -> ImuBlock:
     """Samples as a block, shapes checked; missing sensors become NaN."""
-    time = np.asarray(time_s, dtype=float)
+    time = as_floats(time_s, "time_s")
     if time.size == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
@@ -221,7 +281,7 @@ def imu_block(
     }
     arrays: list[FloatArray] = []
     for name, values in columns.items():
-        array = np.full((len(time), 3), np.nan) if values is None else np.asarray(values, dtype=float)
+        array = np.full((len(time), 3), np.nan) if values is None else as_floats(values, name)
         if array.shape != (len(time), 3):
             raise ValueError(f"{name} must be ({len(time)}, 3), one row for each time_s, got {array.shape}")
         arrays.append(array)

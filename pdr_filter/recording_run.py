@@ -42,6 +42,7 @@ from pdr_filter.values import (
     FixResult,
     HeadingFix,
     ImuBlock,
+    IntArray,
     Origin,
     PositionFix,
     Step,
@@ -107,8 +108,9 @@ def track(
         True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
         which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
     """
+    with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    with_location = _with_location(recording, fixes, gnss) and not is_placed
+    with_location = with_location and not is_placed
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
@@ -124,9 +126,8 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    if gnss == "align":
-        return collected(recording, config, aligned(recording, outputs(recording, config, fixes, progress)))
-    result = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
+    brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
+    result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
     if is_placed and recording.location is not None and gnss is None:
         words = "the recording's own locations are not used: its place or heading was given"
         result = replace(result, notes=(*result.notes, words))
@@ -239,6 +240,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         origin=origin,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
+        floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
@@ -324,6 +326,9 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         smoothed_speed_mps=read_only(np.array([u.speed.smoothed_mps for u in updates])),
         smoothed_speed_std_mps=read_only(np.array([u.speed.smoothed_std_mps for u in updates])),
         gap_before_s=read_only(np.array([u.gap_before_s for u in updates])),
+        height_m=read_only(np.array([u.height_m for u in updates])),
+        height_std_m=read_only(np.array([u.height_std_m for u in updates])),
+        floor=_whole([u.floor for u in updates]),
         context_prob=read_only(np.array([u.context_prob for u in updates]).reshape(n, len(CONTEXTS))),
         contexts=CONTEXTS,
         mode_prob=read_only(np.array([u.mode_prob for u in updates]).reshape(n, len(modes))),
@@ -335,6 +340,12 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         duration_s=0.0,
         weighting=config.tracker.weighting,
     )
+
+
+def _whole(numbers: Sequence[int]) -> IntArray:
+    array = np.array(numbers, dtype=np.int64)
+    array.flags.writeable = False
+    return array
 
 
 def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:

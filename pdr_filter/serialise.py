@@ -1,7 +1,8 @@
 """Configurations and states to bytes and back: plain values only, nothing in the bytes is ever executed.
 
 The bytes are zlib-compressed JSON. Arrays are stored as their exact bytes, dataclasses by the name of a dataclass of
-this package; any other type is refused, on the way out and on the way in.
+this package; any other type is refused, on the way out and on the way in. What comes in must be as the dataclasses
+declare their fields; of states, which hold what their configuration says, `like` looks at the shapes too.
 """
 
 from __future__ import annotations
@@ -9,6 +10,7 @@ from __future__ import annotations
 import base64
 import importlib
 import json
+import sys
 import zlib
 from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
@@ -16,14 +18,22 @@ from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.values import check_declared
+
 _PACKAGE = "pdr_filter"
 _FORMAT = 2
-_MAX_BYTES = 256 << 20  # a filter with its models has some MB
+# A filter with its models has some MB, nearly all of it arrays, and some thousand values.
+_MAX_BYTES = 64 << 20
+_MAX_VALUES = 2_000_000
+# What a filter is made of. Other rooms may have more in their values, but nothing here imports them.
+_ROOMS = ("values", "classifiers", "sensing", "filter", "config", "papers", "gnss", "filtering")
 
 
 def to_bytes(value: object) -> bytes:
     """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts."""
-    return zlib.compress(json.dumps({"format": _FORMAT, "value": _encode(value)}).encode())
+    content = json.dumps({"format": _FORMAT, "value": _encode(value)}).encode()
+    _check_size(content)
+    return zlib.compress(content)
 
 
 def from_bytes(blob: object) -> Any:
@@ -31,14 +41,37 @@ def from_bytes(blob: object) -> Any:
     if not isinstance(blob, bytes):
         raise ValueError(f"a saved filter is bytes, got {type(blob).__name__}")
     try:
-        content = json.loads(_inflate(blob))
+        text = _inflate(blob)
+        _check_size(text)
+        content = json.loads(text)
         if content["format"] != _FORMAT:
             raise ValueError(f"format {content['format']}, this version reads {_FORMAT}")
         return _decode(content["value"])
-    except (zlib.error, LookupError, TypeError, AttributeError, ImportError, ValueError, RecursionError) as error:
+    except Exception as error:  # whatever damaged bytes provoke
         raise ValueError(
             f"these {len(blob)} bytes are not a saved filter of this version of {_PACKAGE} ({error}); save it again"
         ) from error
+
+
+def like(value: object, model: object) -> bool:
+    """Whether a state may come from the one that its configuration begins with.
+
+    Its stages are of the same kinds, its arrays have the same shapes but where the first ones are empty.
+    """
+    if is_dataclass(model):
+        return type(value) is type(model) and all(
+            like(getattr(value, f.name), getattr(model, f.name)) for f in fields(model)
+        )
+    if isinstance(model, np.ndarray) and isinstance(value, np.ndarray):
+        shape, first = cast(tuple[int, ...], value.shape), cast(tuple[int, ...], model.shape)
+        return len(shape) == len(first) and all(n in (0, m) for m, n in zip(shape, first, strict=True))
+    return True
+
+
+def _check_size(text: bytes) -> None:
+    n_values = sum(text.count(mark) for mark in (b"{", b"[", b",", b":"))
+    if len(text) > _MAX_BYTES or n_values > _MAX_VALUES:
+        raise ValueError(f"{len(text)} bytes with some {n_values} values, more than {_MAX_BYTES} and {_MAX_VALUES}")
 
 
 def _inflate(blob: bytes) -> bytes:
@@ -79,18 +112,39 @@ def _decode(value: Any) -> Any:
         return value
     node = cast(dict[str, Any], value)
     if "array" in node:
-        dtype = np.dtype(node["dtype"])
-        return np.frombuffer(base64.b64decode(node["array"]), dtype=dtype).reshape(node["shape"]).copy()
+        return _array(node)
     if "tuple" in node:
-        return tuple(_decode(v) for v in node["tuple"])
+        return tuple(_decode(v) for v in _of_type(node["tuple"], list))
     if "list" in node:
-        return [_decode(v) for v in node["list"]]
+        return [_decode(v) for v in _of_type(node["list"], list)]
     if "dict" in node:
         return {key: _decode(v) for key, v in node["dict"].items()}
-    module_name, _, class_name = str(node["dataclass"]).partition(":")
-    if module_name.partition(".")[0] != _PACKAGE:
-        raise ValueError(f"refused to load {node['dataclass']!r}")
+    cls = _dataclass(_of_type(node["dataclass"], str))
+    content = {name: _decode(v) for name, v in node["fields"].items()}
+    check_declared(cls, content)
+    return cls(**content)
+
+
+def _of_type(value: Any, cls: type) -> Any:
+    if type(value) is not cls:
+        raise ValueError(f"{str(value)[:60]} in place of a {cls.__name__}")
+    return value
+
+
+def _array(node: Mapping[str, Any]) -> np.ndarray[Any, Any]:
+    dtype = np.dtype(_of_type(node["dtype"], str))
+    if dtype.kind not in "biuf":
+        raise ValueError(f"an array of {dtype}")
+    data = base64.b64decode(node["array"], validate=True)
+    return np.frombuffer(data, dtype=dtype).reshape(_of_type(node["shape"], list)).copy()
+
+
+def _dataclass(name: str) -> type[Any]:
+    module_name, _, class_name = name.partition(":")
+    package, _, rest = module_name.partition(".")
+    if package != _PACKAGE or (module_name not in sys.modules and rest.partition(".")[0] not in _ROOMS):
+        raise ValueError(f"refused to load {name!r}")
     cls = getattr(importlib.import_module(module_name), class_name)
     if not (isinstance(cls, type) and is_dataclass(cls)):
-        raise ValueError(f"{node['dataclass']!r} is not a value type")
-    return cls(**{name: _decode(v) for name, v in node["fields"].items()})
+        raise ValueError(f"{name!r} is not a value type")
+    return cls

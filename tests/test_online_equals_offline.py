@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 
 import pdr_filter as pdr
 from pdr_filter import recipes
+from pdr_filter.filtering import MAX_CLIMBS
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, demo_walk, simulate
 from pdr_filter.tracks import Track
@@ -72,6 +73,9 @@ def assert_updates_are_the_track(updates: Sequence[pdr.StepUpdate], track: Track
     np.testing.assert_array_equal(wrap_angle([u.walking_heading_rad for u in final]), track.walking_heading_rad)
     np.testing.assert_array_equal([u.context_prob for u in final], track.context_prob)
     np.testing.assert_array_equal([u.mode_prob for u in final], track.mode_prob)
+    np.testing.assert_array_equal([u.height_m for u in final], track.height_m)
+    np.testing.assert_array_equal([u.height_std_m for u in final], track.height_std_m)
+    np.testing.assert_array_equal([u.floor for u in final], track.floor)
     steps = step_table([u.step for u in final])
     for name in steps.dtype.names or ():
         np.testing.assert_array_equal(steps[name], track.steps[name], err_msg=name)
@@ -477,6 +481,18 @@ def test_pressure_pushed_before_the_other_samples_gives_the_same_bits(short_walk
     updates += online.finish()
     assert_updates_are_the_track(updates, tracked(recording, weighting=weighting))
     assert len(online.state.climbs) < 5
+
+
+def test_a_barometer_whose_clock_is_ahead_is_told_of_and_does_not_pile_up(short_walk: Recording) -> None:
+    online = pdr.OnlineFilter()
+    time_s = np.arange(0.0, 1800.0, 0.5)
+    online.push_pressure(time_s[:100] + 1e6, np.full(100, 1000.0))
+    assert not any("barometer" in note for note in online.notes)
+    for part in np.array_split(time_s[100:], 7):
+        online.push_pressure(part + 1e6, np.full(len(part), 1000.0))
+    assert len(online.state.climbs) == MAX_CLIMBS
+    assert any("climb rates of the barometer are not used: its times are ahead" in note for note in online.notes)
+    assert len(online.save()) < len(pdr.OnlineFilter().save()) + 50_000
 
 
 def test_pressure_in_pascal_is_refused_and_changes_nothing(short_walk: Recording) -> None:

@@ -171,6 +171,7 @@ def test_fixes_in_metres_of_a_map_are_placed_by_the_origin_of_the_map(walk: Reco
         ({"heading_rad": math.nan}, "heading_rad must be finite"),
         ({"heading_rad": 0.1, "origin": Origin(*HERE, turn_rad=0.1)}, "are one: leave one out"),
         ({"heading_rad": 0.1, "fixes": [HeadingFix(5.0, 0.0, 0.1)]}, "beside fixes in a frame of their own"),
+        ({"origin": HERE, "gnss": "on"}, "gnss must be"),
         ({"origin": HERE, "gnss": "filter"}, r'gnss="filter" .* and origin says them too'),
         ({"heading_rad": 0.1, "gnss": "filter"}, "and heading_rad says them too"),
     ],

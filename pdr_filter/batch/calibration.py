@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
@@ -12,6 +11,7 @@ from typing import TYPE_CHECKING
 
 from pdr_filter import recording_run
 from pdr_filter.batch.workers import Failure, each
+from pdr_filter.io.files import whole_file
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
 from pdr_filter.serialise import from_bytes, to_bytes
@@ -157,11 +157,8 @@ class _Kept:
 
     def keep(self, file: str, result: Reduced) -> None:
         """Write it whole or not at all."""
-        path = self._path(file)
-        self.folder.mkdir(parents=True, exist_ok=True)
-        unfinished = path.with_suffix(f".{os.getpid()}")
-        unfinished.write_bytes(to_bytes(result))
-        unfinished.replace(path)
+        with whole_file(self._path(file)) as kept:
+            kept.write(to_bytes(result))
 
     def _path(self, file: str) -> Path:
         """Another recording under the same path is taken for the same one."""

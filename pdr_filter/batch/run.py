@@ -53,7 +53,7 @@ def track(
         CSV file with the columns `COLUMNS`. With the suffix .parquet the rows grow in the CSV file beside it and are
         written as parquet in the end, which needs pandas and pyarrow.
     jobs : int
-        Processes on this machine (joblib); -1 for as many as there are cores. With 1 the work is done in this one,
+        Processes on this machine; -1 for as many as there are cores. With 1 the work is done in this one,
         where a recording that exhausts the memory takes the batch with it.
     scheduler : str, optional
         Address of a Dask scheduler, such as tcp://host:8786, instead of `jobs`. Its workers must see the same files

@@ -12,6 +12,8 @@ from pathlib import Path
 from typing import IO, Any
 
 from pdr_filter.batch.workers import reason_of
+from pdr_filter.io.files import whole_file
+from pdr_filter.io.texts import csv_cell, of_csv_cell
 from pdr_filter.io.writers import pandas_for_parquet
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS
@@ -142,8 +144,9 @@ def _line(cells: Iterable[str]) -> str:
 
 
 def _cells(row: Row) -> list[str]:
-    """Floats with all their digits: what is read back has the same bits."""
-    return ["" if value is None else str(value) for value in (getattr(row, name) for name in COLUMNS)]
+    """Floats with all their digits, texts that no program takes for a formula: what is read back has the same bits."""
+    values = (getattr(row, name) for name in COLUMNS)
+    return [csv_cell(v) if isinstance(v, str) else "" if v is None else str(v) for v in values]
 
 
 def _of_cells(cells: Sequence[str]) -> Row:
@@ -152,7 +155,10 @@ def _of_cells(cells: Sequence[str]) -> Row:
     values: dict[str, Any] = {}
     for f, cell in zip(fields(Row), cells, strict=True):
         kind = str(f.type).removesuffix(" | None")
-        values[f.name] = cell if kind == "str" else None if not cell else int(cell) if kind == "int" else float(cell)
+        if kind == "str":
+            values[f.name] = of_csv_cell(cell)
+        else:
+            values[f.name] = None if not cell else int(cell) if kind == "int" else float(cell)
     return Row(**values)
 
 
@@ -199,6 +205,5 @@ def tables(out: str | Path) -> tuple[Path, Path | None]:
 def write_parquet(rows: Sequence[Row], path: Path) -> None:
     """Write all rows at once; the file is there when it is whole."""
     frame: Any = pandas_for_parquet(path).DataFrame([asdict(row) for row in rows], columns=list(COLUMNS))
-    part = path.with_name(path.name + ".part")
-    frame.to_parquet(part, index=False)
-    part.replace(path)
+    with whole_file(path) as file:
+        frame.to_parquet(file, index=False)

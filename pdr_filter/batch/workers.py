@@ -2,9 +2,17 @@
 
 from __future__ import annotations
 
+import os
+import pickle
+import signal
+import subprocess
+import sys
 from collections.abc import Callable, Iterator, Sequence
+from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from queue import Empty, SimpleQueue
+from threading import Thread
+from typing import Any, TypeVar, cast
 
 T = TypeVar("T")
 R = TypeVar("R")
@@ -58,38 +66,122 @@ def _guarded(work: Callable[[T], R], i: int, item: T) -> tuple[int, R | Failure]
 
 
 def _on_processes(work: Callable[[T], R], items: Sequence[T], jobs: int) -> Iterator[tuple[int, R | Failure]]:
-    from joblib import Parallel, cpu_count, delayed
+    """One thread for each process, which it gives one item after the other: so it is known what a process died of.
 
-    jobs = int(cpu_count()) if jobs == -1 else jobs
+    What was being done is done again in the end, alone: many large items at once are no failure, a second death is.
+    """
+    from joblib import cpu_count
 
-    def run(numbers: Sequence[int], n_jobs: int) -> Iterator[tuple[int, R | Failure]]:
-        # One at a time and none in advance: when a process dies, only the first `n_jobs` unfinished can have killed it.
-        options: Any = {"batch_size": 1, "pre_dispatch": "n_jobs", "return_as": "generator_unordered"}
-        pool = Parallel(n_jobs=n_jobs, **options)
-        done: Any = pool(delayed(_guarded)(work, i, items[i]) for i in numbers)
-        yield from done
+    n_cores = int(cpu_count())
+    n = min(n_cores if jobs == -1 else jobs, len(items))
+    todo, results = SimpleQueue[int](), SimpleQueue[tuple[int, Any]]()
+    for i in range(len(items)):
+        todo.put(i)
+    if getattr(work, "__module__", "") == "__main__":
+        raise ValueError(f"{work!r} runs in other processes: put it into a module that they can import")
+    begin = pickle.dumps(work)
+    workers = [_Worker(begin, max(n_cores // n, 1)) for _ in range(n)]
 
-    waiting = dict.fromkeys(range(len(items)))
-    while waiting:
-        try:
-            for i, result in run(list(waiting), max(jobs, 2)):
-                del waiting[i]
-                yield i, result
-        except _pool_errors():
-            # What was being done when the pool broke is done again, each on a pool of its own.
-            for i in list(waiting)[: max(jobs, 2)]:
+    def run(worker: _Worker) -> None:
+        with suppress(Empty):
+            while True:
+                i = todo.get_nowait()
                 try:
-                    ((_, result),) = list(run([i], 2))
-                except _pool_errors() as error:
-                    result = Failure(f"its process died: {reason_of(error)}")
-                del waiting[i]
+                    results.put(worker.done(i, items[i]))
+                except BaseException as error:  # whatever it is, somebody waits for this item
+                    results.put((i, error))
+
+    died: list[int] = []
+    try:
+        for worker in workers:
+            Thread(target=run, args=(worker,), daemon=True).start()
+        for _ in items:
+            i, result = results.get()
+            if isinstance(result, _DeathError):
+                died.append(i)
+            elif isinstance(result, BaseException):
+                raise result
+            else:
                 yield i, result
+        for i in died:
+            try:
+                yield workers[0].done(i, items[i])
+            except _DeathError as error:
+                yield i, Failure(f"its process died ({error}): too large, or it crashes it")
+    finally:
+        for worker in workers:
+            worker.kill()
 
 
-def _pool_errors() -> tuple[type[BaseException], ...]:
-    from joblib.externals.loky.process_executor import BrokenProcessPool, TerminatedWorkerError
+class _DeathError(Exception):
+    """A process has ended in the middle of an item."""
 
-    return BrokenProcessPool, TerminatedWorkerError
+
+class _Worker:
+    """A process for one item after the other, started when it is needed, and again after its death.
+
+    Each end sees the death of the other as the end of a pipe that nobody else holds. There is no lock to be left
+    behind, and nothing to wait for.
+    """
+
+    def __init__(self, begin: bytes, n_threads: int) -> None:
+        self._begin = begin
+        self._environment = {**dict.fromkeys(_THREADS, str(n_threads)), **os.environ}
+        self._process: subprocess.Popen[bytes] | None = None
+
+    def done(self, i: int, item: Any) -> Any:
+        """What `_guarded` makes of an item; `_DeathError` if the process ends before."""
+        if self._process is None:
+            command = f"import sys; sys.path[:] = {sys.path!r}; from pdr_filter.batch.workers import serve; serve()"
+            pipe, environment = subprocess.PIPE, self._environment
+            self._process = subprocess.Popen([sys.executable, "-c", command], stdin=pipe, stdout=pipe, env=environment)
+            pieces = (self._begin, pickle.dumps((i, item)))
+        else:
+            pieces = (pickle.dumps((i, item)),)
+        to, answers = cast(Any, self._process.stdin), cast(Any, self._process.stdout)
+        try:
+            for piece in pieces:
+                pickle.dump(piece, to)
+            to.flush()
+            return pickle.load(answers)
+        except (OSError, EOFError, pickle.UnpicklingError) as error:
+            raise _DeathError(f"exit code {self.kill()}") from error
+
+    def kill(self) -> int | None:
+        """End the process; its exit code."""
+        process, self._process = self._process, None
+        if process is None:
+            return None
+        with process:
+            process.kill()
+        return process.returncode
+
+
+# Processes share the cores: numerical libraries of each take their part, as joblib has it.
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMEXPR_NUM_THREADS")
+
+
+def serve() -> None:
+    """Loop of a process: a function, and then items, from standard input; what came of each to standard output."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal: whoever started this process ends it
+    sources, answers = os.fdopen(os.dup(0), "rb"), os.fdopen(os.dup(1), "wb")
+    os.dup2(os.open(os.devnull, os.O_RDONLY), 0)
+    os.dup2(2, 1)  # what the work prints is no answer
+    pieces = SimpleQueue[bytes]()
+
+    def read() -> None:
+        try:
+            while True:
+                pieces.put(pickle.load(sources))
+        finally:  # whoever wanted the work is gone
+            os._exit(1)
+
+    Thread(target=read, daemon=True).start()
+    work = pickle.loads(pieces.get())
+    while True:
+        i, item = pickle.loads(pieces.get())
+        pickle.dump(_guarded(work, i, item), answers)
+        answers.flush()
 
 
 def _on_cluster(work: Callable[[T], R], items: Sequence[T], scheduler: str) -> Iterator[tuple[int, R | Failure]]:

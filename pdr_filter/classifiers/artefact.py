@@ -11,7 +11,6 @@ import io
 import json
 import re
 import zipfile
-import zlib
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,6 +18,10 @@ from typing import Any, TypeVar, cast
 
 import numpy as np
 from numpy.typing import NDArray
+
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small, write_files
+from pdr_filter.values import check_whole
 
 Arrays = dict[str, NDArray[Any]]
 T = TypeVar("T")
@@ -35,7 +38,8 @@ class ArtefactFormat:
     def write(self, path: str | Path, description: Mapping[str, Any], arrays: Arrays | None = None) -> None:
         """Write `<path>.json`, and `<path>.npz` if there are arrays.
 
-        TypeError, before anything is written, for a description that JSON cannot hold.
+        TypeError, before anything is written, for a description that JSON cannot hold; ValueError for more than `read`
+        takes.
         """
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)
@@ -43,27 +47,32 @@ class ArtefactFormat:
             # Files of two trainings have the same names and shapes: only this shows that they do not belong together.
             content["npz_sha256"] = hashlib.sha256(packed).hexdigest()
         text = json.dumps(content, indent=2, ensure_ascii=False, default=_plain) + "\n"
+        n_bytes, n_text = sum(array.nbytes for array in (arrays or {}).values()), len(text.encode())
+        if n_bytes > limits.MAX_UNPACKED_BYTES or n_text > limits.MAX_DESCRIPTION_BYTES:
+            raise ValueError(
+                f"{self.kind} with {n_bytes} bytes of arrays and {n_text} of text: {limits.MAX_UNPACKED_BYTES} and "
+                f"{limits.MAX_DESCRIPTION_BYTES} are read at most, make it smaller"
+            )
         json_path, npz_path = file_pair(path)
-        json_path.parent.mkdir(parents=True, exist_ok=True)
-        if packed is not None:
-            npz_path.write_bytes(packed)
-        json_path.write_text(text, encoding="utf-8")
+        write_files({json_path: text.encode(), **({} if packed is None else {npz_path: packed})})
 
     def read(self, path: str | Path, build: Callable[[dict[str, Any], Arrays], T]) -> T:
         """What `build` makes of the description and the arrays (none if the .json has no checksum of any).
 
-        ValueError if a file is missing, damaged, of another kind or version, or if `build` raises KeyError (which names
-        what is missing), TypeError, AttributeError, OverflowError or ValueError.
+        ValueError if a file is missing, damaged, of another kind or version, or if `build` fails or makes something
+        whose fields are not what they are declared as.
         """
         json_path, npz_path = file_pair(path)
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
             if not needed.is_file():
                 raise ValueError(f"{needed}: no such file")
         try:
-            description = self._checked(json_path.read_text(encoding="utf-8"))
+            description = self._checked(read_small(json_path, limits.MAX_DESCRIPTION_BYTES).decode())
             checksum = description.get("npz_sha256")
-            return build(description, {} if checksum is None else _unpacked(npz_path, checksum))
-        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError) as error:
+            built = build(description, {} if checksum is None else _unpacked(npz_path, checksum))
+            check_whole(built)
+            return built
+        except Exception as error:  # whatever a damaged file provokes
             what = f"{error} is missing" if isinstance(error, KeyError) else str(error)
             noun = self.kind.replace("_", " ")
             raise ValueError(f"{json_path}: not usable as {noun}: {what}; {self.remedy}") from error
@@ -118,13 +127,17 @@ def _unpacked(path: Path, checksum: str) -> Arrays:
     """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
     if not path.is_file():
         raise ValueError(f"{path.name} is missing beside it, copy both files")
-    content = path.read_bytes()
+    content = read_small(path, limits.MAX_WHOLE_BYTES)
     if hashlib.sha256(content).hexdigest() != checksum:
         raise ValueError(f"{path.name} is damaged or belongs to another .json, copy both files again")
     try:
+        with zipfile.ZipFile(io.BytesIO(content)) as archive:
+            claimed = sum(info.file_size for info in archive.infolist())
+        if claimed > limits.MAX_UNPACKED_BYTES:
+            raise ValueError(f"{path.name} claims {claimed} bytes of arrays, more than {limits.MAX_UNPACKED_BYTES}")
         with np.load(io.BytesIO(content), allow_pickle=False) as arrays:
             return {name: arrays[name] for name in arrays.files}
-    except (OSError, EOFError, AttributeError, TypeError, MemoryError, zipfile.BadZipFile, zlib.error) as error:
+    except Exception as error:  # whatever a damaged zip provokes
         raise ValueError(f"{path.name} does not hold plain arrays ({error})") from error
 
 

@@ -39,6 +39,7 @@ MACHINES: dict[str, type[Machine]] = {
 _NAME = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")  # also a file name everywhere
 _NUMBERS = ("temperature", "slip", "feature_limit")  # stored as arrays of their own names, as are these:
 _ARRAYS = ("training_prior", "feature_mean", "feature_scale")
+_LEAST = 1e-30  # that divides: what is divided stays a number
 # prefixes of the arrays of parts
 _MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
 
@@ -272,11 +273,11 @@ def _check(model: ContextModel) -> None:
         )
     if model.feature_mean.shape != (n_features,) or model.feature_scale.shape != (n_features,):
         raise ValueError(f"feature_mean and feature_scale must be ({n_features},), one entry for each feature")
-    if not (np.isfinite((model.feature_mean, model.feature_scale)).all() and (model.feature_scale > 0).all()):
+    if not (np.isfinite((model.feature_mean, model.feature_scale)).all() and (model.feature_scale > _LEAST).all()):
         raise ValueError(
-            "feature_mean must be finite and feature_scale positive; use one for a feature that does not vary"
+            f"feature_mean must be finite and feature_scale above {_LEAST}; use one for a feature that does not vary"
         )
-    if not (np.isfinite(model.temperature) and model.temperature > 0 and model.feature_limit > 0):
+    if not (_LEAST < model.temperature < np.inf and model.feature_limit > 0):
         raise ValueError(
             f"temperature and feature_limit must be positive, got {model.temperature} and {model.feature_limit}"
         )

@@ -7,10 +7,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from rich.markup import escape
 
 from pdr_filter.cli import console
+from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.io.texts import file_name, printable_lines
 
 
 @dataclass(frozen=True)
@@ -68,7 +69,7 @@ def calibrate(
         if figure is not None:
             result.plot(figure)
             written.append(figure)
-    typer.echo(result.report())
+    typer.echo(printable_lines(result.report()))
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
 
@@ -111,9 +112,10 @@ def smooth(
         result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed)
         track = result.track if origin is None else result.track.placed(origin)
         if out is not None:
-            console.write_track(track, out, track.name)
+            name = file_name(track.name)
+            console.write_track(track, out, name)
             if origin is not None:
-                console.write_map(track, out / f"{track.name}.geojson")
+                console.write_map(track, out / f"{name}.geojson")
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "

@@ -6,9 +6,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from rich.markup import escape
-
 from pdr_filter.cli import console
+from pdr_filter.cli.console import escape
 from pdr_filter.cli.options import Files
 
 if TYPE_CHECKING:

@@ -9,9 +9,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
+from rich import markup
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Table
+
+from pdr_filter.io.texts import printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
@@ -24,6 +26,11 @@ T = TypeVar("T")
 def stderr() -> Console:
     """Console of the messages; made when used, so that a redirected stderr is respected."""
     return Console(stderr=True, highlight=False, soft_wrap=True)
+
+
+def escape(text: object) -> str:
+    """Text of a file or of its name as a console prints it: as text, without effect on the terminal."""
+    return markup.escape(printable_lines(text))
 
 
 def message(error: Exception) -> str:
@@ -152,7 +159,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(summary["end_north_m"]),
             in_m(summary["end_uncertainty_95_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
-            ", ".join(f"{name} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
+            ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
     print_table(table)
     for result in tracks:

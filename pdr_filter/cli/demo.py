@@ -8,12 +8,12 @@ from pathlib import Path
 
 import numpy as np
 from rich.console import Console
-from rich.markup import escape
 from rich.table import Column, Table
 
-from pdr_filter.cli.console import write_map
+from pdr_filter.cli.console import escape, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
+from pdr_filter.io.texts import file_name
 from pdr_filter.recording_run import GnssUse, track
 from pdr_filter.report.palette import context_colours
 from pdr_filter.report.plotting import plot_track
@@ -77,15 +77,16 @@ def run_demo(
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     result = track(recording, progress=progress, gnss=gnss)
-    picture = out_dir / f"{result.name}.png"
+    name = file_name(result.name)
+    picture = out_dir / f"{name}.png"
     plot_track(result, picture, _true_way(recording) if is_simulated else None)
     return Demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
         picture=picture,
-        geojson=write_map(result, out_dir / f"{result.name}.geojson"),
-        csv=result.to_csv(out_dir / f"{result.name}.csv"),
+        geojson=write_map(result, out_dir / f"{name}.geojson"),
+        csv=result.to_csv(out_dir / f"{name}.csv"),
     )
 
 

@@ -24,6 +24,7 @@ from pdr_filter.cli.options import (
     heading_rad,
     origin_deg,
 )
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
     from pdr_filter.config import Config
@@ -141,8 +142,8 @@ class Output:
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
         if nowhere and result.origin is None:
             raise ValueError(
-                f"{result.name}: {' and '.join(nowhere)} need a place on Earth, and no location of the recording says "
-                "it: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
+                f"{result.name}: --export {','.join(nowhere)} needs a place on Earth, and nothing says where this walk "
+                "was: give --origin LAT,LON, with --heading DEG for its direction; geojson does without a place"
             )
         if self.out is not None:
             console.write_track(result, folder, name)
@@ -241,7 +242,7 @@ def track(
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
             result.person.save(method.person)
-        output.write(result, recording, _unused(result.name, written))
+        output.write(result, recording, _unused(file_name(result.name), written))
         if as_json:
             console.print_json(result.summary())
         return result

@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.markup import escape
 
 from pdr_filter.cli import console
+from pdr_filter.cli.console import escape
 
 
 def train(

@@ -11,7 +11,7 @@ from pdr_filter.filter.alignment import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
-from pdr_filter.values import CONTEXTS, FloatArray, Step, check_transition_prob
+from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,13 +45,11 @@ class PedestrianModel:
     def __post_init__(self) -> None:
         if not self.modes:
             raise ValueError("modes must hold one mode at least, got none")
-        for name in ("evidence_exponent", "hindsight_exponent", "prior_exponent", "fix_gate_nis", "scalar_gate_nis"):
-            if not getattr(self, name) >= 0:
-                raise ValueError(f"{name} must be 0 or more, got {getattr(self, name)}")
-        if not 0 <= self.evidence_floor < 1:
-            raise ValueError(f"evidence_floor must be at least 0 and below 1, got {self.evidence_floor}")
-        if not np.isfinite(self.step_log_odds_stationary):
-            raise ValueError(f"step_log_odds_stationary must be finite, got {self.step_log_odds_stationary}")
+        gates, exponents = ("fix_gate_nis", "scalar_gate_nis"), ("evidence_exponent", "hindsight_exponent")
+        may_be_zero = (*gates, *exponents, "prior_exponent", "evidence_floor")
+        check_numbers(self, zero=may_be_zero, signed=("step_log_odds_stationary",), infinite=gates)
+        if self.evidence_floor >= 1:
+            raise ValueError(f"evidence_floor must be below 1, got {self.evidence_floor}")
         names = [m.name for m in self.modes]
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
@@ -80,6 +78,12 @@ class PedestrianModel:
     def stands(self) -> FloatArray:
         """1 for the stationary modes, (M,): without irregular ones, which have steps as often as walking has."""
         return np.array([float(m.context == "stationary") for m in self.modes])
+
+    @cached_property
+    def on_stairs(self) -> tuple[FloatArray, FloatArray]:
+        """1 for the modes that climb stairs, and for those that go down, (M,) each."""
+        up, down = (np.array([float(m.context == c) for m in self.modes]) for c in ("upstairs", "downstairs"))
+        return up, down
 
     @cached_property
     def context_index(self) -> list[int]:

@@ -14,7 +14,7 @@ import numpy as np
 
 from pdr_filter.filter.imm import predict_cov
 from pdr_filter.filter.step_length import StepLengthFit
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, check_numbers, wrap_angle
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
@@ -45,11 +45,8 @@ class Mode:
                 f"carrying_mode of mode {self.name!r} must be None or one of {CARRYING_MODES}, "
                 f"got {self.carrying_mode!r}"
             )
-        if not np.isfinite(self.heading_offset_rad):
-            raise ValueError(f"heading_offset_rad of mode {self.name!r} must be finite, got {self.heading_offset_rad}")
-        for what in ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m"):
-            if not (0 <= getattr(self, what) < np.inf):
-                raise ValueError(f"{what} of mode {self.name!r} must be 0 or more, got {getattr(self, what)}")
+        may_be_zero = ("heading_std_rad", "heading_drift_rad_per_sqrt_s", "extra_noise_m")
+        check_numbers(self, zero=may_be_zero, signed=("heading_offset_rad",))
 
     @property
     def moves(self) -> bool:
@@ -101,9 +98,7 @@ class MotionNoise:
     gap_speed_mps: float = 1.0  # standard deviation: in a gap the pedestrian may have gone anywhere at this speed
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if name != "heading_drift" and not 0 <= value < np.inf:
-                raise ValueError(f"{name} must be 0 or more and finite, got {value}")
+        check_numbers(self, zero=[name for name in vars(self) if name != "heading_drift"])
 
     def gap_var_m2(self, gap_s: FloatArray | float) -> FloatArray:
         """Variance of the position along each axis that a time without samples adds."""

@@ -54,6 +54,10 @@ class StepUpdate:
     # The same in the frame of the start, while the turn to the frame of the fixes is not settled; None afterwards.
     of_start: Place | None
     gap_before_s: float  # time without samples since the step before
+    # Where the step was known: above the start, and the storey; `filter.height` knows them, a tracker does not.
+    height_m: float = 0.0
+    height_std_m: float = 0.0
+    floor: int = 0
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -11,7 +11,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Step, read_only
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Step, check_numbers, read_only
 
 
 class _Parameters(Protocol):
@@ -79,6 +79,9 @@ class StaticStepLength:
     height_m: float
     n_params: int = 1
 
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
     def regressors(self, step: Step) -> FloatArray:
         """(h,)."""
         return np.array([self.height_m])
@@ -106,6 +109,9 @@ class FrequencyVarianceStepLength:
 
     max_variance: float = np.inf
     n_params: int = 3
+
+    def __post_init__(self) -> None:
+        check_numbers(self, infinite=("max_variance",))
 
     def regressors(self, step: Step) -> FloatArray:
         """(1, f_s, sigma_f^2)."""
@@ -171,6 +177,9 @@ class TianStepLength:
     height_m: float
     n_params: int = 1
 
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
     def regressors(self, step: Step) -> FloatArray:
         """(h sqrt(f),)."""
         return np.array([self.height_m * np.sqrt(step.frequency_hz)])
@@ -185,6 +194,9 @@ class ChenStepLength:
 
     height_m: float
     n_params: int = 3
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     def length_m(self, step: Step, theta: FloatArray) -> FloatArray:
         """Length in m under theta (..., 3)."""
@@ -247,6 +259,9 @@ class BounceStepLength:
     max_turn_rate_radps: float = 1.5  # half a turn in two seconds: quicker ones are of the hand
     n_params: int = 1
 
+    def __post_init__(self) -> None:
+        check_numbers(self)
+
     def regressors(self, step: Step) -> FloatArray:
         """(h r A^(1/4),)."""
         amplitude_mps2 = min(max(step.vertical_amplitude_mps2, self.min_amplitude_mps2), self.max_amplitude_mps2)
@@ -276,6 +291,7 @@ class StepLengthFit:
     residual_std_m: float  # standard deviation of a single step about the model
 
     def __post_init__(self) -> None:
+        check_numbers(self, zero=("residual_std_m",))
         object.__setattr__(self, "theta", read_only(self.theta))
         object.__setattr__(self, "theta_cov", read_only(self.theta_cov))
         p = self.model.n_params

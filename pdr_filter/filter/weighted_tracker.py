@@ -31,7 +31,7 @@ from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, win
 from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -59,8 +59,7 @@ class WeightedTracker:
     waits_for_windows = 2
 
     def __post_init__(self) -> None:
-        if not self.threshold >= 0:
-            raise ValueError(f"threshold must be 0 or more, got {self.threshold}")
+        check_numbers(self, zero=("threshold",), infinite=("threshold",))
         self.model.check_one_mode_for_each_context()
 
     @property

@@ -14,6 +14,7 @@ from typing import Any, cast
 
 from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import inside, open_regular, read_small
 
 # zipfile bounds what it unpacks at once for these two only; a few kilobytes of bzip2 or lzma can become gigabytes.
 SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
@@ -27,10 +28,12 @@ class Members:
 
     def __init__(self, path: Path, archive: zipfile.ZipFile | None = None) -> None:
         self.path = path
-        self.is_container = archive is not None or path.is_dir()  # not one file
+        self._is_folder = path.is_dir()
+        self.is_container = archive is not None or self._is_folder  # not one file
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
-        self._files = _files_below(path) if path.is_dir() else {path.name: path}
+        self._n_read = 0
+        self._files = _files_below(path) if self._is_folder else {path.name: path}
         self.names = tuple(sorted(self._files if archive is None else self._infos))  # with forward slashes
 
     def where(self, name: str) -> str:
@@ -44,14 +47,18 @@ class Members:
             raise RecordingError(f"{self.path}: {len(names)} texts ({', '.join(names[:4])}); give one of them")
         return names[0]
 
-    def content(self, name: str, most: int = limits.MAX_SETTINGS_BYTES) -> bytes:
-        """The first `most` bytes of a member."""
-        content = b""
-        for part in self._parts(name, min(most, limits.BLOCK_BYTES)):
-            content += part
-            if len(content) >= most:
-                break
-        return content[:most]
+    def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
+        """The first bytes of a member, `most` of them at most."""
+        return next(self._parts(name, most), b"")
+
+    def small(self, name: str) -> bytes:
+        """The bytes of a member that is small in every recording; RecordingError if it is not."""
+        content = self.head(name, limits.MAX_SMALL_BYTES + 1)
+        if len(content) > limits.MAX_SMALL_BYTES:
+            raise RecordingError(
+                f"{self.where(name)}: more than {limits.MAX_SMALL_BYTES} bytes; take out of it what is not needed"
+            )
+        return content
 
     def pieces(self, name: str) -> Iterator[bytes]:
         """The bytes of a member in pieces that end anywhere; without byte order mark, UTF-16 is refused."""
@@ -87,17 +94,17 @@ class Members:
         where = self.where(name)
         try:
             if self._archive is None:
-                n_bytes = self._files[name].stat().st_size
-                if n_bytes > limits.MAX_MEMBER_BYTES:
-                    raise RecordingError(
-                        f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording"
-                    )
-                opened = self._files[name].open("rb")
+                file = self._files[name]
+                _check_size(where, file.stat().st_size)
+                opened = open_regular(inside(file, self.path) if self._is_folder else file)
             else:
                 _check_claims(where, self._infos[name])
                 opened = self._archive.open(self._infos[name])
             with opened as file:
                 while part := file.read(size):
+                    self._n_read += len(part)
+                    if self._n_read > limits.MAX_READ_BYTES:
+                        raise RecordingError(f"{where}: more than {limits.MAX_READ_BYTES} bytes; cut the recording")
                     yield part
         except RecordingError:
             raise
@@ -116,21 +123,19 @@ def open_members(path: Path) -> Generator[Members]:
         if path.is_dir():
             yield Members(path)
             return
-        if not path.is_file():
-            raise RecordingError(f"{path}: neither a file nor a folder; give a zip file or a folder")
-        if path.stat().st_size == 0:
-            raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
-        with path.open("rb") as file:
-            begins_like_zip = file.read(2) == b"PK"
-        if not begins_like_zip:
-            yield Members(path)
-            return
-        try:
-            archive = zipfile.ZipFile(path)
-        except _ZIP_ERRORS as error:
-            raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
-        with archive:
-            yield Members(path, archive)
+        with open_regular(path) as file:
+            begin = file.read(2)
+            if not begin:
+                raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
+            if begin != b"PK":
+                yield Members(path)
+                return
+            try:
+                archive = zipfile.ZipFile(file)
+            except _ZIP_ERRORS as error:
+                raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
+            with archive:
+                yield Members(path, archive)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
 
@@ -148,11 +153,10 @@ def json_object(content: bytes, where: str) -> dict[str, Any]:
 
 def read_toml(path: Path) -> dict[str, Any]:
     """The content of a small TOML file."""
+    content = read_small(path, limits.MAX_TOML_BYTES)
     try:
-        if path.stat().st_size > limits.MAX_TOML_BYTES:
-            raise ValueError(f"more than {limits.MAX_TOML_BYTES} bytes")
-        return tomllib.loads(path.read_text(encoding="utf-8-sig"))
-    except (ValueError, OSError, RecursionError) as error:
+        return tomllib.loads(content.decode("utf-8-sig"))
+    except (ValueError, RecursionError) as error:
         raise RecordingError(f"{path}: not TOML ({error}); correct it or take it away") from error
 
 
@@ -162,7 +166,7 @@ def _files_below(path: Path) -> dict[str, Path]:
     for folder in (path, path / "meta"):
         if folder.is_dir():
             for entry in folder.iterdir():
-                if entry.is_file():
+                if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
                     found[entry.relative_to(path).as_posix()] = entry
                 if len(found) > limits.MAX_MEMBERS:
                     raise RecordingError(
@@ -175,6 +179,12 @@ def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.Zi
     """Files in a zip by path inside it, whatever system packed it; a path that leads out of it is refused."""
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
+    claimed, size = sum(info.file_size for info in archive.infolist()), path.stat().st_size
+    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size):
+        raise RecordingError(
+            f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
+            "that; unpack it yourself and give the folder, if you trust it"
+        )
     found: dict[str, zipfile.ZipInfo] = {}
     for info in archive.infolist():
         name = PurePosixPath(info.filename.replace("\\", "/"))  # some Windows tools write backslashes
@@ -193,13 +203,9 @@ def _check_claims(where: str, info: zipfile.ZipInfo) -> None:
         raise RecordingError(f"{where} is encrypted; unpack it with its password and pack it again without one")
     if info.compress_type not in SUPPORTED_COMPRESSION:
         raise RecordingError(f"{where} uses zip compression method {info.compress_type}; pack it again with deflate")
-    if info.file_size > limits.MAX_MEMBER_BYTES:
-        raise RecordingError(
-            f"{where} claims {info.file_size} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording"
-        )
-    ratio = info.file_size / max(info.compress_size, 1)
-    if info.file_size > limits.RATIO_CHECKED_ABOVE_BYTES and ratio > limits.MAX_COMPRESSION_RATIO:
-        raise RecordingError(
-            f"{where} claims to unpack to {info.file_size} bytes, {ratio:.0f} times its size: no sensor data is like "
-            "that; unpack it yourself and give the folder, if you trust it"
-        )
+    _check_size(where, info.file_size)
+
+
+def _check_size(where: str, n_bytes: int) -> None:
+    if n_bytes > limits.MAX_MEMBER_BYTES:
+        raise RecordingError(f"{where}: {n_bytes} bytes, more than {limits.MAX_MEMBER_BYTES}; cut the recording")

@@ -29,7 +29,7 @@ def checked_streams(
         label = name + suffix
         time_s, values = finite(found[name][0], f"{label} times", notes), finite(found[name][1], label, notes)
         known = with_time(time_s, label, notes)
-        samples = Samples(time_s[known] - zero_s, values[known])
+        samples = Samples(time_s[known] - zero_s, values if known.all() else values[known])
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
             _check_times(samples, f"{where}: {label}")

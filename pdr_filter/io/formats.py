@@ -59,7 +59,7 @@ def _detect_alone(members: Members) -> str:
     found = _detect_file(members, name)
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
         return found if found in ("get_sensor_data", "ronin") else "generic_csv"
-    head = members.content(name, limits.HEAD_BYTES)
+    head = members.head(name)
     if found == "sensor_logger" and head.lstrip()[:1] != b"[":
         raise RecordingError(
             f"{path}: one sensor of a Sensor Logger recording; give the folder or zip that also holds the others and "
@@ -72,7 +72,7 @@ def _detect_alone(members: Members) -> str:
 
 def _detect_file(members: Members, name: str) -> str:
     """The format that the first bytes of a file show; empty if none."""
-    head = members.content(name, limits.HEAD_BYTES)
+    head = members.head(name)
     if head.startswith(SIGNATURE):
         return "ronin"
     if head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]:

@@ -12,6 +12,7 @@ import numpy as np
 from pdr_filter.io.archive import open_members, read_toml
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import beside
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable, find_separator, header_fields, to_number
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
@@ -42,8 +43,8 @@ class _Stream:
 
 def mapping_beside(path: Path) -> Path:
     """Where the mapping of a CSV file is: walk.toml or walk.csv.toml beside walk.csv."""
-    longer = path.with_name(path.name + ".toml")
-    return longer if longer.is_file() else path.with_suffix(".toml")
+    longer = beside(path, path.name + ".toml")
+    return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 
 
 def read_generic_csv(path: str | Path) -> Recording:

@@ -22,6 +22,7 @@ from pdr_filter.io.archive import open_members, read_toml
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import beside
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, NumberTable
 from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
@@ -147,12 +148,12 @@ def _check_unit(parsed: Parsed, where: str) -> None:
 
 def _unit_beside(path: Path) -> str:
     """The unit that a TOML file beside the log names; empty without one."""
-    beside = path.with_suffix(".toml")
-    if path.is_dir() or beside == path or not beside.is_file():
+    toml = beside(path, path.with_suffix(".toml").name)
+    if path.is_dir() or toml == path or not toml.is_file():
         return ""
-    unit = read_toml(beside).get("accelerometer_unit", "")
+    unit = read_toml(toml).get("accelerometer_unit", "")
     if unit not in ("", "g", "m/s2"):
-        raise RecordingError(f'{beside}: accelerometer_unit is {unit!r}; write "g" or "m/s2"')
+        raise RecordingError(f'{toml}: accelerometer_unit is {unit!r}; write "g" or "m/s2"')
     return unit
 
 

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 # A day of 400 Hz samples in three sensors is 1.3 GB of text each. More than this is a mistake or an attack.
 MAX_MEMBER_BYTES = 2 * 1024**3
-# Sensor text compresses 2 to 5 times, and constant columns at most 100 times; deflate can reach 1000 with zeros.
-MAX_COMPRESSION_RATIO = 200
-RATIO_CHECKED_ABOVE_BYTES = 64 * 1024**2
+MAX_READ_BYTES = 4 * 1024**3  # of all files of a recording
+# How many times its own size a zip file may unpack to, and an array or a sparse file claim. 588 recordings of phones
+# unpack to 3.9 times at most, two hours of constant values in the most wordy formats (phyphox, CoreMotion) to 24 times;
+# deflate can reach 1000. As numbers, text takes up to six times its size.
+MAX_COMPRESSION_RATIO = 30
+UNPACKED_FREELY_BYTES = 4 * 1024**2  # harmless, whatever the size
 # A recording has tens of files; listing a million members of a hostile zip is refused.
 MAX_MEMBERS = 10_000
 # Looking at the first lines of more files than this takes longer than reading a recording.
@@ -21,10 +24,18 @@ MAX_LINE_BYTES = 1024**2
 HEAD_BYTES = 65_536  # the first lines of a file, which show its format
 MAX_HEADER_BYTES = 100_000  # comment lines before the samples of a log
 MAX_HEADER_LINES = 1000
-# JSON and other small files that come with samples have some kilobytes.
-MAX_SETTINGS_BYTES = 10_000_000
+# Files that come with samples, such as meta.json, have some kilobytes; parsed they take some thirty times their size.
+MAX_SMALL_BYTES = 1_000_000
+# Models, calibrations and fixes, which are read as a whole: a shipped model has 0.4 MB, a day of fixes 4 MB.
+MAX_DESCRIPTION_BYTES = 4 * 1024**2  # JSON
+MAX_WHOLE_BYTES = 64 * 1024**2
+MAX_UNPACKED_BYTES = 256 * 1024**2
+MAX_FIXES = 24 * 3600 * 2
 # A TOML file that describes the columns of a table; its parser takes a second for some megabytes.
 MAX_TOML_BYTES = 100_000
+MAX_COLUMNS = 1000  # of a table
+# Words for a stretch of a walk, at most one a second of a day, each as wide in memory as the longest of them.
+MAX_TEXT_ROWS = 24 * 3600
 MAX_TABLES = 100  # experiments of phyphox have some ten
 MAX_ARRAY_ROWS = 24 * 3600 * 200  # a day at 200 Hz: hdf5 is read into memory at once
 HEAD_ROWS = 200  # the first rows of a sensor show when the recording began

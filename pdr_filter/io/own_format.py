@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import compress
 from pathlib import Path, PurePosixPath
 from typing import Any, cast
 
@@ -86,7 +87,7 @@ def _read_meta(members: Members, name: str, notes: list[str]) -> dict[str, Any]:
         notes.append("meta.json is missing, so subject and device are unknown")
         return {}
     where = members.where(name)
-    meta = json_object(members.content(name), where)
+    meta = json_object(members.small(name), where)
     subject: Any = meta.get("subject") or {}
     if not isinstance(subject, dict):
         raise RecordingError(f'{where}: subject is {subject!r}; write it as an object, like {{"id": "s1"}}')
@@ -104,11 +105,16 @@ def _read_meta(members: Members, name: str, notes: list[str]) -> dict[str, Any]:
 def _name(path: Path, meta: Mapping[str, Any], notes: list[str]) -> str:
     own = path.resolve().name if path.is_dir() else path.stem
     name = meta.get("name")
-    # Results are written to files of this name, so it must not lead to another folder.
-    if isinstance(name, str) and name.isprintable() and name.strip(". ") and not set(name) & set("/\\:"):
+    if isinstance(name, str) and _is_usable(name):
         return name
     notes.append(f"meta.json has no usable name, so the recording is called {own}")
     return own
+
+
+def _is_usable(name: str) -> bool:
+    """Results are written to files of this name, so it must not lead to another folder."""
+    is_short = len(name) <= limits.MAX_NAME_CHARS
+    return is_short and name.isprintable() and bool(name.strip(". ")) and not set(name) & set("/\\:")
 
 
 def _read_stream(
@@ -134,7 +140,9 @@ def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: li
     file = PurePosixPath(name).name
     known = with_time(found.values[:, [column in TIME_COLUMNS for column in numeric]].sum(axis=1), file, notes)
     arrays = {column: found.values[known, i] for i, column in enumerate(numeric)}
-    texts = {column: np.array(text, dtype=np.str_)[known] for column, text in zip(textual, found.texts, strict=True)}
+    texts = {
+        column: np.array([*compress(text, known)], np.str_) for column, text in zip(textual, found.texts, strict=True)
+    }
     unknown = sorted(set(texts["context"].tolist()) - {*CONTEXTS, ""}) if "context" in texts else []
     if unknown:
         notes.append(f"{file}: unknown contexts {', '.join(unknown)[:80]}, kept")

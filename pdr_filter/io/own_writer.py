@@ -13,6 +13,7 @@ from typing import Any, cast
 
 import numpy as np
 
+from pdr_filter.io.files import whole_file, write_files
 from pdr_filter.values import FloatArray, Samples, Table
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
@@ -48,15 +49,11 @@ def write_own_format(
     files |= {f"truth_{name}.csv": _table_csv(rows, TRUTH_COLUMNS[name], name) for name, rows in truth.items()}
     files["meta.json"] = json.dumps(dict(meta), indent=1, default=_plain) + "\n"
     if not path.suffix:
-        path.mkdir(parents=True, exist_ok=True)
-        for name in FILES:
-            if name in files:
-                (path / name).write_text(files[name], encoding="utf-8", newline="\n")
-            else:  # of another recording, which must not be mixed with this one
-                (path / name).unlink(missing_ok=True)
+        write_files({path / name: text.encode() for name, text in files.items()})
+        for name in set(FILES) - files.keys():  # of another recording, which must not be mixed with this one
+            (path / name).unlink(missing_ok=True)
         return path
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with zipfile.ZipFile(path, "w", compression=zipfile.ZIP_DEFLATED) as archive:
+    with whole_file(path) as file, zipfile.ZipFile(file, "w", compression=zipfile.ZIP_DEFLATED) as archive:
         for name, text in files.items():
             info = zipfile.ZipInfo(name)  # with the date 1980-01-01, so that the bytes do not depend on the clock
             info.compress_type = zipfile.ZIP_DEFLATED

@@ -53,8 +53,7 @@ FACTOR = {
     "proximity": {"cm": 1.0, "mm": 0.1, "m": 100.0},
 }
 LOCATION = (("latitude",), ("longitude",), ("height", "altitude", "altitude wgs84"), ("horizontal accuracy",))
-COLUMN = re.compile(r"^\s*(?P<name>[^()]*?)(?:\s+(?P<axis>[xyzXYZ]))?\s*\((?P<unit>[^()]*)\)\s*$")
-AXIS_ONLY = re.compile(r"^\s*(?P<axis>[xyzXYZ])\s*\((?P<unit>[^()]*)\)\s*$")
+AXES = ("x", "y", "z")
 
 
 def looks_like(header: str) -> bool:
@@ -147,12 +146,10 @@ def _columns(fields: list[str], stem: str, where: str) -> tuple[dict[str, list[t
     without_gravity = False
     sensor = re.sub(r"[_\s]+", " ", stem.lower()).strip()
     for i, field in enumerate(fields[1:], 1):
-        match = AXIS_ONLY.match(field) or COLUMN.match(field)
-        if match is None:
+        if (parts := _name_axis_unit(field)) is None:
             continue
-        unit, axis = match["unit"].strip(), (match["axis"] or "").lower()
-        name = match.groupdict().get("name")
-        name = sensor if name is None else name.lower().strip()
+        name, axis, unit = parts
+        name = sensor if axis and not name else name
         if name in WITHOUT_GRAVITY:
             without_gravity = True
             continue
@@ -171,13 +168,24 @@ def _columns(fields: list[str], stem: str, where: str) -> tuple[dict[str, list[t
         found[stream][axis] = (i, FACTOR[stream][unit])
     streams: dict[str, list[tuple[int, float]]] = {}
     for stream, axes in found.items():
-        wanted = ("x", "y", "z") if stream in VECTORS else ("",)
+        wanted = AXES if stream in VECTORS else ("",)
         if missing := [axis for axis in wanted if axis not in axes]:
             raise RecordingError(f"{where}: {stream} has no column for {', '.join(missing)}; export all three axes")
         streams[stream] = [axes[axis] for axis in wanted]
     if {0, 1, 2, 3} <= location.keys():
         streams["location"] = [location[j] for j in range(4)]
     return streams, without_gravity
+
+
+def _name_axis_unit(field: str) -> tuple[str, str, str] | None:
+    """The parts of a column's name such as `Acceleration x (m/s^2)`, the first two in lower case; None of another."""
+    words, bracket, rest = field.partition("(")
+    unit, closing, after = rest.partition(")")
+    if not bracket or not closing or after.strip() or ")" in words or "(" in unit:
+        return None
+    *name, last = words.lower().rsplit(maxsplit=1) or [""]
+    name, axis = ("".join(name), last) if last in AXES else (words.lower(), "")
+    return name.strip(), axis, unit.strip()
 
 
 def _read_meta(members: Members, parsed: Parsed) -> None:
@@ -202,6 +210,6 @@ def _read_meta(members: Members, parsed: Parsed) -> None:
 def _meta_rows(members: Members, names: dict[str, str], name: str) -> list[list[str]]:
     if name not in names:
         return []
-    lines = members.content(names[name]).decode("utf-8", "replace").splitlines()
+    lines = members.small(names[name]).decode("utf-8", "replace").splitlines()
     separator = next((s for s in ("\t", ";", ",") if lines and f'"{s}' in lines[0]), ",")
     return [header_fields(line, separator) for line in lines[1:1000]]

@@ -7,7 +7,9 @@ from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any
 
+from pdr_filter.io import limits
 from pdr_filter.io.own_writer import write_own_format
+from pdr_filter.io.texts import printable
 from pdr_filter.values import Samples, Table
 
 
@@ -60,6 +62,10 @@ class Recording:
     source: str = ""  # path it was read from
     notes: tuple[str, ...] = ()  # what the reader repaired or found odd, in words
 
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "meta", dict(self.meta))  # its own, and one that can be pickled
+        object.__setattr__(self, "notes", tuple(map(printable, self.notes)))  # they quote files
+
     def __repr__(self) -> str:
         return f"Recording({self.name!r}, {self.duration_s:.1f} s, {', '.join(self.streams)})"
 
@@ -94,7 +100,7 @@ class Recording:
     @property
     def placement(self) -> str:
         """Where and how the phone was worn, in the recording's own words, in lower case; empty if not known."""
-        return str(self.meta.get("placement") or "").lower()
+        return str(self.meta.get("placement") or "").lower()[: limits.MAX_NAME_CHARS]
 
     @property
     def is_on_foot(self) -> bool:

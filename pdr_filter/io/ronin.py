@@ -11,15 +11,19 @@ Reading needs the package h5py (extra `hdf5`).
 
 from __future__ import annotations
 
+import math
+import zlib
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.archive import json_object, open_members
+from pdr_filter.io.archive import json_object
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import beside, inside, open_regular, read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import finite
 from pdr_filter.values import FloatArray
@@ -28,6 +32,8 @@ RATE_HZ = 200.0
 SIGNATURE = b"\x89HDF\r\n\x1a\n"
 # hdf5 meets damaged bytes in many places, and h5py passes its complaints on as these.
 HDF5_ERRORS = (OSError, RuntimeError, KeyError, ValueError, TypeError, MemoryError, OverflowError, AttributeError)
+# Those that h5py itself writes, each at most once: deflate, shuffle, checksum, lzf.
+FILTERS = (1, 2, 3, 32000)
 # Data set and number of its columns.
 ARRAYS = {
     "accelerometer": ("synced/acce", 3),
@@ -45,9 +51,9 @@ def read_ronin(path: str | Path) -> Recording:
     RecordingError if a data set is missing or has another shape, or h5py is not installed.
     """
     path = Path(path)
-    file = path / "data.hdf5" if path.is_dir() else path
+    file = inside(path / "data.hdf5", path) if path.is_dir() else path
     parsed = Parsed(path, "RoNIN")
-    info = _info(file.parent / "info.json", parsed)
+    info = _info(beside(file, "info.json"), parsed)
     time_s, arrays = _read_arrays(file, parsed.notes)
     if "accelerometer" not in arrays:
         raise RecordingError(f"{file}: no synced/acce; this file cannot be used")
@@ -84,11 +90,12 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
     except ImportError as error:
         raise RecordingError(f"{file}: reading hdf5 needs h5py; install pdr_filter[hdf5]") from error
     try:
+        open_regular(file).close()
         with h5py.File(file, "r") as opened:
             data: Any = opened
             time_s = _array(data, "synced/time", 1, file, notes)
             if time_s is None:
-                groups = ", ".join(map(str, list(data)[:8]))
+                groups = ", ".join(map(str, islice(data, 8)))
                 raise RecordingError(f"{file}: no synced/time (found: {groups or 'nothing'}); raw files are not read")
             arrays = {key: _array(data, name, n, file, notes) for key, (name, n) in ARRAYS.items()}
     except RecordingError:
@@ -100,9 +107,9 @@ def _read_arrays(file: Path, notes: list[str]) -> tuple[FloatArray, dict[str, Fl
 
 def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> FloatArray | None:
     """A data set as floats, (N,) or (N, columns); None if it is not there."""
-    if name not in data:
+    found: Any = _inside_file(data, name, file)
+    if found is None:
         return None
-    found: Any = data[name]
     shape: Any = getattr(found, "shape", None)
     if shape is None or len(shape) != (1 if columns == 1 else 2) or (columns > 1 and shape[1] != columns):
         raise RecordingError(f"{file}: {name} has the shape {shape}, expected (N, {columns})")
@@ -112,16 +119,58 @@ def _array(data: Any, name: str, columns: int, file: Path, notes: list[str]) -> 
         )
     if np.dtype(found.dtype).kind not in "fiu":
         raise RecordingError(f"{file}: {name} holds {found.dtype}, no numbers")
+    _check_storage(found, name, file)
     with np.errstate(over="ignore", invalid="ignore"):
         return finite(np.array(found[()], dtype=np.float64), name, notes)
+
+
+def _inside_file(data: Any, name: str, file: Path) -> Any:
+    """The data set of this name, None if it is not there; what would open another file is refused before it does."""
+    import h5py  # pyright: ignore[reportMissingImports]
+
+    found = data
+    for part in name.split("/"):
+        link = found.get(part, getlink=True)
+        if link is None:
+            return None
+        if not isinstance(link, h5py.HardLink):
+            raise RecordingError(f"{file}: {name} is a link to elsewhere; copy the data into the file (h5repack)")
+        found = found[part]
+    if getattr(found, "external", None) or getattr(found, "is_virtual", False):
+        raise RecordingError(f"{file}: {name} is kept in other files; copy the data into this one (h5repack)")
+    return found
+
+
+def _check_storage(found: Any, name: str, file: Path) -> None:
+    """Refuse what takes much more memory than the file has bytes, such as rows that were never written."""
+    filters: Any = found.id.get_create_plist()
+    names = [filters.get_filter(i)[0] for i in range(filters.get_nfilters())]
+    if not set(names) <= set(FILTERS) or len(set(names)) < len(names):
+        raise RecordingError(f"{file}: {name} is packed with the filters {names}; pack it with gzip (h5repack)")
+    claimed = max(math.prod(found.shape) * 8, math.prod(found.chunks or (0,)) * found.dtype.itemsize)
+    stored = min(found.id.get_storage_size(), file.stat().st_size)
+    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * stored):
+        raise RecordingError(
+            f"{file}: {name} claims {claimed} bytes and {stored} are stored: no sensor data is like that; write it anew"
+        )
+    if FILTERS[0] in names:
+        _check_chunks(found, name, file)
+
+
+def _check_chunks(found: Any, name: str, file: Path) -> None:
+    """Refuse a piece that unpacks to more than it should: hdf5 itself unpacks whatever there is."""
+    most = math.prod(found.chunks) * found.dtype.itemsize + 4  # and a checksum, if the filters have one
+    for i in range(found.id.get_num_chunks()):
+        mask, piece = found.id.read_direct_chunk(found.id.get_chunk_info(i).chunk_offset)
+        if not mask and len(zlib.decompressobj().decompress(piece, most + 1)) > most:
+            raise RecordingError(f"{file}: {name} has a piece that unpacks to more than {most} bytes; write it anew")
 
 
 def _info(path: Path, parsed: Parsed) -> dict[str, Any]:
     if not path.is_file():
         parsed.notes.append("no info.json beside the file, so the calibration of the data set is not applied")
         return {}
-    with open_members(path) as members:
-        info = json_object(members.content(path.name), str(path))
+    info = json_object(read_small(path, limits.MAX_SMALL_BYTES), str(path))
     if isinstance(info.get("device"), str):
         parsed.set_device(info["device"])
     return info

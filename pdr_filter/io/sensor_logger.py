@@ -77,7 +77,7 @@ def read_sensor_logger(path: str | Path) -> Recording:
     path = Path(path)
     with open_members(path) as members:
         first = members.names[0] if len(members.names) == 1 else ""  # the JSON; one CSV is not a recording
-        if not members.is_container or (first and members.content(first, 100).lstrip()[:1] == b"["):
+        if not members.is_container or (first and members.head(first, 100).lstrip()[:1] == b"["):
             export = _read_json(members, first)
         else:
             export = _read_tables(members)
@@ -206,7 +206,7 @@ def _read_tables(members: Members) -> _Export:
             by_stem[pure.stem] = name
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
     metadata, annotations = (
-        text_rows(members.content(by_stem[stem]), members.where(by_stem[stem])) if stem in by_stem else []
+        text_rows(members.small(by_stem[stem]), members.where(by_stem[stem])) if stem in by_stem else []
         for stem in ("Metadata", "Annotation")
     )
     if len(metadata) >= 2:

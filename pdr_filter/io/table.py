@@ -11,6 +11,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
+from typing import cast
 
 import numpy as np
 
@@ -85,6 +86,10 @@ class TextTable:
         self.header = decode(head, where, first_line)
         self.separator = separator_of(self.header)
         self.fields = header_fields(self.header, self.separator)
+        if len(self.fields) > limits.MAX_COLUMNS:
+            raise RecordingError(
+                f"{where}: {len(self.fields)} columns, more than {limits.MAX_COLUMNS}; this is no table"
+            )
 
     @property
     def is_empty(self) -> bool:
@@ -145,9 +150,14 @@ def parse_blocks(
     """
     parts: list[NumberTable] = []
     for block in blocks:
+        next_line = first_line + block.count(b"\n")
+        if layout.texts and next_line > limits.MAX_TEXT_ROWS:
+            raise RecordingError(
+                f"{where}: more than {limits.MAX_TEXT_ROWS} rows; write one for each stretch, not for each sample"
+            )
         if block.strip():
             parts.append(_parse_block(block, layout, where, notes, first_line))
-        first_line += block.count(b"\n")
+        first_line = next_line
     if not parts:
         return NumberTable(np.empty(0, dtype=np.int64), np.empty((0, len(layout.picked))), ((),) * len(layout.texts))
     joined = concatenated(parts)
@@ -167,9 +177,11 @@ def concatenated(parts: Sequence[NumberTable]) -> NumberTable:
 
 def finite(values: FloatArray, where: str, notes: list[str]) -> FloatArray:
     """Values with infinite and absurdly large ones replaced by NaN, with a note."""
-    beyond = np.abs(values) > limits.LARGEST_VALUE
-    if not beyond.any():
+    # Without a copy, which may be large, and whatever is NaN.
+    low, high = (float(extreme.reduce(values, axis=None, initial=0.0)) for extreme in (np.fmin, np.fmax))
+    if low >= -limits.LARGEST_VALUE and high <= limits.LARGEST_VALUE:
         return values
+    beyond = np.abs(values) > limits.LARGEST_VALUE
     notes.append(f"{where}: {int(beyond.sum())} infinite or absurdly large values taken as unknown")
     return np.where(beyond, np.nan, values)
 
@@ -220,7 +232,7 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
     values: list[list[float]] = []
     whole: list[int] = []
     texts: list[list[str]] = []
-    n_timeless = 0
+    n_timeless = n_long = 0
     for at, row, is_last in _rows(text, layout.separator, where, line):
         if not is_whole and is_last and not _is_complete(row, layout):
             notes.append(f"{where}: the last line is cut off and was left out")
@@ -241,8 +253,15 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
                 n_timeless += 1
                 continue
             whole.append(known)
-        values.append([_float(row, i, layout, f"{where}, line {at}") for i in range(len(layout.picked))])
-        texts.append([row[i].strip() for i in layout.texts])
+        numbers = [to_number(row[i]) for i in layout.picked]
+        if None in numbers:
+            raise _no_number(row, numbers.index(None), layout, f"{where}, line {at}")
+        values.append(cast("list[float]", numbers))
+        found = [row[i].strip() for i in layout.texts]
+        texts.append([text[: limits.MAX_NAME_CHARS] for text in found])
+        n_long += found != texts[-1]
+    if n_long:
+        notes.append(f"{where}: {n_long} rows with texts of more than {limits.MAX_NAME_CHARS} characters, cut there")
     if n_timeless:
         notes.append(f"{where}: {n_timeless} rows without a time left out")
     return NumberTable(
@@ -270,16 +289,13 @@ def _is_complete(row: list[str], layout: Layout) -> bool:
     return len(row) >= layout.needed and all(to_number(row[i]) is not None for i in numbers)
 
 
-def _float(row: list[str], i: int, layout: Layout, where: str) -> float:
-    field = row[layout.picked[i]]
-    number = to_number(field)
-    if number is None:
-        name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
-        raise RecordingError(
-            f"{where}, column {name}: {field.strip()[:60]!r} is not a number; "
-            f"use {layout.decimal!r} as decimal point and leave unknown values empty"
-        )
-    return number
+def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
+    """What is wrong with the i-th picked field."""
+    name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
+    return RecordingError(
+        f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; "
+        f"use {layout.decimal!r} as decimal point and leave unknown values empty"
+    )
 
 
 def to_number(field: str) -> float | None:

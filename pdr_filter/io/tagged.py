@@ -19,7 +19,7 @@ class TaggedLog:
     def __init__(self, members: Members, comment: str) -> None:
         self.name = members.only_text()
         self.where = members.where(self.name)
-        head = members.content(self.name, limits.MAX_HEADER_BYTES).removeprefix(b"\xef\xbb\xbf").decode("latin-1")
+        head = members.head(self.name, limits.MAX_HEADER_BYTES).removeprefix(b"\xef\xbb\xbf").decode("latin-1")
         lines = head.splitlines()[: limits.MAX_HEADER_LINES]
         self.header = [line.lstrip(comment).strip() for line in lines if line.startswith(comment)]
         self._members = members

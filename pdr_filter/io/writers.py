@@ -14,6 +14,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from pdr_filter.io import limits
+from pdr_filter.io.files import whole_file, write_text
 from pdr_filter.values import FloatArray, Origin, TrackRows, yaw_from_heading
 from pdr_filter.version import __version__
 
@@ -35,7 +36,7 @@ def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, 
     formats = [_DIGITS.get(name, ".7g") for name in columns]
     for row in zip(*columns.values(), strict=True):
         writer.writerow([format(value, spec) for value, spec in zip(row, formats, strict=True)])
-    return _write(path, text.getvalue())
+    return write_text(path, text.getvalue())
 
 
 def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
@@ -56,7 +57,8 @@ def write_parquet(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
         "origin": None if placed.origin is None else asdict(placed.origin),
         "pdr_filter": __version__,
     }
-    frame.to_parquet(_in_new_folder(path), engine="pyarrow", index=False)
+    with whole_file(path) as file:
+        frame.to_parquet(file, engine="pyarrow", index=False)
     return Path(path)
 
 
@@ -96,6 +98,9 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
         "walking_heading_rad": track.walking_heading_rad,
         "smoothed_speed_mps": track.smoothed_speed_mps,
         "smoothed_speed_std_mps": track.smoothed_speed_std_mps,
+        "height_m": track.height_m,
+        "height_std_m": track.height_std_m,
+        "floor": track.floor.astype(float),
         **{f"context_prob_{name}": track.context_prob[:, i] for i, name in enumerate(track.contexts)},
         **{f"mode_prob_{name}": track.mode_prob[:, i] for i, name in enumerate(track.modes)},
     }
@@ -108,6 +113,9 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     `origin` (latitude and longitude in degrees) is where east and north are zero: the start of the walk, but for a
     track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
     each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
+
+    A track that left the height of its start has that height as third coordinate, in metres above the start and not
+    above the ellipsoid, which the property `height` says, and `floor` for each vertex.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -131,6 +139,12 @@ def write_local_geojson(track: TrackRows, path: str | Path) -> Path:
 def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, frame: str | None = None) -> Path:
     vertices = _vertices(track)
     covariance = np.vstack([np.zeros((1, 3)), track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]])
+    heights: dict[str, Any] = {}
+    if not track.is_level:
+        above_m = np.round(np.concatenate([[0.0], track.height_m]), 3).tolist()
+        vertices = [[*vertex, height_m] for vertex, height_m in zip(vertices, above_m, strict=True)]
+        floors = [*track.floor[:1].tolist(), *track.floor.tolist()]
+        heights = {"height": "metres above the start of the walk", "floor": floors}
     line = {"type": "LineString", "coordinates": vertices}
     feature = {
         "type": "Feature",
@@ -146,9 +160,10 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
             "notes": list(track.notes),
             "coordTimes": np.round(_vertex_times(track), 6).tolist(),
             "covariance_m2": np.round(covariance, 6).tolist(),
+            **heights,
         },
     }
-    return _write(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
+    return write_text(path, json.dumps({"type": "FeatureCollection", "features": [feature]}, allow_nan=False) + "\n")
 
 
 def write_gpx(
@@ -229,7 +244,7 @@ def _description(track: TrackRows) -> str:
 
 def _write_xml(path: str | Path, root: ElementTree.Element) -> Path:
     ElementTree.indent(root)
-    return _write(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
+    return write_text(path, '<?xml version="1.0" encoding="UTF-8"?>\n' + ElementTree.tostring(root, "unicode") + "\n")
 
 
 def write_tum(track: TrackRows, path: str | Path) -> Path:
@@ -249,7 +264,7 @@ def write_tum(track: TrackRows, path: str | Path) -> Path:
             rotation = f"{0.0:.9f} {0.0:.9f} {np.sin(half_rad):.9f} {np.cos(half_rad):.9f}"
             lines.append(f"{written_s:.6f} {east_m:.6f} {north_m:.6f} {0.0:.6f} {rotation}\n")
             last_s = written_s
-    return _write(path, "".join(lines))
+    return write_text(path, "".join(lines))
 
 
 def _vertex_times(track: TrackRows) -> FloatArray:
@@ -261,14 +276,3 @@ def _vertices(track: TrackRows) -> list[list[float]]:
     """Longitude and latitude in degrees of the start and of all steps, K + 1 pairs, as map files have them."""
     lat_deg, lon_deg = track.latitude_longitude_deg(np.vstack([track.start_position_m, track.position_m]))
     return np.round(np.column_stack([lon_deg, lat_deg]), 9).tolist()
-
-
-def _write(path: str | Path, text: str) -> Path:
-    _in_new_folder(path).write_text(text, encoding="utf-8", newline="\n")
-    return Path(path)
-
-
-def _in_new_folder(path: str | Path) -> Path:
-    """The path, whose folder exists then."""
-    Path(path).parent.mkdir(parents=True, exist_ok=True)
-    return Path(path)

@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io.describe import ReadingReport, reading_report
+from pdr_filter.io.files import write_text
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
@@ -71,10 +72,7 @@ footer { color: #888; font-size: 12px; margin-top: 2.5em; }
 
 def write_report(track: TrackRows, path: str | Path, recording: Recording | None = None) -> Path:
     """Write the page of `html_report` and return its path; folders are created."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(html_report(track, recording), encoding="utf-8")
-    return path
+    return write_text(path, html_report(track, recording))
 
 
 def html_report(track: TrackRows, recording: Recording | None = None) -> str:
@@ -88,6 +86,7 @@ def html_report(track: TrackRows, recording: Recording | None = None) -> str:
         f"<header><h1><bdi>{name}</bdi></h1><p class='facts'>{text(_facts(track))}</p></header>",
         _doubt_section(doubts),
         _section("Way", _map(track), _context_legend(track), _words(track.about_frame)),
+        *([] if track.is_level else [_section("Height", _heights(track), _floor_changes(track))]),
         _section("Contexts over time", _contexts(track), _context_table(track)),
         _section("Walking speed", _speed(track)),
         _section("Step lengths", _step_lengths(track)),
@@ -145,11 +144,21 @@ def _doubt_section(doubts: Sequence[str]) -> str:
 def _context_legend(track: TrackRows) -> str:
     if not track.n_steps:
         return ""
-    colours = list(palette.context_colours(track.contexts).items())
-    occurring = (colours[i] for i in np.unique(track.context_prob.argmax(axis=1)))
+    group, colours = _groups(track)
+    names = list(colours.items())
+    occurring = (names[i] for i in np.unique(group))
     items = [f"<li>{_key(colour)}{text(name)}</li>" for name, colour in occurring]
     items.append("<li>○ start</li><li>■ end</li><li>ellipses: 95 % of where the person may have been</li>")
     return f"<ul class='legend'>{''.join(items)}</ul>"
+
+
+def _groups(track: TrackRows) -> tuple[IntArray, dict[str, str]]:
+    """By what steps are coloured: number of the group of each (K,), storeys or else contexts, and colours by name."""
+    colours = palette.floor_colours(track.floor.tolist())
+    if len(colours) > 1:
+        named = {f"floor {floor}": colour for floor, colour in colours.items()}
+        return np.searchsorted(list(colours), track.floor), named
+    return track.context_prob.argmax(axis=1), palette.context_colours(track.contexts)
 
 
 def _key(colour: str) -> str:
@@ -220,7 +229,8 @@ def _map(track: TrackRows) -> str:
     x, y, m_per_pixel = _map_axes(seen)
     unit_m, unit = (1000.0, "km") if max(x.high - x.low, y.high - y.low) > _KM_ABOVE_M else (1.0, "m")
     parts = [_ellipse(track, row, x, y, m_per_pixel) for row in rows]
-    parts += _way(track, track.context_prob[usable].argmax(axis=1), x.at(way[:, 0]), y.at(way[:, 1]))
+    group, colours = _groups(track)
+    parts += _way(group[usable], list(colours.values()), x.at(way[:, 0]), y.at(way[:, 1]))
     return picture(
         x.counted_in(unit_m),
         y.counted_in(unit_m),
@@ -242,17 +252,16 @@ def _map_axes(seen_m: FloatArray) -> tuple[Axis, Axis, float]:
     return across(float(west), float(east)), upward(float(south), float(north), height), m_per_pixel
 
 
-def _way(track: TrackRows, context: IntArray, x: FloatArray, y: FloatArray) -> list[str]:
-    """The line through points (K + 1,) in pixels, every step in the colour of its context (K,), and both ends."""
-    colours = list(palette.context_colours(track.contexts).values())
+def _way(group: IntArray, colours: list[str], x: FloatArray, y: FloatArray) -> list[str]:
+    """The line through points (K + 1,) in pixels, every step in the colour of its group (K,), and both ends."""
     every = max(1, len(x) // _MAX_POINTS)
     kept = np.unique([*range(0, len(x), every), len(x) - 1])
     # A dark line under the coloured one: light colours stay visible on white.
     parts = [polyline(x[kept], y[kept], palette.INK, 5)]
-    for a, b in _runs(np.diff(context) != 0):
+    for a, b in _runs(np.diff(group) != 0):
         # The step in row k leads from point k to point k + 1.
         inside = np.unique([*range(a, b + 1, every), b])
-        parts.append(polyline(x[inside], y[inside], colours[context[a]], 3.4))
+        parts.append(polyline(x[inside], y[inside], colours[int(group[a])], 3.4))
     start = f"circle cx='{pixel(x[0])}' cy='{pixel(y[0])}' r='5' fill='#fff' stroke='{palette.INK}' stroke-width='2'"
     end = f"rect x='{pixel(x[-1] - 4.5)}' y='{pixel(y[-1] - 4.5)}' width='9' height='9' fill='{palette.INK}'"
     return [*parts, titled(start, "start"), titled(end, "end")]
@@ -322,6 +331,33 @@ def _columns(start_x: FloatArray, end_x: FloatArray, prob: FloatArray) -> tuple[
     column = np.floor(0.5 * (start_x + end_x) * _MAX_COLUMNS / svg.WIDTH)
     _, first, count = np.unique(column, return_index=True, return_counts=True)
     return start_x[first], end_x[first + count - 1], np.add.reduceat(prob, first, axis=0) / count[:, np.newaxis]
+
+
+def _heights(track: TrackRows) -> str:
+    x, unit_s, name = _time_axis(track)
+    every = max(1, track.n_steps // (4 * _MAX_COLUMNS))
+    time_s, height_m = track.time_s[::every], track.height_m[::every]
+    half_m = _INTERVAL_95 * track.height_std_m[::every]
+    low, high = float(np.min(height_m - half_m)), float(np.max(height_m + half_m))
+    y, at = upward(min(low, 0.0), max(high, 1.0), 200.0), x.at(time_s / unit_s)
+    band = points(
+        np.concatenate([at, at[::-1]]), np.concatenate([y.at(height_m - half_m), y.at(height_m + half_m)[::-1]])
+    )
+    colours = palette.floor_colours(track.floor.tolist())
+    parts = [f"<polygon points='{band}' fill='{palette.ELLIPSE}' fill-opacity='0.2' />"]
+    for a, b in _runs(np.diff(track.floor[::every]) != 0):
+        colour, inside = colours[int(track.floor[::every][a])], slice(a, min(b + 1, len(at)))
+        parts.append(polyline(at[inside], y.at(height_m[inside]), colour, 2.0))
+    words = "Above the start of the walk, with its 95 % interval."
+    return picture(x, y, (name, "height (m)"), "Height over time", *parts) + _words(words)
+
+
+def _floor_changes(track: TrackRows) -> str:
+    return _list(
+        f"{c.start_s:.0f} to {c.end_s:.0f} s: from floor {c.from_floor} to floor {c.to_floor}, "
+        + ("nobody knows how" if c.how == "unknown" else f"by {c.how}")
+        for c in track.floor_changes()
+    )
 
 
 def _speed(track: TrackRows) -> str:

@@ -6,6 +6,8 @@ CIE Lab for normal sight and for the three dichromacies.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 from pdr_filter.values import CONTEXTS
 
 GREY, BLUE, ORANGE, GREEN, YELLOW, PURPLE = COLOURS = ("#D0D0D0", "#0072B2", "#CC6600", "#44AA99", "#EECC66", "#882255")
@@ -20,3 +22,16 @@ ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
 def context_colours(contexts: tuple[str, ...] = CONTEXTS) -> dict[str, str]:
     """Colour of each context, as #rrggbb."""
     return {name: COLOURS[i % len(COLOURS)] for i, name in enumerate(contexts)}
+
+
+# Of storeys from the lowest up: viridis, which is even for all kinds of sight and has none of the colours of contexts.
+_FLOORS = ("#440154", "#3B528B", "#21918C", "#5EC962", "#FDE725")
+
+
+def floor_colours(floors: Iterable[int]) -> dict[int, str]:
+    """Colour of each storey, from the lowest up, as #rrggbb; with more than five storeys they begin again."""
+    ordered = sorted(set(floors))
+    at = [round(i * (len(_FLOORS) - 1) / max(len(ordered) - 1, 1)) for i in range(len(ordered))]
+    return {
+        floor: _FLOORS[at[i] if len(ordered) <= len(_FLOORS) else i % len(_FLOORS)] for i, floor in enumerate(ordered)
+    }

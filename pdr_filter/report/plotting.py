@@ -15,9 +15,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from pdr_filter.io.files import whole_file
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
-from pdr_filter.report.palette import FAINT, GRID, INK, context_colours
+from pdr_filter.report.palette import FAINT, GRID, INK, context_colours, floor_colours
 from pdr_filter.values import FloatArray, TrackRows, Windows
 
 _SIZE_IN = (8.0, 9.0)
@@ -31,13 +32,19 @@ _VISIBLE_PROB = 0.1
 def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
     """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
 
+    A track over several storeys is coloured by storey, and one that left the height of its start has a profile.
     The figure belongs to no window and to no pyplot state, so nothing has to be closed. It is saved if a path is given,
     whose suffix says the format; folders are created. `reference_m` (N, 2) is the true way, east and north in
     the frame of the track, drawn as it is.
     """
     figure = Figure(figsize=_SIZE_IN, layout="constrained")
     FigureCanvasAgg(figure)
-    plane, time = figure.subplots(2, 1, height_ratios=[3.4, 1.0])
+    if track.is_level:
+        plane, time = figure.subplots(2, 1, height_ratios=[3.4, 1.0])
+    else:
+        plane, profile, time = figure.subplots(3, 1, height_ratios=[3.0, 1.0, 0.8])
+        plot_heights(profile, track)
+        profile.sharex(time)
     plot_plane(plane, track, reference_m)
     plot_contexts(time, track)
     _write_title(plane, track)
@@ -49,21 +56,23 @@ def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: Fl
 
 def save(figure: Figure, path: str | Path) -> None:
     """Save a figure with its fonts; the suffix gives the format, folders are created."""
-    path = Path(path)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}):
-        figure.savefig(path, dpi=120)
+    ending = Path(path).suffix.removeprefix(".") or None
+    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}), whole_file(path) as file:
+        figure.savefig(file, dpi=120, format=ending)
 
 
 def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:
     """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
     way = np.vstack([track.start_position_m, track.position_m])
-    colours = context_colours(track.contexts)
     if reference_m is not None:
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:
         _draw_ellipses(axes, track)
-        colour = [colours[track.contexts[i]] for i in track.context_prob.argmax(axis=1)]
+        colours = floor_colours(track.floor)
+        colour = [colours[floor] for floor in track.floor]
+        if len(colours) == 1:
+            of_context = context_colours(track.contexts)
+            colour = [of_context[track.contexts[i]] for i in track.context_prob.argmax(axis=1)]
         parts = np.stack([way[:-1], way[1:]], axis=1)
         # A dark line under the coloured one: light colours stay visible on white.
         axes.plot(*way.T, color=INK, linewidth=4.2, solid_capstyle="round", zorder=3)
@@ -81,6 +90,20 @@ def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = No
         borderaxespad=0.0,
         frameon=False,
     )
+
+
+def plot_heights(axes: Axes, track: TrackRows) -> None:
+    """Draw the height above the start over time with its 95 % interval, each step in the colour of its storey."""
+    unit_s = 60.0 if track.duration_s > 600 else 1.0
+    at, half = track.time_s / unit_s, 1.96 * track.height_std_m
+    colours = floor_colours(track.floor)
+    axes.fill_between(at, track.height_m - half, track.height_m + half, color=palette.ELLIPSE, alpha=0.2, linewidth=0)
+    axes.plot(at, track.height_m, color=FAINT, linewidth=0.8)
+    axes.scatter(at, track.height_m, s=5, c=[colours[floor] for floor in track.floor], zorder=3)
+    axes.set(ylabel="height (m)")
+    axes.tick_params(labelbottom=False)
+    axes.grid(color=GRID, linewidth=0.7)
+    axes.spines[["top", "right"]].set_visible(False)
 
 
 def plot_contexts(axes: Axes, track: TrackRows) -> None:
@@ -161,6 +184,9 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
         for name, colour in context_colours(track.contexts).items()
         if name in occurring
     ]
+    floors = floor_colours(track.floor)
+    if len(floors) > 1:
+        handles[:0] = [Line2D([], [], color=c, linewidth=3.0, label=f"floor {f}") for f, c in reversed(floors.items())]
     ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markersize": 7}
     handles.append(Line2D([], [], marker="o", markerfacecolor="white", label="start", **ends))
     handles.append(Line2D([], [], marker="s", markerfacecolor=INK, label="end", **ends))

@@ -18,7 +18,7 @@ from vqf import VQF
 
 from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
@@ -79,6 +79,9 @@ class AttitudeEstimator:
     rate_hz: float = 100.0
     tau_acc_s: float = 3.0
     bias: GyroBias = field(default_factory=GyroBias)
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     @cached_property
     def _initial(self) -> Mapping[str, Any]:

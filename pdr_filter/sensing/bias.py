@@ -32,7 +32,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_numbers
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
@@ -181,15 +181,15 @@ class GyroBias:
     field_outlier_prob: float = 0.1
 
     def __post_init__(self) -> None:
+        off = ("walk_radps_per_sqrt_s", "field_walk_rad_per_sqrt_s", "device_prob", "still_gyr_radps")
+        check_numbers(self, zero=off, infinite=("walking_acc_mps2",))
         if len(self.prior_std_radps) != len(self.prior_prob) or not self.prior_prob:
             raise ValueError(
                 f"prior_std_radps and prior_prob must be equally long, got {len(self.prior_std_radps)} and "
                 f"{len(self.prior_prob)}"
             )
-        if min(self.prior_std_radps) <= 0 or min(self.prior_prob) <= 0:
-            raise ValueError("prior_std_radps and prior_prob must be positive")
-        if self.window_s <= 0 or not 0 < self.straight_s[0] <= self.straight_s[1]:
-            raise ValueError(f"window_s and straight_s must be positive, got {self.window_s} and {self.straight_s}")
+        if len(self.straight_s) != 2 or self.straight_s[0] > self.straight_s[1]:
+            raise ValueError(f"straight_s must be the shortest and the longest time, got {self.straight_s}")
 
     def init(self) -> GyroBiasState:
         """State before the first window: the prior."""

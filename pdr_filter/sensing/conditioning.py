@@ -14,7 +14,7 @@ import numpy as np
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
 from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
@@ -158,11 +158,7 @@ class Conditioner:
     hop_samples: int = 10
 
     def __post_init__(self) -> None:
-        if not (self.rate_hz > 0 and self.max_gap_s > 0 and self.hop_samples >= 1):
-            raise ValueError(
-                f"rate_hz, max_gap_s and hop_samples must be positive, got {self.rate_hz}, {self.max_gap_s}, "
-                f"{self.hop_samples}"
-            )
+        check_numbers(self)
 
     def init(self) -> ConditionerState:
         """State before the first sample."""

@@ -9,6 +9,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small, write_text
 from pdr_filter.values import FloatArray, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
@@ -47,14 +49,13 @@ class Device:
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
-        Path(path).write_text(json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n", encoding="utf-8")
-        return Path(path)
+        return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Device:
         """Read what `save` wrote; ValueError that names the file if it is none."""
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            content = json.loads(read_small(Path(path), limits.MAX_SMALL_BYTES))
             if content["pdr_filter_device"] != 1:
                 raise ValueError(f"version {content['pdr_filter_device']}")
             return cls(np.array(content["bias_radps"], float), np.array(content["bias_cov_radps2"], float))

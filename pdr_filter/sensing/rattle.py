@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step
+from pdr_filter.values import FloatArray, Step, check_numbers
 
 _JITTER_HZ = 50.0
 # The first steps of a bout become known up to 4 s after their contacts, and a contact ends a step of a second.
@@ -55,7 +55,8 @@ class Rattle:
     min_run_s: int = 20
 
     def __post_init__(self) -> None:
-        if self.rate_hz <= 0 or self.rate_hz % _JITTER_HZ:
+        check_numbers(self)
+        if self.rate_hz % _JITTER_HZ:
             raise ValueError(f"rate_hz must be a multiple of {_JITTER_HZ:g}, got {self.rate_hz}")
 
     def init(self) -> RattleState:

@@ -11,7 +11,18 @@ Never quote accuracy measured on simulated walks as accuracy.
 
 from pdr_filter.simulate.gait import Gait, Leg
 from pdr_filter.simulate.motion import Carrying, Motion
-from pdr_filter.simulate.sensors import SensorError, SensorErrors
+from pdr_filter.simulate.sensors import BAROMETER, SensorError, SensorErrors
 from pdr_filter.simulate.walk import demo_walk, phone_motion, simulate
 
-__all__ = ["Carrying", "Gait", "Leg", "Motion", "SensorError", "SensorErrors", "demo_walk", "phone_motion", "simulate"]
+__all__ = [
+    "BAROMETER",
+    "Carrying",
+    "Gait",
+    "Leg",
+    "Motion",
+    "SensorError",
+    "SensorErrors",
+    "demo_walk",
+    "phone_motion",
+    "simulate",
+]

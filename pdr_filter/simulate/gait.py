@@ -143,6 +143,8 @@ class Leg:
         From here on; as before if None.
     side : {"right", "left"}
         Where a sideways leg goes.
+    ride_up_m, ride_m : float
+        What a lift or an escalator moves the person in this leg, up and ahead, whether he walks on it or not.
     """
 
     context: str
@@ -153,6 +155,8 @@ class Leg:
     curve: bool = False
     carrying_mode: str | None = None
     side: Literal["right", "left"] = "right"
+    ride_up_m: float = 0.0
+    ride_m: float = 0.0
 
     def __post_init__(self) -> None:
         if self.context not in CONTEXTS:
@@ -165,8 +169,9 @@ class Leg:
             value = getattr(self, name)
             if value is not None and not (np.isfinite(value) and value > 0):
                 raise ValueError(f"{name} of a leg must be a positive number, got {value}")
-        if not np.isfinite(self.turn_rad):
-            raise ValueError(f"turn_rad of a leg must be finite, got {self.turn_rad}")
+        for name in ("turn_rad", "ride_up_m", "ride_m"):
+            if not np.isfinite(getattr(self, name)):
+                raise ValueError(f"{name} of a leg must be finite, got {getattr(self, name)}")
 
     @property
     def moves(self) -> bool:

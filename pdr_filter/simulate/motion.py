@@ -29,6 +29,7 @@ CONTEXT_BLEND_S = 1.0
 CARRYING_BLEND_S = 1.2
 # Root mean square of a hand that holds a phone still: it nods more than it tilts or turns.
 STILL_HAND_RADPS, STILL_HAND_MPS = (0.07, 0.025, 0.025), 0.0025
+RIDE_RAMP_S = 1.5  # of a lift to its speed: 1 m/s with 0.7 m/s2
 TURN_RATE_RADPS = 1.3  # mean; the peak of a minimum-jerk turn is 1.9 times higher
 # Parts of a step from a contact to where the vertical force at step frequency is highest. Oxford: 0.02 to 0.11 before
 # the foot's switch was read, which is every 0.1 s and so 0.09 late on average.
@@ -204,6 +205,19 @@ def body_path(time_s: FloatArray, plan: StepPlan, travel_rad: FloatArray) -> Flo
     return np.stack([east, north, through_contacts(time_s, plan, plan.rise_m)], axis=1)
 
 
+def rides(time_s: FloatArray, plan: StepPlan, legs: Sequence[Leg], travel_rad: FloatArray) -> FloatArray:
+    """East, north and up that lifts and escalators move the person by, (N, 3): steadily but for start and stop."""
+    moved = np.zeros((len(time_s), 3))
+    for leg, start_s, end_s in zip(legs, plan.leg_start_s, plan.leg_end_s, strict=True):
+        if leg.ride_up_m or leg.ride_m:
+            ramp_s = min(RIDE_RAMP_S, 0.5 * (end_s - start_s))
+            speed = smoothstep((time_s - start_s) / ramp_s) * smoothstep((end_s - time_s) / ramp_s)
+            share = speed / speed.sum()
+            ahead = leg.ride_m * share
+            moved += np.column_stack([ahead * np.sin(travel_rad), ahead * np.cos(travel_rad), leg.ride_up_m * share])
+    return np.cumsum(moved, axis=0)
+
+
 def tremor(time_s: FloatArray, rng: np.random.Generator) -> FloatArray:
     """Irregular course, (N,), whose rate has a root mean square of one; 0.3 to 6 Hz."""
     frequency_hz = np.geomspace(0.3, 6.0, 8) * rng.uniform(0.85, 1.15, 8)
@@ -231,7 +245,7 @@ def build_motion(
     time_s = np.arange(n) / GRID_HZ - MARGIN_S
     carrying = [place for _, place in places]
     facing, travel = heading_course(time_s, plan, legs, start_heading_rad)
-    body = body_path(time_s, plan, travel)
+    body = body_path(time_s, plan, travel) + rides(time_s, plan, legs, travel)
     moved, turned = _of_strides(time_s, plan, legs, carrying, gait, rng)
     blend = leg_blend(time_s, plan, legs, CONTEXT_BLEND_S)
     tremor_size = blend([CONTEXT_GAITS[leg.context].tremor * c.tremor for leg, c in zip(legs, carrying, strict=True)])

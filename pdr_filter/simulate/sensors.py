@@ -13,7 +13,7 @@ _DEG = np.pi / 180
 
 @dataclass(frozen=True, slots=True)
 class SensorError:
-    """Errors of one sensor, in its unit (m/s2, rad/s or uT); the default is a perfect one."""
+    """Errors of one sensor, in its unit (m/s2, rad/s, uT or hPa); the default is a perfect one."""
 
     noise_density: float = 0.0  # white, unit/sqrt(Hz): a sample has the standard deviation density * sqrt(rate / 2)
     bias_std: float = 0.0  # of the constant bias of each axis
@@ -23,9 +23,10 @@ class SensorError:
     full_scale: float = np.inf  # larger values are clipped
 
     def apply(self, values: FloatArray, rate_hz: float, rng: np.random.Generator) -> FloatArray:
-        """What the sensor gives for the true values, (N, 3)."""
-        bias = self.bias_std * rng.standard_normal(3)
-        scale = 1.0 + self.scale_std * rng.standard_normal(3)
+        """What the sensor gives for the true values, (N, axes)."""
+        axes = values.shape[1]
+        bias = self.bias_std * rng.standard_normal(axes)
+        scale = 1.0 + self.scale_std * rng.standard_normal(axes)
         walk = np.cumsum(rng.standard_normal(values.shape), axis=0) * (self.bias_walk / np.sqrt(rate_hz))
         noise = rng.standard_normal(values.shape) * (self.noise_density * np.sqrt(rate_hz / 2))
         measured = np.clip(scale * values + bias + walk + noise, -self.full_scale, self.full_scale)
@@ -34,6 +35,11 @@ class SensorError:
 
 # AKM AK09911: 14 bit, 0.6 uT/LSB. Noise and what is left of hard iron after a phone's own calibration: assumed.
 _AK09911 = SensorError(noise_density=0.06, bias_std=1.5, bias_walk=0.01, scale_std=0.01, quantum=0.6, full_scale=4912.0)
+
+
+# A phone's barometer and its air: draughts of 0.06 m over a second and 0.025 m over a root second as on one storey of
+# ipin21, and the weather of the day.
+BAROMETER = SensorError(noise_density=0.01, bias_std=10.0, bias_walk=0.003, quantum=0.001)
 
 
 def _accelerometer(noise_ug: float) -> SensorError:
@@ -70,6 +76,7 @@ class SensorErrors:
     accelerometer: SensorError = field(default_factory=lambda: _accelerometer(100.0))
     gyroscope: SensorError = field(default_factory=lambda: _gyroscope(4.0))
     magnetometer: SensorError = _AK09911
+    barometer: SensorError | None = None  # None: the phone has none; `BAROMETER` is that of many
     jitter_s: float = 2e-4  # standard deviation of the reported time of a sample about the true one
 
     @classmethod

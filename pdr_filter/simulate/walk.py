@@ -15,6 +15,9 @@ from pdr_filter.simulate.sensors import SensorErrors
 from pdr_filter.values import FloatArray, Samples, table
 
 MAGNETOMETER_RATE_HZ = 50.0
+BAROMETER_RATE_HZ = 10.0
+# The pressure falls by a factor e over 8435 m of air of 15 degrees.
+GROUND_HPA, SCALE_HEIGHT_M = 1013.25, 8435.0
 # East, north, up; about that of central Europe, north being magnetic north.
 MAGNETIC_FIELD_UT = (0.0, 20.0, -44.0)
 
@@ -52,6 +55,8 @@ def simulate(
 ) -> Recording:
     """Recording of a walk along the legs, with accelerometer, gyroscope, magnetometer and exact truth.
 
+    With `errors.barometer` it has the pressure, too.
+
     Parameters
     ----------
     legs : sequence of Leg
@@ -83,12 +88,13 @@ def simulate(
     gait = gait or Gait()
     motion = phone_motion(legs, gait, carrying_mode, seed=seed, start_heading_rad=start_heading_rad, carrying=carrying)
     rng = np.random.default_rng(np.random.SeedSequence(seed).spawn(3)[2])
-    accelerometer, gyroscope, magnetometer = _streams(motion, rate_hz, errors or SensorErrors(), rng)
+    accelerometer, gyroscope, magnetometer, barometer = _streams(motion, rate_hz, errors or SensorErrors(), rng)
     return Recording(
         name=name,
         accelerometer=accelerometer,
         gyroscope=gyroscope,
         magnetometer=magnetometer,
+        barometer=barometer,
         truth=_truth(motion, legs, carrying_mode),
         meta=_meta(name, gait, carrying_mode, rate_hz, seed),
         source="simulated",
@@ -127,8 +133,10 @@ def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carryi
     return found
 
 
-def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator) -> list[Samples]:
-    """Accelerometer, gyroscope, magnetometer: every sensor has its own clock and begins at its own time."""
+def _streams(
+    motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.random.Generator
+) -> tuple[Samples, Samples, Samples, Samples | None]:
+    """Accelerometer, gyroscope, magnetometer, barometer: every sensor has its own clock and begins at its own time."""
     end_s = float(motion.plan.leg_end_s[-1])
 
     def clock(rate: float, start_s: float) -> FloatArray:
@@ -138,18 +146,23 @@ def _streams(motion: Motion, rate_hz: float, errors: SensorErrors, rng: np.rando
     gyroscope_s = clock(rate_hz, 0.3 / rate_hz)
     magnetometer_s = clock(MAGNETOMETER_RATE_HZ, -0.004)
     field = np.tile(MAGNETIC_FIELD_UT, (len(magnetometer_s), 1))
-    exact = (
+    exact = [
         (accelerometer_s, motion.specific_force_mps2(accelerometer_s), rate_hz, errors.accelerometer),
         (gyroscope_s, motion.angular_rate_radps(gyroscope_s), rate_hz, errors.gyroscope),
         (magnetometer_s, motion.rotation(magnetometer_s).inv().apply(field), MAGNETOMETER_RATE_HZ, errors.magnetometer),
-    )
+    ]
+    if errors.barometer is not None:
+        barometer_s = clock(BAROMETER_RATE_HZ, 0.02)
+        pressure = GROUND_HPA * np.exp(-motion.position_m(barometer_s)[:, 2:] / SCALE_HEIGHT_M)
+        exact.append((barometer_s, pressure, BAROMETER_RATE_HZ, errors.barometer))
     streams: list[Samples] = []
     for time_s, values, rate, error in exact:
         jitter_s = errors.jitter_s * rng.standard_normal(len(time_s))
         if not streams:
             jitter_s[0] = 0.0  # the first accelerometer sample is the origin of time
         streams.append(Samples(time_s + jitter_s, error.apply(values, rate, rng)))
-    return streams
+    accelerometer, gyroscope, magnetometer, *barometer = streams
+    return accelerometer, gyroscope, magnetometer, barometer[0] if barometer else None
 
 
 def _truth(motion: Motion, legs: Sequence[Leg], carrying_mode: str) -> Truth:

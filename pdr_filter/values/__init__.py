@@ -1,8 +1,21 @@
 """Value types that flow between the stages: frozen, arrays read-only, units in every name. Imports nothing above."""
 
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, check_transition_prob, read_only, table
+from pdr_filter.values.arrays import (
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Table,
+    as_floats,
+    check_columns,
+    check_cov,
+    check_transition_prob,
+    read_only,
+    table,
+)
+from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
+from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -13,6 +26,7 @@ from pdr_filter.values.fixes import (
     Standstill,
     received_s,
 )
+from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.origin import Origin
@@ -35,8 +49,10 @@ __all__ = [
     "FixOutcome",
     "FixResult",
     "FloatArray",
+    "FloorPassage",
     "HeadingDrift",
     "HeadingFix",
+    "HowClimbed",
     "ImuBlock",
     "IntArray",
     "Note",
@@ -50,7 +66,13 @@ __all__ = [
     "Table",
     "TrackRows",
     "Windows",
+    "as_floats",
+    "check_columns",
+    "check_cov",
+    "check_declared",
+    "check_numbers",
     "check_transition_prob",
+    "check_whole",
     "circular_mean",
     "heading_from_yaw",
     "read_only",

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -17,9 +17,24 @@ BoolArray = NDArray[np.bool_]
 Table = np.recarray[Any, Any]
 
 
-def read_only(values: ArrayLike) -> FloatArray:
-    """Return a read-only contiguous float64 copy."""
-    array = np.array(values, dtype=np.float64, order="C")
+def as_floats(values: ArrayLike, name: str) -> FloatArray:
+    """The values as floats; masked ones, which are not known, are NaN.
+
+    ValueError for dates and durations, whose numbers are in units of their own, and for complex numbers.
+    """
+    array: Any = np.asanyarray(values)
+    if array.dtype.kind in "mM":
+        raise ValueError(f"{name} holds {array.dtype}; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
+    if array.dtype.kind == "c":
+        raise ValueError(f"{name} holds {array.dtype}; give real numbers")
+    if isinstance(array, np.ma.MaskedArray):
+        array = cast(Any, array.astype(np.float64)).filled(np.nan)
+    return np.asarray(array, dtype=np.float64)
+
+
+def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
+    """Return a read-only contiguous float64 copy of `as_floats`."""
+    array = np.array(as_floats(values, name), order="C")
     array.flags.writeable = False
     return array
 
@@ -33,6 +48,22 @@ def table(columns: Mapping[str, ArrayLike]) -> Table:
         result[name] = array
     result.flags.writeable = False
     return result.view(np.recarray)
+
+
+def check_columns(rows: Table, kinds: Mapping[str, str], name: str) -> None:
+    """Raise ValueError unless a table has these columns, each of one of its kinds of NumPy."""
+    for column, of in kinds.items():
+        if column not in (rows.dtype.names or ()) or rows.dtype[column].kind not in of:
+            raise ValueError(f"{name} must have a column {column} of kind {' or '.join(of)}, got {rows.dtype}")
+
+
+def check_cov(cov: FloatArray, name: str) -> None:
+    """Raise ValueError unless covariances (..., n, n) are finite, symmetric and, but for rounding, not negative."""
+    tolerance = 1e-9 * np.abs(cov).max(initial=0.0)
+    if not np.isfinite(cov).all() or np.abs(cov - np.swapaxes(cov, -1, -2)).max(initial=0.0) > tolerance:
+        raise ValueError(f"{name} must be finite and symmetric, got {cov}")
+    if cov.size and np.linalg.eigvalsh(cov).min() < -tolerance:
+        raise ValueError(f"{name} must have no negative eigenvalue, got {cov}")
 
 
 def check_transition_prob(transition_prob: FloatArray, n: int, name: str = "transition_prob") -> None:

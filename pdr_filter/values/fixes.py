@@ -17,13 +17,14 @@ _MAX_STD = 1e100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
-    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance."""
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if that is known."""
 
     time_s: float  # when the position was true, on the time base of the samples
     position_m: FloatArray  # (2,) east, north
     cov_m2: FloatArray  # (2, 2) positive definite
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
     correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
+    floor: int | None = None  # number of the storey
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "position_m", read_only(self.position_m))
@@ -35,6 +36,10 @@ class PositionFix:
             raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
         if not 0 <= self.correlation_s < np.inf:
             raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
+        if self.floor is not None:
+            if self.floor != np.round(self.floor):
+                raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
+            object.__setattr__(self, "floor", int(self.floor))
         _check_times(self.time_s, self.received_time_s)
 
     @property

@@ -8,6 +8,7 @@ from typing import TypeVar
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.checks import check_numbers
 
 _Number = TypeVar("_Number", float, FloatArray)
 
@@ -25,9 +26,7 @@ class HeadingDrift:
     bias_correlation_s: float = 3.0
 
     def __post_init__(self) -> None:
-        for name, value in vars(self).items():
-            if not 0 <= value < np.inf:
-                raise ValueError(f"{name} must be 0 or more and finite, got {value}")
+        check_numbers(self, zero=vars(self))
 
     def variances_rad2(
         self,

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 from pdr_filter.values.arrays import FloatArray, read_only
 
@@ -17,7 +18,7 @@ class Samples:
     values: FloatArray  # (N, d) in the units of the stream (`Recording` names them); NaN where a field was empty
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "time_s", read_only(self.time_s))
+        object.__setattr__(self, "time_s", read_only(self.time_s, "time_s"))
         object.__setattr__(self, "values", read_only(self.values))
         if self.time_s.ndim != 1 or self.values.ndim != 2 or len(self.time_s) != len(self.values):
             raise ValueError(
@@ -27,6 +28,10 @@ class Samples:
 
     def __len__(self) -> int:
         return len(self.time_s)
+
+    def __reduce__(self) -> tuple[Any, ...]:
+        """Pickled and copied through the constructor, so that the arrays stay read-only."""
+        return type(self), (self.time_s, self.values)
 
     def __repr__(self) -> str:
         return f"Samples({len(self)} x {self.values.shape[1]})"

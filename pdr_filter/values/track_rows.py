@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
+from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.uncertainty import uncertainty_95_m
@@ -47,6 +48,9 @@ class TrackRows:
     smoothed_speed_mps: FloatArray  # (K,) after each step, of the steps of its bout so far
     smoothed_speed_std_mps: FloatArray  # (K,)
     gap_before_s: FloatArray  # (K,) time without samples since the step before
+    height_m: FloatArray  # (K,) above the start
+    height_std_m: FloatArray  # (K,)
+    floor: IntArray  # (K,) the storey: from that of the start, which is 0, or as a fix has named it
     context_prob: FloatArray  # (K, C)
     contexts: tuple[str, ...]
     mode_prob: FloatArray  # (K, M)
@@ -59,6 +63,7 @@ class TrackRows:
     weighting: str
     notes: tuple[str, ...] = field(default=())  # what was odd about it, in plain words
     fixes: tuple[FixResult, ...] = field(default=())
+    floor_passages: tuple[FloorPassage, ...] = field(default=())  # see `floor_changes`
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
     frame: str = "start"  # of positions and headings: "start", "north" or "fixes"
     origin: Origin | None = None  # where on Earth its zero is, if the recording's own locations or somebody said it
@@ -174,6 +179,12 @@ class TrackRows:
         return f"{words}: nothing says which way is true north."
 
     @property
+    def is_level(self) -> bool:
+        """Whether nothing says that somebody left the height of the start: by a metre and two deviations, a storey."""
+        told = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
+        return not (told.any() or self.floor_passages or (self.floor != self.floor[:1]).any())
+
+    @property
     def direction_trust(self) -> FloatArray:
         """How well strides agreed on where walking leads at each step, shape (K,), 0 to 1."""
         return np.asarray(self.steps.direction_trust)
@@ -204,6 +215,10 @@ class TrackRows:
         duration = np.asarray(self.steps.duration_s)[inside]
         walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
         return np.where(walking, self.step_length_m[inside] / duration, 0.0)
+
+    def floor_changes(self) -> list[FloorPassage]:
+        """When the pedestrian went from one storey to another, and how, in order."""
+        return list(self.floor_passages)
 
     def context_seconds(self) -> dict[str, float]:
         """Seconds spent in each context: every window votes for its most probable one.

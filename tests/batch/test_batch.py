@@ -376,6 +376,17 @@ def test_names_and_notes_of_several_lines_are_one_line_of_the_table(walks: Path,
     assert row.name == 'two lines, "quoted"'
 
 
+@pytest.mark.parametrize("text", ["=cmd|'calc'!A0", "@SUM(1)", "'quoted", "a; =1", "-1"])
+def test_no_text_of_a_recording_is_a_formula_in_the_table(walks: Path, tmp_path: Path, text: str) -> None:
+    recording = replace(pdr.read(walks / "walk_0.zip"), name=text, notes=(text,))
+    row = rows_table.row_of(batch.Task(str(tmp_path / "a.zip")), pdr.track(recording))
+    cells = rows_table._cells(row)
+    for cell in (cells[rows_table.COLUMNS.index(name)] for name in ("name", "notes")):
+        assert not any(part.strip()[:1] in {"=", "+", "-", "@"} for part in cell.split(";"))
+    (tmp_path / "tracks.csv").write_text(rows_table._line(rows_table.COLUMNS) + rows_table._line(cells))
+    assert batch.read_table(tmp_path / "tracks.csv") == [row]
+
+
 def test_a_folder_is_no_table(walks: Path, tmp_path: Path) -> None:
     with pytest.raises(ValueError, match="is a folder"):
         batch.track(walks, out=tmp_path)
@@ -498,3 +509,74 @@ def test_a_scheduler_that_is_not_there_is_told(walks: Path, tmp_path: Path, monk
     monkeypatch.setattr(workers, "_CONNECT_S", 0.5)
     with pytest.raises(ValueError, match="no Dask scheduler"):
         batch.track(walks, out=tmp_path / "tracks.csv", scheduler="tcp://127.0.0.1:9")
+
+
+# --- processes that are killed ---------------------------------------------------------------------------------------
+
+
+def script(text: str) -> subprocess.Popen[str]:
+    """A program beside this file, which can import `jobs`."""
+    return subprocess.Popen([sys.executable, "-c", text], cwd=Path(__file__).parent, stdout=subprocess.PIPE, text=True)
+
+
+KILLED_AFTER_THE_LAST = """
+import os, signal, jobs
+from pdr_filter import batch
+for n, (_, pid) in enumerate(batch.each(jobs.pid_after, [0.01] * 6, jobs=2)):
+    if n == 5:
+        os.kill(pid, signal.SIGKILL)
+print("all rows")
+"""
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_a_worker_that_is_killed_after_the_last_row_does_not_hold_up_the_end() -> None:
+    """Two of three such programs never ended while the processes shared locks."""
+    for running in [script(KILLED_AFTER_THE_LAST) for _ in range(4)]:
+        try:
+            assert running.communicate(timeout=60)[0] == "all rows\n"
+            assert running.returncode == 0
+        finally:
+            running.kill()
+
+
+KILLED_ITSELF = """
+import jobs
+from pdr_filter import batch
+for _, pid in batch.each(jobs.pid_after, [0.5, 0.5, 300.0, 300.0], jobs=2):
+    print(pid, flush=True)
+"""
+
+
+def is_alive(pid: int) -> bool:
+    try:
+        os.kill(pid, 0)
+    except ProcessLookupError:
+        return False
+    return True
+
+
+@pytest.mark.skipif(os.name != "posix", reason="needs SIGKILL")
+def test_workers_end_with_the_process_that_started_them_in_the_middle_of_their_work() -> None:
+    running = script(KILLED_ITSELF)
+    assert running.stdout is not None
+    pids = {int(running.stdout.readline()) for _ in range(2)}
+    time.sleep(0.2)
+    assert all(is_alive(pid) for pid in pids)
+    running.kill()
+    running.wait()
+    deadline = time.monotonic() + 20
+    while any(is_alive(pid) for pid in pids):
+        assert time.monotonic() < deadline, "orphans"
+        time.sleep(0.05)
+
+
+def test_what_the_work_prints_and_raises_does_not_disturb_the_results(capfd: pytest.CaptureFixture[str]) -> None:
+    assert dict(batch.each(print, ["loud", "louder"], jobs=2)) == {0: None, 1: None}
+    assert sorted(capfd.readouterr().err.split()) == ["loud", "louder"]
+
+
+def test_work_that_other_processes_cannot_import_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(square_or_die, "__module__", "__main__")
+    with pytest.raises(ValueError, match="put it into a module"):
+        list(batch.each(square_or_die, [1, 2], jobs=2))

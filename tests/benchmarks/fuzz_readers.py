@@ -1,10 +1,12 @@
-"""Mutated files of every format: each must give a recording or a RecordingError, soon, and write nothing.
+"""Mutated files of every format: a recording or a RecordingError, soon, in little memory, without touching other files.
 
 usage: python -m tests.benchmarks.fuzz_readers [--inputs 10000] [--forms own,phyphox:zip,...] [--seed 0]
 
-Each form is read in a process of its own, so that a crash of a C library would be seen, and which ends with a traceback
-where it hangs. The table has, for each form, how many were read with a report that fits, refused by the name of the
-file, failed in any other way, and slower than a second; the first failures are kept in a folder.
+One of a hundred mutations makes a file large; one of twenty inputs is a folder or a file of which a part is a pipe, a
+device, a link or, in hdf5, data kept elsewhere. Each form is read in a process of its own, so that a crash of a C
+library would be seen, and which ends with a traceback where it hangs. The table has, for each form, how many were read
+with a report that fits, refused by the name of the file, failed in any other way (opening or writing another file is
+one), and were slower than a second, and by how much the process grew at most; the first failures are kept in a folder.
 """
 
 from __future__ import annotations
@@ -12,7 +14,10 @@ from __future__ import annotations
 import argparse
 import faulthandler
 import json
+import os
 import random
+import resource
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -25,15 +30,25 @@ from tests.benchmarks.common import Tables, options
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 
-from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file
+from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file, of_another_kind
 
 KEPT = Path(tempfile.gettempdir()) / "fuzz_readers"
+MEASURED = ("slower than 1 s", "largest memory")
 SLOW_S = 1.0  # of processor time
 HANG_S = 60.0  # on the wall, on a machine that may be busy: the process ends and says where it was
 
 
+MOST_BYTES = 4 << 30  # of address space: what takes more ends with a MemoryError
+CODE = (".py", ".pyc", ".so")  # of modules that are imported late
+
+
+def largest_mib() -> int:
+    """Largest resident memory of this process so far."""
+    return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
+
+
 def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
-    """Counts of what happened."""
+    """Counts of what happened, and the memory by which the process grew."""
     from pdr_filter.io.errors import RecordingError
     from pdr_filter.io.formats import read
 
@@ -46,20 +61,40 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
         good = good_file(form, folder / "good")
         assert len(read(good).accelerometer) > 0
         (folder / "x").mkdir()
+        (folder / "elsewhere").mkdir()
+        opened: list[str] = []  # files outside x
+
+        def note_opened(event: str, arguments: tuple[object, ...]) -> None:
+            if event == "open" and watching and isinstance(arguments[0], str | bytes):
+                where = os.path.realpath(os.fsdecode(arguments[0]))
+                if not where.startswith(str(folder.resolve() / "x")) and not where.endswith(CODE):
+                    opened.append(where)
+
+        watching = False
+        sys.addaudithook(note_opened)
+        resource.setrlimit(resource.RLIMIT_AS, (MOST_BYTES, MOST_BYTES))
+        before_mib = largest_mib()
         for beside in good.parent.glob("*.toml"):
             (folder / "x" / beside.name).write_bytes(beside.read_bytes())
         beside = {folder / "x" / name for name in (good.name, *(path.name for path in (folder / "x").iterdir()))}
         for i in range(inputs):
-            path = mutated_file(good, folder / "x", rng)
+            if rng.random() < 0.05:
+                path = of_another_kind(good, folder / "x", folder / "elsewhere", rng)
+            else:
+                path = mutated_file(good, folder / "x", rng)
             # half the time the reader of this format is forced, so that detection does not turn all away
             forced = form.partition(":")[0] if rng.random() < 0.5 else None
             begin = time.process_time()
             try:
                 faulthandler.dump_traceback_later(HANG_S, exit=True)
+                watching = True
                 try:
                     recording = read(path, forced)
                 finally:
+                    watching = False
                     faulthandler.cancel_dump_traceback_later()
+                    if opened:
+                        raise AssertionError(f"opened {opened.pop()}")
                 if faults := faults_of_recording(recording, forced):
                     raise AssertionError("; ".join(faults))
                 counts["read"] += 1
@@ -69,10 +104,15 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
             except BaseException as error:
                 counts[f"failed: {type(error).__name__}: {str(error)[:80]}"] += 1
                 KEPT.mkdir(exist_ok=True)
-                (KEPT / f"{form.replace(':', '_')}_{i}_{forced}{path.suffix}").write_bytes(path.read_bytes())
+                if path.is_file():
+                    (KEPT / f"{form.replace(':', '_')}_{i}_{forced}{path.suffix}").write_bytes(path.read_bytes())
             counts["slower than 1 s"] += time.process_time() - begin > SLOW_S
-            if {entry.name for entry in folder.iterdir()} != {"good", "x"} or set((folder / "x").iterdir()) != beside:
+            shutil.rmtree(folder / "x" / "unpacked", ignore_errors=True)
+            if {entry.name for entry in folder.iterdir()} != {"good", "x", "elsewhere"} or not beside.issuperset(
+                (folder / "x").iterdir()
+            ):
                 raise AssertionError(f"input {i} wrote a file outside its folder")
+        counts["largest memory"] = largest_mib() - before_mib
     return counts
 
 
@@ -91,16 +131,16 @@ def main() -> None:
         command = [sys.executable, "-m", __spec__.name, "--here", "--forms", form, "--inputs", str(args.inputs)]
         ended = subprocess.run([*command, "--seed", str(args.seed)], check=False, stdout=subprocess.PIPE, text=True)
         if ended.returncode:
-            rows.append([f"`{form}`", args.inputs, "", "", f"ended with code {ended.returncode}", ""])
+            rows.append([f"`{form}`", args.inputs, "", "", f"ended with code {ended.returncode}", "", ""])
             continue
         counts = Counter(json.loads(ended.stdout))
-        read, refused, slow = (counts.pop(what, 0) for what in ("read", "refused", "slower than 1 s"))
-        print(form, dict(counts) or "", flush=True)
-        rows.append([f"`{form}`", args.inputs, read, refused, sum(counts.values()), slow])
+        read, refused, slow, mib = (counts.pop(what, 0) for what in ("read", "refused", *MEASURED))
+        print(form, read, refused, slow, f"{mib} MiB", dict(counts) or "", flush=True)
+        rows.append([f"`{form}`", args.inputs, read, refused, sum(counts.values()), slow, f"{mib} MiB"])
     tables = Tables.of(__spec__.name, args)
     if args.forms != ",".join(FORMS):
         tables = Tables(tables.command, None)
-    tables.write("fuzz_readers", ["form", "inputs", "read", "refused", "failed", "slower than 1 s"], rows)
+    tables.write("fuzz_readers", ["form", "inputs", "read", "refused", "failed", *MEASURED], rows)
 
 
 if __name__ == "__main__":

@@ -24,6 +24,7 @@ from pdr_filter.classifiers.model import (
     to_be_told_apart,
 )
 from pdr_filter.classifiers.rvm import RelevanceVectorClassifier
+from pdr_filter.io import limits
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
 
 # in the alphabetical order of scikit-learn, which is not the order of CONTEXTS
@@ -288,6 +289,21 @@ def test_truncated_arrays_are_refused(forest_model: ContextModel, tmp_path: Path
     ):
         rewrite(path, part)
         assert_refused(path, "not usable as context model")
+
+
+def test_arrays_that_unpack_to_more_than_models_have_are_refused(
+    forest_model: ContextModel, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = forest_model.save(tmp_path)
+    buffer = io.BytesIO()
+    np.savez_compressed(buffer, feature_mean=np.zeros(10**6))
+    rewrite(path, buffer.getvalue())
+    monkeypatch.setattr(limits, "MAX_UNPACKED_BYTES", 10**6)
+    assert_refused(path, "claims 80001.. bytes of arrays, more than 1000000")
+    monkeypatch.setattr(limits, "MAX_WHOLE_BYTES", 100)
+    assert_refused(path, r"npz: more than 100 bytes")
+    monkeypatch.setattr(limits, "MAX_DESCRIPTION_BYTES", 100)
+    assert_refused(path, r"json: more than 100 bytes")
 
 
 class Bomb:

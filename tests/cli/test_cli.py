@@ -47,6 +47,51 @@ def one_line(text: str) -> str:
     return line
 
 
+# --- text of others ------------------------------------------------------------------------------------------------
+
+
+def on_a_terminal(*arguments: object) -> str:
+    """What a command prints, with all escapes."""
+    done = CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "200", "TERM": "dumb"}, color=True)
+    return done.output
+
+
+@pytest.fixture(scope="module")
+def hostile(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of walks whose texts clear the terminal or are too long for a file name, and a broken one."""
+    folder = tmp_path_factory.mktemp("hostile")
+    walk = pdr.simulate.demo_walk()
+    labels = walk.truth.labels
+    assert labels is not None
+    odd = labels.astype([(n, "U20" if n in ("context", "carrying_mode") else "f8") for n in labels.dtype.names or ()])
+    odd["context"][0] = "\x1b[2J"
+    meta = {**walk.meta, "placement": "\x1b[2Jhand", "reading": {"source": "\x1b[2J", "clock": "\x9b2J"}}
+    write_recording(replace(walk, meta=meta, truth=replace(walk.truth, labels=odd)), folder / "a.zip")
+    write_recording(replace(walk, name="\u4e00" * 200), folder / "b.zip")
+    write_recording(replace(walk, name="\x1b[2J"), folder / "c\x1b[2J.zip")  # called after its file
+    (folder / "broken\x1b[2J.zip").write_text("no zip file")
+    return folder
+
+
+@pytest.mark.parametrize("command", ["info", "track", "compare"])
+@pytest.mark.parametrize("name", ["a.zip", "c\x1b[2J.zip", "broken\x1b[2J.zip"])
+def test_text_of_a_file_or_of_its_name_does_not_act_on_the_terminal(hostile: Path, command: str, name: str) -> None:
+    printed = on_a_terminal(command, hostile / name)
+    assert printed
+    assert "\x1b[2J" not in printed
+    assert "\x9b" not in printed
+    if command == "info" or name != "a.zip":
+        assert "\\x1b[2J" in printed
+
+
+def test_a_name_too_long_for_a_file_is_shortened_and_all_files_are_written(hostile: Path, tmp_path: Path) -> None:
+    assert run("track", hostile / "b.zip", "--out", tmp_path, "--report", "--origin", "51,0").exit_code == 0
+    assert sorted(path.suffix for path in tmp_path.iterdir()) == [".csv", ".geojson", ".html", ".png"]
+    assert len({path.stem for path in tmp_path.iterdir()}) == 1
+    assert run("demo", hostile / "b.zip", "--out", tmp_path / "demo").exit_code == 0
+    assert len(list((tmp_path / "demo").iterdir())) == 3
+
+
 # --- track ---------------------------------------------------------------------------------------------------------
 
 
@@ -222,8 +267,8 @@ def test_a_file_that_does_not_exist_is_named(tmp_path: Path) -> None:
         (["--heading", "nan"], "--heading must be degrees clockwise from north"),
         (["--heading", "4000"], "--heading must be degrees clockwise from north"),
         (["--export", "shp"], "csv, geojson, gpx, kml, parquet, tum, got 'shp'"),
-        (["--export", "csv,gpx"], "demo_walk: gpx need a place on Earth"),
-        (["--origin", "43.77,11.25", "--gnss", "filter"], "leave one or the other out"),
+        (["--export", "csv,gpx"], "demo_walk: --export gpx needs a place on Earth"),
+        (["--origin", "43.77,11.25", "--gnss", "filter"], "has no location"),
     ],
 )
 def test_an_option_that_cannot_be_used_is_one_line_with_the_remedy(walk: Path, options: list[str], said: str) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from time import process_time
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from pdr_filter import recipes
 from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align, open_turn
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.pedestrian import present_position
+from pdr_filter.filtering import add_fixes, init
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import Fix, HeadingFix, PositionFix, SpeedFix, Standstill, wrap_angle
@@ -447,6 +449,19 @@ def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> N
     online.finish()
     with pytest.raises(ValueError, match="the filter is finished"):
         online.add_fix(PositionFix(80.0, np.zeros(2), np.eye(2)))
+
+
+def test_ten_thousand_fixes_that_wait_are_added_in_a_second_and_used_in_the_order_in_which_they_are_due() -> None:
+    """Sorted anew with each, they took minutes."""
+    times = np.random.default_rng(0).permutation(10_000) / 100
+    fixes = [PositionFix(float(t), np.zeros(2), np.eye(2), received_time_s=float(t) + 0.5) for t in times]
+    online, begin = pdr.OnlineFilter(), process_time()
+    for fix in fixes:
+        online.add_fix(fix)
+    assert process_time() - begin < 5.0
+    waiting = online.state.waiting_fixes
+    assert [fix.time_s for fix in waiting] == sorted(times.tolist())
+    assert add_fixes(online.config, init(online.config), fixes).waiting_fixes == waiting
 
 
 def test_an_accepted_fix_moves_the_place_where_a_later_but_older_one_belongs(walk: Recording) -> None:

@@ -506,9 +506,9 @@ def test_the_first_imm_step_is_that_of_the_mixed_start() -> None:
         ({"modes": (), "transition_prob": np.empty((0, 0))}, "one mode at least"),
         ({"transition_prob": np.full((6, 6), np.nan)}, "must sum to 1"),
         ({"transition_prob": np.eye(6)[[0, 0, 0, 1, 2, 3]].T}, "transpose it"),
-        ({"evidence_exponent": np.nan}, "evidence_exponent must be 0 or more, got nan"),
-        ({"evidence_floor": -0.1}, "evidence_floor must be at least 0 and below 1"),
-        ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary must be finite"),
+        ({"evidence_exponent": np.nan}, "evidence_exponent of PedestrianModel must be 0 or more .*, got nan"),
+        ({"evidence_floor": -0.1}, "evidence_floor of PedestrianModel must be 0 or more"),
+        ({"step_log_odds_stationary": np.inf}, "step_log_odds_stationary of PedestrianModel must be finite"),
     ],
 )
 def test_a_model_that_makes_no_sense_is_refused(change: dict[str, object], message: str) -> None:
@@ -519,7 +519,7 @@ def test_a_model_that_makes_no_sense_is_refused(change: dict[str, object], messa
 def test_weighted_step_lengths_need_one_mode_for_each_context_and_a_threshold() -> None:
     with pytest.raises(ValueError, match="exactly one mode"):
         WeightedTracker(PedestrianModel(modes()[:5], np.eye(5)))
-    with pytest.raises(ValueError, match="threshold must be 0 or more, got nan"):
+    with pytest.raises(ValueError, match=r"threshold of WeightedTracker must be 0 or more .*, got nan"):
         WeightedTracker(model(), np.nan)
 
 

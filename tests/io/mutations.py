@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import random
 import re
 from collections.abc import Callable
@@ -185,6 +186,26 @@ def with_lines_shuffled(data: bytes, rng: random.Random) -> bytes:
     return b"\n".join(lines)
 
 
+def with_a_long_run(data: bytes, rng: random.Random) -> bytes:
+    """One byte many times, inside a field or a name."""
+    at = rng.randrange(min(len(data), rng.choice([60, len(data)])))
+    return (
+        data[:at]
+        + rng.choice([b" ", b'"', b",", b"\n", b"(", b"0", b"[", b"{},"]) * rng.choice([10**3, 10**5])
+        + data[at:]
+    )
+
+
+def with_a_line_repeated(data: bytes, rng: random.Random) -> bytes:
+    """A line so often that it becomes a megabyte, whole or with nothing in its fields."""
+    lines = data.split(b"\n")
+    line = rng.choice(lines)
+    if rng.random() < 0.5:
+        line = re.sub(rb"[^,;\t]+", b"", line)
+    at = rng.randrange(len(lines))
+    return b"\n".join([*lines[:at], *[line] * (10**6 // (len(line) + 1)), *lines[at:]])
+
+
 MUTATIONS: tuple[Callable[[bytes, random.Random], bytes], ...] = (
     truncated,
     with_flipped_bits,
@@ -194,6 +215,13 @@ MUTATIONS: tuple[Callable[[bytes, random.Random], bytes], ...] = (
     in_another_encoding,
     with_lines_shuffled,
 )
+LARGE_MUTATIONS = (with_a_long_run, with_a_line_repeated)
+CANARY = 31415.9265  # a number of a file that nobody gave to a reader
+
+
+def a_mutation(rng: random.Random) -> Callable[[bytes, random.Random], bytes]:
+    """One of a hundred makes the file large."""
+    return rng.choice(LARGE_MUTATIONS if rng.random() < 0.01 else MUTATIONS)
 
 
 def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
@@ -205,7 +233,7 @@ def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
             files = {name: archive.read(name) for name in archive.namelist()}
         victim = rng.choice(sorted(files))
         if files[victim]:
-            files[victim] = rng.choice(MUTATIONS)(files[victim], rng)
+            files[victim] = a_mutation(rng)(files[victim], rng)
         if rng.random() < 0.05:
             files[rng.choice(["../evil.csv", "/etc/evil.csv", "a\\..\\..\\evil.csv", "C:/evil.csv"])] = b"x"
         if rng.random() < 0.05:
@@ -213,9 +241,66 @@ def mutated_file(good: Path, folder: Path, rng: random.Random) -> Path:
         return write_zip(folder / good.name, files)
     data = good.read_bytes()
     for _ in range(rng.choice([1, 1, 2])):
-        data = rng.choice(MUTATIONS)(data, rng) if data else data
+        data = a_mutation(rng)(data, rng) if data else data
     path = folder / good.name
     path.write_bytes(data)
+    return path
+
+
+def of_another_kind(good: Path, folder: Path, elsewhere: Path, rng: random.Random) -> Path:
+    """A good file, unpacked if it is a zip, of which one is a pipe, a device, or a link to a copy of it elsewhere."""
+    import zipfile
+
+    if zipfile.is_zipfile(good):
+        path = folder / "unpacked"
+        with zipfile.ZipFile(good) as archive:
+            archive.extractall(path)
+        victim = rng.choice(sorted(entry for entry in path.rglob("*") if entry.is_file()))
+    elif good.suffix == ".hdf5" and rng.random() < 0.7:
+        return kept_elsewhere(good, folder, elsewhere, rng)
+    else:
+        path = folder / "unpacked"
+        path.mkdir()
+        victim = path / {".hdf5": "data.hdf5"}.get(good.suffix, good.name)
+        victim.write_bytes(good.read_bytes())
+    kind = rng.choice(["pipe", "device", "link"])
+    if kind == "link":
+        victim.rename(elsewhere / "original")
+        victim.symlink_to(elsewhere / "original")
+    else:
+        victim.unlink()
+        os.mkfifo(victim) if kind == "pipe" else victim.symlink_to(rng.choice(["/dev/zero", "/dev/urandom"]))
+    return victim if kind != "link" and rng.random() < 0.5 else path
+
+
+def kept_elsewhere(good: Path, folder: Path, elsewhere: Path, rng: random.Random) -> Path:
+    """An hdf5 file of which a data set or a group is in another file."""
+    import h5py
+
+    path = folder / good.name
+    path.write_bytes(good.read_bytes())
+    with h5py.File(elsewhere / "other.hdf5", "w") as other:
+        other["synced/time"] = np.arange(N) / 100
+        other["synced/acce"] = other["synced/magnet"] = np.full((N, 3), CANARY)
+    (elsewhere / "raw").write_bytes(np.full((N, 3), CANARY).tobytes())
+    where = str(elsewhere / "other.hdf5")
+    name = rng.choice(["synced/acce", "synced/magnet"])
+    with h5py.File(path, "a", libver="latest") as file:
+        kind = rng.choice(["group", "link", "soft", "external", "virtual"])
+        del file["synced" if kind == "group" else name]
+        if kind == "group":
+            file["synced"] = h5py.ExternalLink(where, "synced")
+        elif kind == "link":
+            file[name] = h5py.ExternalLink(where, name)
+        elif kind == "soft":
+            file["elsewhere"] = h5py.ExternalLink(where, "synced")
+            file[name] = h5py.SoftLink(f"/elsewhere/{name.partition('/')[2]}")
+        elif kind == "external":
+            file.create_dataset(name, (N, 3), "f8", external=[(str(elsewhere / "raw"), 0, N * 24)])
+        else:
+            layout = h5py.VirtualLayout((N, 3), "f8")
+            layout[:] = h5py.VirtualSource(where, name, (N, 3))
+            file.create_virtual_dataset(name, layout)
     return path
 
 
@@ -250,6 +335,8 @@ def faults_of_recording(recording: Recording, format: str | None) -> list[str]:
             faults.append(f"{name}: times that are not finite, or not one for each row")
         if not (np.isnan(samples.values) | (np.abs(samples.values) <= LARGEST_VALUE)).all():
             faults.append(f"{name}: absurd values")
+    if any((samples.values == CANARY).any() for samples in recording.streams.values()):
+        faults.append("holds what is in another file")
     median = median_norm(recording.accelerometer.values)
     if not SPECIFIC_FORCE_RANGE_MPS2[0] <= median <= SPECIFIC_FORCE_RANGE_MPS2[1]:
         faults.append(f"median specific force {median}")

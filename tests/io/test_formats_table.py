@@ -153,7 +153,7 @@ def test_the_report_says_what_it_was_and_how_fast(tmp_path: Path, form: str) -> 
 OWN, FUZZ = "test_own_format.py", "test_fuzz_readers.py"
 LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sensor_data.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
-GENERIC = "test_generic_csv.py"
+GENERIC, HOSTILE = "test_generic_csv.py", "test_hostile_files.py"
 
 # Format and trap as in the table of the docs, and the tests that fail if it is stepped into.
 TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
@@ -187,6 +187,11 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (OWN, "test_an_encrypted_member_is_refused"),
         (FUZZ, "test_a_zip_bomb_is_refused_before_it_is_unpacked"),
         (FUZZ, "test_a_member_that_points_outside_the_zip_is_refused"),
+        (HOSTILE, "test_a_zip_that_unpacks_to_more_than_sensors_can_is_refused"),
+    ],
+    ("all", "pipes, devices, links out of the folder in place of a file"): [
+        (HOSTILE, "test_a_pipe_a_device_or_a_link_in_place_of_a_file_is_refused_soon"),
+        (HOSTILE, "test_a_sensor_that_is_a_link_out_of_its_folder_is_refused_and_one_within_it_is_read"),
     ],
     ("Sensor Logger", "order of columns differs between versions"): [
         (LOGGER, "test_columns_are_found_by_name_whatever_their_order"),
@@ -264,6 +269,9 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("RoNIN", "calibration in `info.json`"): [
         (RONIN, "test_a_walk_comes_back_calibrated"),
         (RONIN, "test_without_info_the_values_are_as_recorded_with_a_note"),
+    ],
+    ("RoNIN", "data that hdf5 keeps in other files"): [
+        (HOSTILE, "test_data_that_hdf5_keeps_in_another_file_are_refused")
     ],
     ("RoNIN", "quaternions wxyz in `synced`, xyzw in `raw`"): [
         (RONIN, "test_a_quaternion_of_the_other_order_is_refused")

@@ -51,6 +51,9 @@ def small_track(n: int = 3) -> Track:
         modes=("walk, normal",),
         mode_contexts=("walking",),
         gap_before_s=np.zeros(n),
+        height_m=np.zeros(n),
+        height_std_m=np.zeros(n),
+        floor=np.zeros(n, dtype=np.int64),
         steps=step_table(steps),
         windows=windows,
         start_time_s=1.0,
@@ -113,6 +116,9 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "walking_heading_rad": 0.0,
             "smoothed_speed_mps": 1.5,
             "smoothed_speed_std_mps": 0.1,
+            "height_m": 0.0,
+            "height_std_m": 0.0,
+            "floor": 0.0,
             "context_prob_stationary": 0.25,
             "context_prob_walking": 0.75,
             "mode_prob_walk, normal": 1.0,
@@ -323,3 +329,18 @@ def test_tum_of_a_track_without_steps_is_the_start(tmp_path: Path) -> None:
     text = writers.write_tum(small_track(0), tmp_path / "t.tum").read_text()
     assert [float(field) for field in text.split()[:4]] == [1.0, 0, 0, 0]
     assert len(text.splitlines()) == 1
+
+
+def test_a_track_that_climbs_has_its_heights_as_third_coordinate_and_a_level_one_none(tmp_path: Path) -> None:
+    level = small_track()
+    climbs = replace(level, height_m=np.array([0.0, 1.5, 3.06]), floor=np.array([0, 0, 1]))
+    (flat,), (up,) = (
+        json.loads(made.to_geojson(tmp_path / "t.geojson", origin=(48.0, 11.0)).read_text())["features"]
+        for made in (level, climbs)
+    )
+    assert {len(vertex) for vertex in flat["geometry"]["coordinates"]} == {2}
+    assert [vertex[2] for vertex in up["geometry"]["coordinates"]] == [0.0, 0.0, 1.5, 3.06]
+    assert [vertex[:2] for vertex in up["geometry"]["coordinates"]] == flat["geometry"]["coordinates"]
+    assert up["properties"]["height"] == "metres above the start of the walk"
+    assert up["properties"]["floor"] == [0, 0, 0, 1]
+    assert "height" not in flat["properties"]

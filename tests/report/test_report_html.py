@@ -20,7 +20,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, Fix, PositionFix
+from pdr_filter.values import CONTEXTS, Fix, FloorPassage, PositionFix
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
 
@@ -32,7 +32,10 @@ def recording() -> Recording:
 
 @pytest.fixture(scope="module")
 def track(recording: Recording) -> Track:
-    return pdr.track(recording)
+    """On one storey, as most walks are."""
+    found = pdr.track(recording)
+    zeros = np.zeros(found.n_steps)
+    return replace(found, height_m=zeros, floor=zeros.astype(np.int64), floor_passages=())
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +121,21 @@ def test_every_step_has_the_colour_of_its_context(page: str, track: Track) -> No
     drawn = [(len(points(line)) - 1, line.attrib["stroke"]) for line in coloured]
     colours = [colour for n, colour in drawn for _ in range(n)]
     assert colours == [palette.COLOURS[i] for i in track.context_prob.argmax(axis=1)]
+
+
+def test_a_walk_over_storeys_has_a_profile_and_their_colours(track: Track) -> None:
+    floor = np.where(np.arange(track.n_steps) < 100, 0, -1)
+    change = FloorPassage(60.0, 70.0, 0, -1, "lift")
+    page = html_report(replace(track, height_m=3.0 * floor, floor=floor, floor_passages=(change,)))
+    assert [h.text for h in tree(page).iter("h2")][1:4] == ["Way", "Height", "Contexts over time"]
+    assert "60 to 70 s: from floor 0 to floor -1, by lift" in Seen(page).words
+    colours = palette.floor_colours([0, -1])
+    for picture, n_lines in ((pictures(page)[0], 3), (pictures(page)[1], 2)):
+        lines = list(picture.iter("polyline"))
+        assert len(lines) == n_lines
+        assert [line.attrib["stroke"] for line in lines[-2:]] == [colours[0], colours[-1]]
+    profile = np.vstack([points(line) for line in pictures(page)[1].iter("polyline")])
+    assert profile[0, 1] < profile[-1, 1]  # pixels grow downwards
 
 
 def test_ellipses_have_the_axes_and_the_direction_of_the_covariance(track: Track) -> None:

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
 from pdr_filter.values import BoolArray, PositionFix
@@ -127,15 +129,14 @@ def loop_closures_of_file(path: str | Path, std_m: float = 0.5) -> list[LoopClos
 
 def _rows(file: Path, names: tuple[str, ...], what: str, std_m: float) -> list[list[float]]:
     """Numbers of the columns, and of `std_m` after them: that of the file if it has this column."""
-    try:
-        table = TextTable([file.read_bytes()], str(file))
-    except OSError as error:
-        raise ValueError(f"{file}: {error.strerror or error}; give a CSV file of {what}") from error
+    table = TextTable([read_small(file, limits.MAX_WHOLE_BYTES)], str(file))
     columns = (*names, *(("std_m",) if "std_m" in table.fields else ()))
     values = table.parse(table.places(columns), []).values
     unknown = np.flatnonzero(~np.isfinite(values).all(axis=1))
     if len(unknown):
         raise ValueError(f"{file}, row {unknown[0] + 1}: {','.join(columns)} must all be numbers; leave the row out")
+    if len(values) > limits.MAX_FIXES:
+        raise ValueError(f"{file}: {len(values)} {what}, more than {limits.MAX_FIXES}; leave out some")
     if not len(values):
         raise ValueError(f"{file}: no {what} below the line {','.join(columns)}")
     if len(columns) == len(names):

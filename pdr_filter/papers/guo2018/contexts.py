@@ -16,7 +16,7 @@ from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.papers.guo2018.features import WITHOUT_LIGHT_AND_PROXIMITY, PoseWindow, PoseWindows, PoseWindowState
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import CARRYING_MODES, FloatArray, read_only
+from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers, read_only
 
 _CONTEXTS = ("stationary", "walking")
 
@@ -45,6 +45,7 @@ class PoseContext(WindowStage[PoseWindowState, PoseWindow, FloatArray | None]):
     min_level_accelerometer: float = 0.27
 
     def __post_init__(self) -> None:
+        check_numbers(self, zero=("min_level", "min_level_accelerometer"), infinite=("max_level",))
         if self.model.head != "carrying_mode" or self.model.feature_names != WITHOUT_LIGHT_AND_PROXIMITY:
             raise ValueError(
                 f"model {self.model.name!r} is no model of the carrying mode on the 12 features of pitch and roll: "

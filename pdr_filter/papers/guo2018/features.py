@@ -15,7 +15,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
-from pdr_filter.values import BoolArray, FloatArray
+from pdr_filter.values import BoolArray, FloatArray, check_numbers
 
 _ANGLE_STATISTICS = ("mean", "median", "max", "min", "rms", "range")
 _AMBIENT_STATISTICS = ("mean", "median", "rms")
@@ -96,6 +96,9 @@ class MotionLevel:
 
     rate_hz: float = 100.0
     window_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     @property
     def window_samples(self) -> int:

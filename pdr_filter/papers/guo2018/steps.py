@@ -31,7 +31,7 @@ from pdr_filter.sensing.steps.detector import (
     specific_force_magnitude,
     vertex,
 )
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6
 # The signal of each carrying mode, and last of an unknown one, which index -1 finds.
@@ -87,7 +87,8 @@ class PoseStepDetector(StepDetector[PoseStepState]):
     min_level_accelerometer: float = 0.27
 
     def __post_init__(self) -> None:
-        if not 1.0 / self.max_step_hz < self.max_interval_s < math.inf:
+        check_numbers(self, zero=("min_level", "min_level_accelerometer"), infinite=("max_level",))
+        if not 1.0 / self.max_step_hz < self.max_interval_s:
             raise ValueError(
                 f"max_interval_s must be longer than a step at max_step_hz, got {self.max_interval_s} and "
                 f"{self.max_step_hz}"

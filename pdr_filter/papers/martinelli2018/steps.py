@@ -26,7 +26,7 @@ from pdr_filter.sensing.steps.detector import (
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -71,6 +71,9 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     min_peak_mps2: float = 0.35
     relative_peak: float = 0.2
     min_interval_s: float = 0.25
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("min_peak_mps2", "relative_peak"), infinite=("running_rms_mps2",))
 
     @cached_property
     def _kernels(self) -> tuple[FloatArray, FloatArray]:

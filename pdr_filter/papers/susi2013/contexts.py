@@ -34,7 +34,7 @@ import numpy as np
 
 from pdr_filter.papers.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_numbers, check_transition_prob
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
 TREE_FEATURES: tuple[str, ...] = (
@@ -77,6 +77,11 @@ class Node:
     weights: tuple[float, ...]
     bias: float
 
+    def __post_init__(self) -> None:
+        check_numbers(self, signed=("weights", "bias"))
+        if len(self.weights) != len(TREE_FEATURES):
+            raise ValueError(f"weights must be one for each of {TREE_FEATURES}, got {self.weights}")
+
     def passes(self, features: FloatArray) -> bool:
         """Whether features (6,) pass."""
         return float((np.asarray(self.weights) * features).sum()) + self.bias > 0
@@ -92,6 +97,10 @@ class MotionModeTree:
     walking: Node  # not irregular
     swinging: Node  # walking with a swinging arm
     leaves: tuple[tuple[float, ...], ...]  # probability of each of `MODES` (columns) in the leaf of each (rows)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, infinite=("static_variance_acc", "static_variance_gyro"))
+        check_transition_prob(np.array(self.leaves), len(MODES), "leaves")
 
     def classify(self, window: MotionWindow) -> str:
         """The motion mode, one of `MODES`."""

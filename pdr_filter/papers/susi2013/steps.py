@@ -26,7 +26,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers
 
 _STATIONARY, _SWINGING = CONTEXTS.index("stationary"), CARRYING_MODES.index("swinging")
 # Step frequency at which the first minimum of a walk, which has none before it, is delayed.
@@ -90,6 +90,7 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
     max_wait_s: float = 0.5
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         _ = self._sos  # a wrong cutoff shows at once
 
     @cached_property

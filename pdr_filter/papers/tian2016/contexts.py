@@ -27,7 +27,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.stage import WindowContext, known_context
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers
 
 _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCKET: "pocket"}
 
@@ -80,6 +80,9 @@ class CarryingMachine:
     edge_x_g: float = 0.9
     face_down_z_g: float = 0.4
     held_again_s: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_numbers(self, infinite=("held_again_s",))
 
     def init(self) -> MachineState:
         """State before the first sample: held, because somebody has just started the program."""
@@ -205,6 +208,7 @@ class TianContexts:
     stationary_s: float = 2.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if self.machine.rate_hz != self.steps.rate_hz:
             raise ValueError(f"rate_hz must be one, got {self.machine.rate_hz} and {self.steps.rate_hz}")
 

@@ -18,7 +18,7 @@ from pdr_filter.papers.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Carr
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import FloatArray, Step, circular_mean, wrap_angle
+from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, wrap_angle
 
 # Standard deviation of an angle of which nothing is known: uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
@@ -102,8 +102,11 @@ class OffsetCompensation:
     direction_std_rad: float = 0.1
 
     def __post_init__(self) -> None:
-        if self.n_swing < 1 or self.n_pocket - self.n_omit < 2 or self.n_omit < 0:
-            raise ValueError("an offset needs a step in a swinging hand, and two that are not left out in a pocket")
+        check_numbers(self, zero=("n_omit",))
+        if self.n_pocket - self.n_omit < 2:
+            raise ValueError(
+                f"n_pocket must be two more than n_omit, which are left out, got {self.n_pocket} and {self.n_omit}"
+            )
 
     @property
     def _carried(self) -> Carried:

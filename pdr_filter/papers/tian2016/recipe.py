@@ -14,7 +14,7 @@ from pdr_filter.papers.tian2016.contexts import TianContexts
 from pdr_filter.papers.tian2016.heading import OffsetCompensation
 from pdr_filter.papers.tian2016.steps import TianStepDetector
 from pdr_filter.sensing.front_end import Sensing
-from pdr_filter.values import FloatArray, Note, Step
+from pdr_filter.values import FloatArray, Note, Step, check_numbers
 
 # k of men and women: text of eq. 9. Of the distances of ten people over 28 m Table VII has a standard deviation of
 # 2.30 m.
@@ -28,6 +28,9 @@ class StaticFirstStepLength:
 
     height_m: float
     n_params: int = 2
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     def regressors(self, step: Step) -> FloatArray:
         """(h sqrt(f), 0), or (0, h)."""

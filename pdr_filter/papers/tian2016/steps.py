@@ -23,7 +23,15 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, filtered
 from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
-from pdr_filter.values import CARRYING_MODES, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step
+from pdr_filter.values import (
+    CARRYING_MODES,
+    STANDARD_GRAVITY_MPS2,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    Step,
+    check_numbers,
+)
 
 # The states of the paper's machine; the first three are also the rows of `step_signals`.
 HOLDING, SWING, POCKET, TRANS = range(4)
@@ -76,6 +84,9 @@ class Carried:
 
     rate_hz: float = 100.0
     transition_s: float = TRANSITION_S
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     @property
     def _n_transition(self) -> int:
@@ -135,6 +146,9 @@ class TianStepDetector(StepDetector[TianDetectorState]):
     held_rejection_s: float = 0.12
     pocket_rejection_s: float = 0.06
     transition_s: float = TRANSITION_S
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("held_rejection_s", "pocket_rejection_s"))
 
     @cached_property
     def _low_pass_sos(self) -> FloatArray:

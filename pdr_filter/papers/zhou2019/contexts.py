@@ -14,7 +14,7 @@ from dataclasses import dataclass, field, replace
 
 from pdr_filter.papers.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_numbers
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
 # In irregular swing nobody moves.
@@ -33,6 +33,9 @@ class BehaviourThresholds:
     walking_energy: float  # T_E^W of Condition 5, m/s2
     irregular_dc_mps2: float  # T_f^I of Condition 4
     irregular_energy: float  # T_E^I of Condition 4, m/s2
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("max_change_mps2",), signed=("irregular_dc_mps2",))
 
     def classify(self, features: FloatArray) -> str:
         """Behaviour of the features (3,) of a window: Conditions 6, 5, 4, 3, in this order."""

@@ -28,7 +28,7 @@ from pdr_filter.sensing.steps.detector import (
     local_maxima,
     specific_force_magnitude,
 )
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers
 
 _STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
 # Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
@@ -50,6 +50,9 @@ class EventSearch:
     max_frequency_hz: float
     harmonic_part: float
     min_maximum_mps2: float  # smallest T_L
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -114,8 +117,7 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     hold_s: float = 2.75
 
     def __post_init__(self) -> None:
-        if self.steps_per_event < 1:
-            raise ValueError(f"steps_per_event must be at least 1, got {self.steps_per_event}")
+        check_numbers(self)
         for search in (self.walking, self.running):
             if not 0 < search.min_frequency_hz < search.max_frequency_hz < search.cutoff_hz < 0.5 * self.rate_hz:
                 raise ValueError(

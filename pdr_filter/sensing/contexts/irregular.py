@@ -45,7 +45,7 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, IntArray, read_only
+from pdr_filter.values import FloatArray, IntArray, check_numbers, read_only
 
 # Share of irregular among moving windows in the fit: divide it out where another prior holds. Among the moving windows
 # of people 7 to 13 it is 0.31.
@@ -67,6 +67,7 @@ class IrregularGate:
     still_below: FloatArray  # (S,) how low
 
     def __post_init__(self) -> None:
+        check_numbers(self, signed=("intercept",))
         for name in ("mean", "scale", "weight", "still_below"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 

@@ -18,7 +18,7 @@ from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irre
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
 from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -179,6 +179,7 @@ class ContextModels:
     carrying_exponent: float = CARRYING_EXPONENT  # of a window's evidence
 
     def __post_init__(self) -> None:
+        check_numbers(self, zero=("carrying_exponent",))
         carrying = self.carrying_with_gyroscope, self.carrying_without_gyroscope
         heads = [(self.with_gyroscope, "context"), (self.without_gyroscope, "context")]
         for model, head in [*heads, *((model, "carrying_mode") for model in carrying if model is not None)]:

@@ -1,8 +1,8 @@
-"""The climb rate from a barometer, and its evidence for stairs.
+"""Climb rate and height from a barometer, and the evidence of the rate for stairs.
 
 Height differences come from the hydrostatic relation, dh = -(R T / (g M)) dp / p: air of 15 degrees has a scale height
-of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. An absolute height is not needed and never formed: weather moves the
-pressure by a few hPa an hour at most, which is less than 0.01 m/s.
+of 8435 m, so that 1 hPa is 8.32 m at 1013 hPa. Only differences count: weather moves the pressure by a few hPa an hour
+at most, which is less than 0.01 m/s.
 
 What `climb_log_evidence` takes for stairs comes from building codes, what it takes for lifts from judgement, the noise
 of the sensor from data sheets. Two recordings with a barometer are at hand, none with labels: draughts were measured on
@@ -15,11 +15,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
 ZERO_CELSIUS_K = 273.15
+STANDARD_PRESSURE_HPA = 1013.25
 
 # The range of phones' sensors (Bosch BMP280, data sheet BST-BMP280-DS001: 300 to 1100 hPa). What is outside is a failed
 # reading, unless it is inside in another unit.
@@ -33,12 +34,14 @@ _CLOCK_RESET_SAMPLES = 10
 
 @dataclass(frozen=True, slots=True)
 class Climb:
-    """Climb rate over one window."""
+    """Climb rate over one window, and the height at its end."""
 
     time_s: float  # last sample of the window: the rate is the mean over the window before, half a window old
     climb_rate_mps: float  # up positive
     std_mps: float
     n_samples: int
+    height_m: float  # of the mean pressure of the last hop, above that of 1013.25 hPa
+    height_std_m: float  # of the sensor alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,6 +52,7 @@ class ClimbState:
     due_s: float  # the sample nearest to this ends a window
     behind_s: float = -np.inf  # time of the last sample that was behind
     n_behind: int = 0  # samples in a row that were behind, and increasing
+    quantum_hpa: float = np.inf  # least difference of two samples that follow one another
 
 
 @dataclass(frozen=True)
@@ -81,10 +85,9 @@ class ClimbRate:
     temperature_c: float = 15.0
 
     def __post_init__(self) -> None:
-        if not 0 < self.hop_s <= self.window_s < np.inf:
-            raise ValueError(f"hop_s must be positive and at most window_s, got {self.hop_s} and {self.window_s}")
-        if not (self.max_gap_s > 0 and self.noise_hpa > 0):
-            raise ValueError(f"max_gap_s and noise_hpa must be positive, got {self.max_gap_s} and {self.noise_hpa}")
+        check_numbers(self, signed=("temperature_c",))
+        if self.hop_s > self.window_s:
+            raise ValueError(f"hop_s must be at most window_s, got {self.hop_s} and {self.window_s}")
         if not -60 <= self.temperature_c <= 60:
             raise ValueError(f"temperature_c must be in degrees Celsius, -60 to 60, got {self.temperature_c}")
 
@@ -102,7 +105,7 @@ class ClimbRate:
         """New state and the windows that became complete, from samples (N,), N >= 0; ValueError for Pa or kPa."""
         samples = _checked(time_s, pressure_hpa)
         kept: list[tuple[float, float]] = [(t, p) for t, p in state.samples.T.tolist()]
-        due_s, behind_s, n_behind = state.due_s, state.behind_s, state.n_behind
+        due_s, behind_s, n_behind, quantum_hpa = state.due_s, state.behind_s, state.n_behind, state.quantum_hpa
         climbs: list[Climb] = []
         for t, p in samples.T.tolist():
             if kept and t <= kept[-1][0]:
@@ -115,21 +118,23 @@ class ClimbRate:
             if not kept or t - kept[-1][0] > self.max_gap_s:
                 kept, due_s = [(t, p)], t + self.window_s
                 continue
+            if p != kept[-1][1]:
+                quantum_hpa = min(quantum_hpa, abs(p - kept[-1][1]))
             nearest_s = t + 0.5 * (t - kept[-1][0])  # until when no later sample is expected to be nearer
             kept.append((t, p))
             if nearest_s >= due_s:
                 due_s += self.hop_s * (np.floor((nearest_s - due_s) / self.hop_s) + 1)
                 kept = self._of_window(kept)
                 if len(kept) >= 3:
-                    climbs.append(self._fit(np.array(kept).T))
+                    climbs.append(self._fit(np.array(kept).T, quantum_hpa))
         kept = self._of_window(kept)
-        return ClimbState(np.array(kept).reshape(-1, 2).T, float(due_s), behind_s, n_behind), climbs
+        return ClimbState(np.array(kept).reshape(-1, 2).T, float(due_s), behind_s, n_behind, quantum_hpa), climbs
 
     def _of_window(self, samples: list[tuple[float, float]]) -> list[tuple[float, float]]:
         """The samples of the window that ends with the last of them."""
         return [s for s in samples if s[0] >= samples[-1][0] - self.window_s - _ROUNDING_S]
 
-    def _fit(self, samples: FloatArray) -> Climb:
+    def _fit(self, samples: FloatArray, quantum_hpa: float) -> Climb:
         time_s, pressure_hpa = np.ascontiguousarray(samples)
         mean_hpa = pressure_hpa.mean()
         height_m = -self.scale_height_m * (pressure_hpa - mean_hpa) / mean_hpa
@@ -139,7 +144,17 @@ class ClimbRate:
         residual_m = height_m - rate_mps * from_middle_s
         noise_m = self.scale_height_m * self.noise_hpa / mean_hpa
         variance_m2 = max((residual_m * residual_m).sum() / (len(time_s) - 2), noise_m**2)
-        return Climb(float(time_s[-1]), float(rate_mps), float(np.sqrt(variance_m2 / spread_s2)), len(time_s))
+        last_hpa = pressure_hpa[time_s > time_s[-1] - self.hop_s + _ROUNDING_S]
+        # noise is of each sample, rounding of all of them alike
+        rounding_m = self.scale_height_m / mean_hpa * (quantum_hpa if quantum_hpa < np.inf else 0.0) / np.sqrt(12)
+        return Climb(
+            float(time_s[-1]),
+            float(rate_mps),
+            float(np.sqrt(variance_m2 / spread_s2)),
+            len(time_s),
+            float(-self.scale_height_m * np.log(last_hpa.mean() / STANDARD_PRESSURE_HPA)),
+            float(np.hypot(noise_m / np.sqrt(len(last_hpa)), rounding_m)),
+        )
 
 
 def _checked(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, check_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -60,6 +60,7 @@ class SlidingWindows(ABC, Generic[W, X]):
     hop_s: float = 1.0
 
     def __post_init__(self) -> None:
+        check_numbers(self)
         if not 1 <= self.hop_samples <= self.window_samples:
             raise ValueError(
                 f"hop_s must be positive and at most window_s, got {self.hop_samples} and {self.window_samples} samples"

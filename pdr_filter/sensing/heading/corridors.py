@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, wrap_angle
+from pdr_filter.values import FloatArray, check_numbers, wrap_angle
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _RIGHT_ANGLE = 0.5 * math.pi
@@ -87,6 +87,9 @@ class Corridors:
     outlier_prob: float = 0.1
     corner_rad: float = math.radians(30.0)
     wander_rad_per_sqrt_s: float = math.radians(0.05)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, signed=("sure_log_odds",))
 
     def init(self) -> CorridorState:
         """State before the first step."""

@@ -13,7 +13,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from pdr_filter.sensing.heading.strides import Stride
-from pdr_filter.values import CARRYING_MODES, FloatArray
+from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
 
 _SWINGING = CARRYING_MODES.index("swinging")
 _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
@@ -75,6 +75,9 @@ class StrideAgreement:
     swinging_lift: float = 0.3
     swinging_step_share: float = 0.85
     swinging_agreement: float = 0.5
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     def learn(self, place: Place, stride: Stride, elapsed_s: float) -> Place:
         """The place after one stride more."""

@@ -40,7 +40,7 @@ from pdr_filter.sensing.heading.strides import (
     power,
 )
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, wrap_angle
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, check_numbers, wrap_angle
 
 _TEXTING = CARRYING_MODES.index("texting")
 _HELD = (_TEXTING, CARRYING_MODES.index("calling"))
@@ -163,6 +163,9 @@ class WalkingHeading:
     return_std_rad: float = math.radians(20.0)
     corridors: Corridors = field(default_factory=Corridors)
     drift: HeadingDrift = field(default_factory=HeadingDrift)
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("away_s",), signed=("phase_rad", "running_phase_rad"))
 
     def init(self) -> WalkingHeadingState:
         """State before the first sample."""

@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step, check_numbers
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -190,6 +190,9 @@ class StepDetector(ABC, Generic[S]):
     rate_hz: float = 100.0
     max_interval_s: float = 2.0
     first_step_s: float = 0.6
+
+    def __post_init__(self) -> None:
+        check_numbers(self)
 
     @property
     @abstractmethod

@@ -28,7 +28,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, read_only
+from pdr_filter.values import FloatArray, Step, check_numbers, read_only
 
 # Rate at which the evidence looks at the force: steps are below 5 Hz.
 _EVIDENCE_HZ = 25.0
@@ -57,6 +57,7 @@ class WalkEvidence:
     intercept: float  # b
 
     def __post_init__(self) -> None:
+        check_numbers(self, signed=("intercept",))
         for name in ("mean", "scale", "weight"):
             object.__setattr__(self, name, read_only(getattr(self, name)))
 
@@ -157,12 +158,9 @@ class StepGate:
     fill_interval_s: float = 1.5
 
     def __post_init__(self) -> None:
-        if self.rate_hz <= 0 or self.rate_hz % _EVIDENCE_HZ:
+        check_numbers(self, zero=("n_fill",))
+        if self.rate_hz % _EVIDENCE_HZ:
             raise ValueError(f"rate_hz must be a multiple of {_EVIDENCE_HZ:g}, got {self.rate_hz}")
-        if self.mean_walk_s <= 0 or self.mean_pause_s <= 0:
-            raise ValueError(f"mean stays must be positive, got {self.mean_walk_s} and {self.mean_pause_s}")
-        if self.min_steps < 1:
-            raise ValueError(f"min_steps must be 1 or more, got {self.min_steps}")
 
     @property
     def _samples_per_row(self) -> int:

@@ -262,7 +262,7 @@ def test_steps_that_the_end_reveals_are_directed_too() -> None:
 
 @pytest.mark.parametrize("wrong", [{"n_swing": 0}, {"n_pocket": 3, "n_omit": 2}, {"n_omit": -1}])
 def test_a_training_without_steps_is_refused(wrong: dict[str, int]) -> None:
-    with pytest.raises(ValueError, match="offset"):
+    with pytest.raises(ValueError, match="must be"):
         OffsetCompensation(**wrong)
 
 

@@ -285,7 +285,6 @@ def test_memory_does_not_grow() -> None:
     "wrong",
     [
         {"steps_per_event": 0},
-        {"walking": replace(LOW, min_frequency_hz=0.0)},
         {"walking": replace(LOW, min_frequency_hz=3.0)},
         {"running": replace(CARRIED.running, cutoff_hz=60.0)},
     ],

@@ -1,0 +1,89 @@
+"""Whether what comes from a file is what the fields of a dataclass are declared as: one schema, the declarations."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import fields, is_dataclass
+from functools import cache
+from math import isfinite
+from types import NoneType, UnionType
+from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+# Beyond this lies nothing that is measured or counted: squares of numbers are numbers, whole ones exact as floats.
+_LARGEST, _LARGEST_WHOLE = 1e30, 2**53
+
+
+def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
+    """ValueError that names the first of these fields of a dataclass that is not what it is declared as.
+
+    Numbers must not be absurd, in arrays neither; what else they may be is for the dataclass to say.
+    """
+    declared = _declared(cls)
+    for name, value in content.items():
+        if name not in declared:
+            raise ValueError(f"{cls.__name__} has no {name}")
+        if not _is_a(value, declared[name]):
+            kind = str(declared[name]).replace("typing.", "")
+            raise ValueError(f"{name} of {cls.__name__} must be {kind}, got {str(value)[:60]}")
+
+
+def check_whole(value: Any) -> None:
+    """The same of a dataclass that was made of a file, and of those in its fields."""
+    content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
+    check_declared(type(value), content)
+    for part in content.values():
+        if is_dataclass(part):
+            check_whole(part)
+
+
+@cache
+def _declared(cls: type[Any]) -> Mapping[str, Any]:
+    hints = get_type_hints(cls)
+    return {f.name: hints[f.name] for f in fields(cls) if f.init}
+
+
+def _is_a(value: Any, declared: Any) -> bool:
+    if declared is Any or isinstance(declared, TypeVar):
+        return True
+    kind, parts = get_origin(declared) or declared, get_args(declared)
+    if kind in (Union, UnionType):
+        return any(_is_a(value, part) for part in parts)
+    if kind is Literal:
+        return isinstance(value, str) and value in parts
+    if kind in (bool, str, NoneType):
+        return type(value) is kind
+    if kind is int:
+        return type(value) is int and abs(value) <= _LARGEST_WHOLE
+    if kind is float:
+        whole = type(value) is int and abs(value) <= _LARGEST_WHOLE
+        return whole or (type(value) is float and (not isfinite(value) or abs(value) <= _LARGEST))
+    if kind is tuple:
+        values = cast(tuple[Any, ...], value)
+        if not isinstance(value, tuple) or (parts[-1] is not Ellipsis and len(values) != len(parts)):
+            return False
+        return all(map(_is_a, values, parts if parts[-1] is not Ellipsis else (parts[0],) * len(values)))
+    if kind is list:
+        return isinstance(value, list) and all(_is_a(v, parts[0]) for v in cast(list[Any], value))
+    if isinstance(kind, type) and issubclass(kind, Mapping):
+        mapping = cast(Mapping[Any, Any], value)
+        return isinstance(value, dict) and all(_is_a(k, parts[0]) and _is_a(v, parts[1]) for k, v in mapping.items())
+    if kind is np.ndarray:
+        return isinstance(value, np.ndarray) and _is_array(cast(Any, value), get_args(parts[1])[0])
+    if getattr(kind, "_is_protocol", False):  # a part that a recipe chooses
+        return is_dataclass(value) and all(
+            hasattr(type(value), name) or name in type(value).__dataclass_fields__ for name in _members(kind)
+        )
+    return isinstance(value, kind)
+
+
+def _is_array(value: np.ndarray[Any, Any], of: Any) -> bool:
+    if of is not Any and value.dtype != np.dtype(of):
+        return False
+    return value.dtype.kind != "f" or not (np.isfinite(value) & (np.abs(value) > _LARGEST)).any()
+
+
+@cache
+def _members(protocol: type) -> frozenset[str]:
+    return frozenset(name for name in (*dir(protocol), *protocol.__annotations__) if not name.startswith("_"))

@@ -1,0 +1,110 @@
+"""Mutated saved filters, models and calibrations: each must be refused at loading or work, soon and in little memory.
+
+usage: python -m tests.benchmarks.fuzz_saved [--inputs 2000] [--forms filter:default,model,...] [--seed 0]
+
+A filter that is loaded is given ten seconds of a walk and finished, a model classifies windows, a calibration gives
+everybody's step lengths. Inputs are tried in a process of their own, so that a crash of a C library would be seen; it
+goes on behind an input that ends it or at which it hangs. Memory is the peak above that before the input (Linux).
+"""
+
+from __future__ import annotations
+
+import argparse
+import faulthandler
+import subprocess
+import sys
+import tempfile
+import time
+from collections import Counter
+from pathlib import Path
+
+from tests.benchmarks.common import Tables, options
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
+
+from saved_mutations import FILTERS, FORMS, a_calibration, good_filter, try_one
+
+SLOW_S, LARGE_MB = 1.0, 500.0
+HANG_S = 60.0  # on the wall, on a machine that may be busy
+EVERY = 100  # inputs between two lines of progress
+
+
+def memory_mb(what: str) -> float:
+    """Memory of this process: VmRSS now, VmHWM the peak since `forget_peak`."""
+    for line in Path("/proc/self/status").read_text().splitlines():
+        if line.startswith(what):
+            return int(line.split()[1]) / 1024
+    raise ValueError(f"no {what} in /proc/self/status")
+
+
+def forget_peak() -> None:
+    """Let the peak start from what is used now."""
+    Path("/proc/self/clear_refs").write_text("5")
+
+
+def fuzz(form: str, first: int, until: int, seed: int) -> None:
+    """Print a line for each input: what happened, seconds of processor time, MB of memory."""
+    if form.startswith("filter"):  # made now, not in the time of the first input
+        for located in (False, True):
+            good_filter(form.partition(":")[2], located=located)
+    a_calibration()
+    with tempfile.TemporaryDirectory() as folder:
+        for number in range(first, until):
+            forget_peak()
+            begin_s, begin_mb = time.process_time(), memory_mb("VmRSS")
+            faulthandler.dump_traceback_later(HANG_S, exit=True)
+            what = try_one(form, number, seed, Path(folder))
+            faulthandler.cancel_dump_traceback_later()
+            used_s, used_mb = time.process_time() - begin_s, memory_mb("VmHWM") - begin_mb
+            print(f"{used_s:.3f}\t{used_mb:.1f}\t{' '.join(what.split())}", flush=True)
+
+
+def results_of(form: str, inputs: int, seed: int) -> list[tuple[float, float, str]]:
+    """Of all inputs, whatever ends the process that tries them."""
+    found: list[tuple[float, float, str]] = []
+    while len(found) < inputs:
+        command = [sys.executable, "-m", __spec__.name, "--here", str(len(found)), "--forms", form]
+        command += ["--inputs", str(inputs), "--seed", str(seed)]
+        with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as running:
+            for line in running.stdout or ():
+                used_s, used_mb, what = line.rstrip("\n").split("\t")
+                found.append((float(used_s), float(used_mb), what))
+                if what not in ("worked", "refused"):
+                    print(f"{form} {len(found) - 1}: {what}", flush=True)
+                if len(found) % EVERY == 0:
+                    print(f"{form}: {len(found)} of {inputs}", flush=True)
+        if running.returncode:
+            found.append((0.0, 0.0, f"the process ended with code {running.returncode}"))
+            print(f"{form} {len(found) - 1}: {found[-1][2]}", flush=True)
+    return found
+
+
+def main() -> None:
+    """One row for each form."""
+    parser = options(__doc__)
+    parser.add_argument("--inputs", type=int, default=2000, help="of each recipe; 2.5 times as many of other forms")
+    parser.add_argument("--forms", default=",".join(FORMS))
+    parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--here", type=int, help=argparse.SUPPRESS)
+    args, rows = parser.parse_args(), []
+    if args.here is not None:
+        fuzz(args.forms, args.here, args.inputs, args.seed)
+        return
+    for form in args.forms.split(","):
+        results = results_of(form, args.inputs if form in FILTERS else 5 * args.inputs // 2, args.seed)
+        counts = Counter(what for _, _, what in results)
+        failed = len(results) - counts["worked"] - counts["refused"]
+        slow = sum(used_s > SLOW_S for used_s, _, _ in results)
+        large = sum(used_mb > LARGE_MB for _, used_mb, _ in results)
+        longest, most = max(used_s for used_s, _, _ in results), max(used_mb for _, used_mb, _ in results)
+        row = [f"`{form}`", len(results), counts["worked"], counts["refused"], failed, slow, large]
+        rows.append([*row, f"{longest:.2f} s", f"{most:.0f} MB"])
+    tables = Tables.of(f"{__spec__.name} --inputs {args.inputs}", args)
+    if args.forms != ",".join(FORMS):
+        tables = Tables(tables.command, None)
+    columns = ["form", "inputs", "worked", "refused", "failed", "slower than 1 s", "above 500 MB", "longest", "most"]
+    tables.write("fuzz_saved", columns, rows)
+
+
+if __name__ == "__main__":
+    main()

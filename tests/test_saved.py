@@ -1,0 +1,210 @@
+"""What is loaded was what a filter, a model or a calibration can be, or it is refused: at loading, and soon."""
+
+from __future__ import annotations
+
+import io
+import json
+import tracemalloc
+import zipfile
+import zlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from time import process_time
+from typing import Any
+
+import numpy as np
+import pytest
+from saved_mutations import FILTERS, a_calibration, at, between, good_filter, try_one
+
+import pdr_filter as pdr
+from pdr_filter import recipes, serialise
+from pdr_filter.calibration import load_calibration
+from pdr_filter.classifiers import artefact
+from pdr_filter.classifiers.model import load_model
+from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.io import limits
+from pdr_filter.serialise import from_bytes, like, to_bytes
+
+SLOW_S = 2.0  # a second on a machine that is not busy
+
+
+@pytest.mark.parametrize(("form", "n"), [*((form, 15) for form in FILTERS), ("model", 30), ("calibration", 60)])
+def test_a_mutation_is_refused_at_loading_or_works(form: str, n: int, tmp_path: Path) -> None:
+    try_one(form, 0, 1, tmp_path)  # makes what is mutated
+    for number in range(n):
+        begin = process_time()
+        assert try_one(form, number, 1, tmp_path) in ("worked", "refused"), number
+        assert process_time() - begin < SLOW_S, number
+
+
+# --- saved filters ---------------------------------------------------------------------------------------------------
+
+
+def tree() -> Any:
+    return json.loads(zlib.decompress(good_filter("default", located=False)))
+
+
+def load(content: Any) -> pdr.OnlineFilter:
+    return pdr.OnlineFilter.load(zlib.compress(json.dumps(content).encode(), 1))
+
+
+STATE = ("value", "dict", "state", "fields")
+SENSING = (*STATE, "sensing", "fields")
+ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", "attitude", "fields")
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "words"),
+    [
+        ((*ATTITUDE_OF_CONFIG, "tau_acc_s"), 0.0, "tau_acc_s of AttitudeEstimator must be positive"),
+        ((*ATTITUDE_OF_CONFIG, "tau_acc_s"), "3", "tau_acc_s of AttitudeEstimator must be .*float"),
+        ((*STATE, "n_rejected_fixes"), 1.5, "n_rejected_fixes of State must be .*int.*, got 1.5"),
+        ((*STATE, "n_rejected_fixes"), 10**400, "n_rejected_fixes of State must be|digits"),
+        ((*STATE, "finished"), 0, "finished of State must be .*bool"),
+        ((*STATE, "waiting_fixes"), {"tuple": [1.0]}, "waiting_fixes of State must be"),
+        ((*STATE, "waiting_fixes"), {"tuple": {}}, "in place of a list"),
+        ((*STATE, "walked"), None, "walked of State must be .*StepCounts"),
+        ((*SENSING, "cadence"), {"tuple": [{"tuple": [1.0]}]}, "cadence of SensingState must be"),
+        ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
+        ((*SENSING, "n_samples"), 2**60, "n_samples of SensingState must be"),
+        ((*SENSING, "steps"), None, "a state of another configuration"),
+        ((*SENSING, "attitude", "fields", "vqf"), {"dict": {}}, "cannot go on"),
+        ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no extra"),
+    ],
+)
+def test_a_saved_filter_of_which_one_value_cannot_be_is_refused_by_its_name(
+    path: tuple[str, ...], value: Any, words: str
+) -> None:
+    content = tree()
+    at(content, path[:-1])[path[-1]] = value
+    with pytest.raises(ValueError, match=words):
+        load(content)
+
+
+@pytest.mark.parametrize("shape", [[4, 24], [24, 4], [96], [1, 6, 16]])
+def test_a_state_whose_arrays_have_other_shapes_than_those_of_its_configuration_is_refused(shape: list[int]) -> None:
+    content = tree()
+    cov = at(content, (*STATE, "tracker", "fields", "pedestrian", "fields", "cov"))
+    assert cov["shape"] == [6, 4, 4]
+    cov["shape"] = shape
+    with pytest.raises(ValueError, match="a state of another configuration"):
+        load(content)
+
+
+def test_positions_that_are_no_numbers_are_refused() -> None:
+    online = pdr.OnlineFilter.load(good_filter("default", located=False))
+    pedestrian = online.state.tracker.pedestrian
+    lost = replace(pedestrian, mean=np.full_like(pedestrian.mean, np.nan))
+    online.state = replace(online.state, tracker=replace(online.state.tracker, pedestrian=lost))
+    with pytest.raises(ValueError, match=r"cannot go on .*save the filter again"):
+        pdr.OnlineFilter.load(online.save())
+
+
+@pytest.mark.parametrize("form", FILTERS)
+def test_a_filter_that_is_finished_or_has_seen_nothing_or_no_gyroscope_can_be_loaded(form: str) -> None:
+    recipe = recipes.RECIPES[form.partition(":")[2]]
+    time_s, force, *_ = between(0.0, 20.0)
+    fresh, finished = pdr.OnlineFilter(recipe(None)), pdr.OnlineFilter.load(good_filter(recipe.__name__, located=False))
+    finished.push(*between(25.0, 45.0))
+    finished.finish()
+    blind = pdr.OnlineFilter(recipe(None))
+    blind.push(time_s + 1.7e9, force)
+    for online in (fresh, finished, blind):
+        assert pdr.OnlineFilter.load(online.save()).save() == online.save()
+
+
+def test_an_array_may_be_longer_only_where_the_first_one_is_empty() -> None:
+    assert like(np.zeros((6, 9)), np.zeros((6, 0)))
+    assert not like(np.zeros((5, 9)), np.zeros((6, 0)))
+    assert not like(np.zeros((6, 9)), np.zeros((6, 8)))
+    assert not like(np.zeros(6), np.zeros((6, 0)))
+    assert not like(MotionNoise(), pdr.PositionFix(0.0, np.zeros(2), np.eye(2)))
+
+
+@pytest.mark.parametrize("part", [b"[],", b"{},", b"1.5,", b'{"a":[]},'], ids=str)
+def test_a_small_file_of_many_values_does_not_fill_the_memory(part: bytes) -> None:
+    content = b'{"format":2,"value":[' + part * (12_000_000 // len(part)) + b"0]}"
+    blob = zlib.compress(content)
+    assert len(blob) < 60_000
+    tracemalloc.start()
+    try:
+        with pytest.raises(ValueError, match="values, more than"):
+            from_bytes(blob)
+        assert tracemalloc.get_traced_memory()[1] < 100e6
+    finally:
+        tracemalloc.stop()
+
+
+def test_what_unpacks_to_more_than_a_filter_has_is_refused_before_it_is_unpacked(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(serialise, "_MAX_BYTES", 1 << 20)
+    with pytest.raises(ValueError, match="more than 1 MiB"):
+        from_bytes(zlib.compress(b" " * (2 << 20)))
+    with pytest.raises(ValueError, match="more than 1048576"):  # and is not written either
+        to_bytes(np.zeros(1 << 18))
+
+
+def test_a_class_of_another_room_is_not_imported() -> None:
+    with pytest.raises(ValueError, match="refused to load"):
+        from_bytes(zlib.compress(b'{"format":2,"value":{"dataclass":"pdr_filter.live_nothing.x:Server","fields":{}}}'))
+
+
+# --- models and calibrations -----------------------------------------------------------------------------------------
+
+
+def test_a_small_npz_of_many_zeros_is_refused_before_it_is_unpacked(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = load_model("carrying").save(tmp_path)
+    monkeypatch.setattr(limits, "MAX_UNPACKED_BYTES", 1 << 20)
+    load_model(path)
+    files = io.BytesIO(path.read_bytes())
+    with zipfile.ZipFile(files, "a", compression=zipfile.ZIP_DEFLATED) as archive:
+        archive.writestr("zeros.npy", bytes(2 << 20))
+    path.write_bytes(files.getvalue())
+    assert len(files.getvalue()) < 100_000
+    description = json.loads(path.with_suffix(".json").read_text())
+    description["npz_sha256"] = artefact.hashlib.sha256(files.getvalue()).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(description))
+    with pytest.raises(ValueError, match="of arrays, more than 1048576"):
+        load_model(path)
+
+
+def test_what_is_too_large_to_be_read_is_not_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    model = load_model("carrying")
+    monkeypatch.setattr(limits, "MAX_UNPACKED_BYTES", 1000)
+    with pytest.raises(ValueError, match="make it smaller"):
+        model.save(tmp_path)
+    assert not list(tmp_path.iterdir())
+
+
+def without(name: str) -> Callable[[dict[str, Any]], object]:
+    return lambda content: content.pop(name)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (without("residual_std_m"), "residual_std_m is missing|'residual_std_m'"),
+        (lambda c: c["residual_std_m"].pop("walking"), "residual_std_m must be there for each"),
+        (lambda c: c["residual_std_m"].update(walking="x"), "'<=' not supported|must be"),
+        (lambda c: c.update(recording_std=1e30), "must be from 0 to 1000"),
+        (lambda c: c.update(subject_ids=[1, 2]), r"subject_ids of Calibration must be tuple\[str"),
+        (lambda c: c["models"]["walking"].update(height_m=-1), "height_m of BounceStepLength must be positive"),
+        (lambda c: c["models"].pop("running"), "theta must be"),
+        (lambda c: c.update(models={}), "theta must be"),
+        (lambda c: c.update(notes=3), "not iterable"),
+    ],
+)
+def test_a_calibration_of_which_one_value_cannot_be_is_refused(
+    tmp_path: Path, change: Callable[[dict[str, Any]], object], words: str
+) -> None:
+    path = a_calibration().save(tmp_path / "good")
+    load_calibration(path)
+    content = json.loads(path.read_text())
+    change(content)
+    path.write_text(json.dumps(content))
+    with pytest.raises(ValueError, match=f"good.json: not usable as calibration: .*({words})"):
+        load_calibration(path)

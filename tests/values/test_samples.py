@@ -1,0 +1,74 @@
+"""Samples: what is not known is NaN, what is no number is refused, and copies are as frozen as the original."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.online import imu_block
+from pdr_filter.values import Samples, as_floats
+
+TIME_S = np.arange(10) / 100
+MAKERS: dict[str, Callable[[Any, Any], Any]] = {
+    "Samples": lambda time_s, values: Samples(time_s, values).values,
+    "push": lambda time_s, values: imu_block(time_s, values).specific_force_mps2,
+}
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+def test_masked_values_are_not_known(make: Callable[[Any, Any], Any]) -> None:
+    values = np.ma.masked_greater(np.tile([1.0, 2.0, 9.8], (10, 1)), 9.0)
+    np.testing.assert_array_equal(make(TIME_S, values), np.tile([1.0, 2.0, np.nan], (10, 1)))
+    whole_numbers = np.ma.masked_equal(np.tile([1, 2, 3], (10, 1)), 3)
+    np.testing.assert_array_equal(make(TIME_S, whole_numbers), np.tile([1.0, 2.0, np.nan], (10, 1)))
+
+
+@pytest.mark.parametrize("make", MAKERS.values(), ids=MAKERS)
+@pytest.mark.parametrize("unit", ["ns", "ms", "s"])
+def test_dates_and_durations_are_refused_with_how_to_make_seconds_of_them(
+    make: Callable[[Any, Any], Any], unit: str
+) -> None:
+    dates = np.datetime64("2026-01-01", unit) + np.arange(10)
+    for times in (dates, dates - dates[0]):
+        with pytest.raises(ValueError, match=r"time_s holds .*64\[.*\]; give seconds"):
+            make(times, np.zeros((10, 3)))
+
+
+def test_pressures_and_locations_are_read_alike() -> None:
+    online = pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+    with pytest.raises(ValueError, match="time_s holds datetime64"):
+        online.push_pressure(np.datetime64("2026-01-01", "ns"), 1000.0)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match="time_s holds datetime64"):
+        online.push_location(np.datetime64("2026-01-01", "ns"), 51.0, 0.0, 5.0)  # type: ignore[arg-type]
+
+
+def test_complex_numbers_are_refused() -> None:
+    with pytest.raises(ValueError, match="values holds complex128"):
+        as_floats(np.zeros(3, dtype=complex), "values")
+
+
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_a_recording_can_be_copied_and_pickled_and_stays_read_only(copied: Callable[[Any], Any]) -> None:
+    recording = pdr.simulate.demo_walk()
+    other = copied(recording)
+    assert other.name == recording.name
+    assert other.meta == recording.meta
+    for name, samples in recording.streams.items():
+        np.testing.assert_array_equal(other.streams[name].values, samples.values)
+        assert not other.streams[name].values.flags.writeable
+        assert not other.streams[name].time_s.flags.writeable
+    for name in recording.truth.present():
+        np.testing.assert_array_equal(getattr(other.truth, name), getattr(recording.truth, name))
+
+
+def test_the_meta_data_of_a_recording_are_its_own() -> None:
+    meta = {"placement": "pocket"}
+    recording = pdr.Recording("a", Samples(TIME_S, np.zeros((10, 3))), meta=meta)
+    meta["placement"] = "foot"
+    assert recording.placement == "pocket"
