@@ -14,6 +14,7 @@ from pdr_filter.batch.workers import Failure, each
 from pdr_filter.io.files import whole_file
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
+from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.version import __version__
 
@@ -21,7 +22,6 @@ if TYPE_CHECKING:
     from pdr_filter.calibration import Calibration
     from pdr_filter.filter.step_length import StepLengthModel
     from pdr_filter.offline.calibration.priors import StepLengthPrior
-    from pdr_filter.offline.calibration.segments import AnySegment
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -127,8 +127,6 @@ def reduced(
     measure: str = "displacement",
 ) -> Reduced:
     """Segments of known length of one recording: their sums for these models, or with None their steps."""
-    from pdr_filter.offline.calibration.segments import SummedSegment, segments_of
-
     recording = read(path, file_format)
     name = recording.name if each_a_person else subject
     segments, notes = segments_of(recording, recording_run.track(recording, gnss="off"), anchor_std_m, measure, name)
