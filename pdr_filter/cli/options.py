@@ -33,6 +33,19 @@ Gnss = Annotated[
     GnssUse | None,
     typer.Option(help="Whether its locations are fixes, turn and shift the whole track, or are left out."),
 ]
+
+
+class NorthUse(StrEnum):
+    """What says where true north is until locations do."""
+
+    MAGNETIC = "magnetic"
+    OFF = "off"
+
+
+North = Annotated[
+    NorthUse | None,
+    typer.Option(help="Whether the magnetometer says where true north is; if not given, where locations are used."),
+]
 Origin = Annotated[
     str | None,
     typer.Option(metavar="LAT,LON", help="Where the walk starts, in degrees; its own locations are not used then."),

@@ -19,6 +19,7 @@ from pdr_filter.cli.options import (
     Format,
     Gnss,
     Heading,
+    North,
     Origin,
     Scheduler,
     heading_rad,
@@ -58,6 +59,7 @@ class Method:
         Path | None, typer.Option(help="What is known of the person's steps: read if it is there, and written anew.")
     ] = None
     gnss: Gnss = None
+    north: North = None
     origin: Origin = None
     heading: Heading = None
 
@@ -203,6 +205,7 @@ def track(
                 "--transitions": method.transitions,
                 "--device": method.device,
                 "--person": method.person,
+                "--north": method.north,
                 "--origin": method.origin,
                 "--heading": method.heading,
                 "--export": output.export,
@@ -235,6 +238,7 @@ def track(
             device=device,
             person=person,
             gnss=None if method.gnss is None else method.gnss.value,
+            north=None if method.north is None else method.north.value,
             origin=origin_deg(method.origin),
             heading_rad=heading_rad(method.heading),
         )

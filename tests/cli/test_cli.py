@@ -181,6 +181,15 @@ def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path,
     assert (tmp_path / "demo_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
 
 
+def test_north_of_the_magnetometer_turns_a_walk_whose_place_is_given(walk: Path) -> None:
+    result = run("track", walk, "--origin", "-43.77,11.25", "--north", "magnetic", "--json")
+    expected = pdr.track(pdr.read(walk), origin=(-43.77, 11.25), north="magnetic")
+    assert json.loads(result.stdout) == expected.summary()
+    assert expected.frame == "north"
+    contradicting = run("track", walk, "--heading", "90", "--north", "magnetic")
+    assert (contradicting.exit_code, "both say north" in one_line(contradicting.stderr)) == (2, True)
+
+
 def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, tmp_path: Path) -> None:
     kinds = ["csv", "geojson", "gpx", "kml", "tum"]
     options = ["--export", "csv, geojson,GPX", "--export", "kml,tum", "--export", "csv", "--origin", "43.77,11.25"]
