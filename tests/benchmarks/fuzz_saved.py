@@ -99,7 +99,7 @@ def main() -> None:
         longest, most = max(used_s for used_s, _, _ in results), max(used_mb for _, used_mb, _ in results)
         row = [f"`{form}`", len(results), counts["worked"], counts["refused"], failed, slow, large]
         rows.append([*row, f"{longest:.2f} s", f"{most:.0f} MB"])
-    tables = Tables.of(f"{__spec__.name} --inputs {args.inputs}", args)
+    tables = Tables.of(__spec__.name, args)
     if args.forms != ",".join(FORMS):
         tables = Tables(tables.command, None)
     columns = ["form", "inputs", "worked", "refused", "failed", "slower than 1 s", "above 500 MB", "longest", "most"]

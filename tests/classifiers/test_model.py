@@ -204,7 +204,7 @@ def test_another_number_of_features_is_refused(forest_model: ContextModel) -> No
         ({"training_prior": np.array([0.5, 0.5])}, "sum to one"),
         ({"feature_mean": np.zeros(3)}, "one entry for each feature"),
         ({"feature_mean": np.full(4, np.nan)}, "finite"),
-        ({"feature_scale": np.array([1.0, 0.0, 1.0, 1.0])}, "positive"),
+        ({"feature_scale": np.array([1.0, 0.0, 1.0, 1.0])}, "feature_scale above"),
     ],
 )
 def test_parts_that_do_not_fit_together_are_refused(

@@ -17,7 +17,7 @@ from pdr_filter.filter.motion import LOG_SCALE
 from pdr_filter.filter.pedestrian import initial_state
 from pdr_filter.filter.person import Session, session_of
 from pdr_filter.filter.step_length import RECORDING_STD, TYPICAL_STEP, length_and_jacobian, scale_std
-from pdr_filter.gnss import RADIUS_68
+from pdr_filter.gnss import RADIUS_68, fixes_of
 from pdr_filter.io.recording import Recording, Subject
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.simulate.people import random_person
@@ -153,7 +153,9 @@ def test_a_track_says_whose_steps_it_has(learnt: pdr.Person) -> None:
 
 
 def test_an_app_learns_the_same_of_its_person(first: Recording, learnt: pdr.Person) -> None:
-    online = pdr.OnlineFilter(recipes.default(first.subject).in_world_frame())
+    here = fixes_of(first.location)[0]
+    assert here is not None
+    online = pdr.OnlineFilter(recipes.default(first.subject).with_magnetic_north(here.declination_rad()))
     assert online.person is None
     online.push_location(first.location.time_s, *first.location.values.T[[0, 1, 3]])
     for block in cut_randomly(pdr.merge_streams(first), 3, mean_length=700):
