@@ -28,6 +28,7 @@ MAX_ANGLE_STD_RAD = 0.26
 # Fixes that are remembered for it; of more, the first and the last ones.
 MAX_PAIRS = 24
 _ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
+_TURNS = np.exp(1j * _ANGLES_RAD)
 # One in so many good sets of fixes loses one of them.
 _DISAGREE_PROB = 1e-3
 _APART = 10.0
@@ -36,6 +37,15 @@ _APART = 10.0
 # much doubt no compass alone settles a turn.
 _ASTRAY_PROB = 0.05
 _ASTRAY_DENSITY = _ASTRAY_PROB / (2.0 * math.pi)
+
+
+def _rotations(angle_rad: FloatArray) -> FloatArray:
+    """R (A, 2, 2) for columns east, north, clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+
+
+_ROTATIONS = _rotations(_ANGLES_RAD)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -130,7 +140,7 @@ class OpenTurn:
     @property
     def direction(self) -> complex:
         """Mean of e^(i angle): as long as the turn is sure."""
-        return complex(self.prob @ np.exp(1j * _ANGLES_RAD))
+        return complex(self.prob @ _TURNS)
 
     def with_compass(self, compass: Compass | None) -> OpenTurn:
         """The density with what a compass says."""
@@ -151,11 +161,13 @@ class OpenTurn:
 
     def world(self, place: Place) -> Place:
         """A place in the world: mean and covariance over all turns."""
-        R = _rotations(_ANGLES_RAD)
-        each = R @ place.position_m + self.origin_m
+        each = _ROTATIONS @ place.position_m + self.origin_m
         reported = self.prob @ each if self.drawn is None else each[self.drawn]
         away = each - reported
-        cov = np.einsum("a,aij,jk,alk->il", self.prob, R, place.cov_m2, R)
+        # the mean of R P R': its half trace stays, and (xx - yy) / 2 + i xy turns back by twice the angle
+        (xx, xy), (_, yy) = place.cov_m2.tolist()
+        size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * complex(self.prob @ _TURNS.conj() ** 2)
+        cov = np.array([[size + shape.real, shape.imag], [shape.imag, size - shape.real]])
         cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
         return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
 
@@ -297,7 +309,7 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
 def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
     """Sum of squared errors over their covariance for each turn (A,), what is known of the north among them."""
     away = _turned_back(pairs, _ANGLES_RAD) - fit.track
-    return np.einsum("ai,ij,aj->a", away, fit.projected, away) + _ANGLES_RAD**2 / north_var_rad2
+    return ((away @ fit.projected) * away).sum(axis=1) + _ANGLES_RAD**2 / north_var_rad2
 
 
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
@@ -308,7 +320,7 @@ def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) ->
     ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
     away = _turned_back(pairs, _ANGLES_RAD) - fit.track
     shift = np.linalg.solve(fit.shift_weight, ones.T @ fit.weight @ away.T).T
-    origin_m = np.einsum("aij,aj->ai", _rotations(_ANGLES_RAD), shift)
+    origin_m = np.einsum("aij,aj->ai", _ROTATIONS, shift)
     return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
 
 
@@ -368,16 +380,11 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
     return pairs
 
 
-def _rotations(angle_rad: FloatArray) -> FloatArray:
-    """R (A, 2, 2) for columns east, north, clockwise."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-
-
 def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatArray:
     """The fixes turned back by each angle, (A, 2 N)."""
     world = np.stack([p.world_m for p in pairs])
-    return np.einsum("aij,ni->anj", _rotations(angle_rad), world).reshape(len(angle_rad), -1)
+    R = _ROTATIONS if angle_rad is _ANGLES_RAD else _rotations(angle_rad)
+    return (world @ R).reshape(len(angle_rad), -1)
 
 
 def walked_var_m2(cov: FloatArray) -> float:
