@@ -87,8 +87,6 @@ def _believe(clock: ClockState, row: FloatArray, max_gap_s: float) -> tuple[Cloc
 
 def _behind(clock: ClockState, time_s: float, max_gap_s: float) -> tuple[ClockState, list[FloatArray], int, int]:
     """After a row that is not after the last one: it is dropped, and the clock set back if there were many."""
-    if time_s == clock.last_s:
-        return clock, [], 1, 0
     clock = replace(
         clock, behind_s=time_s, moving=clock.moving or time_s > clock.behind_s > -np.inf, n_behind=clock.n_behind + 1
     )

@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, align, open_turn
+from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, Place, align, open_turn
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.pedestrian import present_position
 from pdr_filter.filtering import add_fixes, init
@@ -488,3 +488,21 @@ def test_what_was_walked_since_a_late_fix_makes_it_less_certain(walk: Recording)
     std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[after]))
     since_m = np.linalg.norm(alone.position_m[after] - alone.position_m[k])
     assert std_m[0] > 0.7 * recipes.default(walk.subject).model.noise.log_scale_std * since_m
+
+
+def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns() -> None:
+    rng = np.random.default_rng(4)
+    pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
+    turn, place = open_turn(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
+    means, covs = [], []
+    for angle_rad, origin_m in zip(np.linspace(-np.pi, np.pi, 120, endpoint=False), turn.origin_m, strict=True):
+        c, s = np.cos(angle_rad), np.sin(angle_rad)
+        turned = np.array([[c, s], [-s, c]])
+        means.append(turned @ place.position_m + origin_m)
+        covs.append(turned @ place.cov_m2 @ turned.T)
+    mean = turn.prob @ np.array(means)
+    away = np.array(means) - mean
+    cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
+    world = turn.world(place)
+    np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
+    np.testing.assert_allclose(world.cov_m2, cov + turn.origin_var_m2 * np.eye(2), atol=1e-10)

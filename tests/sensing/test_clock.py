@@ -83,6 +83,11 @@ def test_a_clock_that_stands_still_is_deaf_and_says_so() -> None:
     assert any("nothing accepted since 5.0 s" in note for note in report.notes())
 
 
+def test_a_clock_that_stands_still_in_the_past_is_not_followed() -> None:
+    clock, accepted_s, n_jumps = followed(np.concatenate([np.arange(500) / 100, np.full(400, 2.0)]))
+    assert (len(accepted_s), n_jumps, clock.offset_s) == (500, 0, 0.0)
+
+
 @pytest.mark.parametrize("unit", [1e3, 1e6, 1e9])
 def test_times_in_another_unit_are_named(unit: float) -> None:
     report = condition(Conditioner(), [imu(np.arange(1000) / 100 * unit)])[0].report
