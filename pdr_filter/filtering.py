@@ -70,15 +70,16 @@ class WindowCounts:
 
 @dataclass(frozen=True, slots=True)
 class StepCounts:
-    """How many steps there were, and in how many of them strides did not agree on a direction."""
+    """How many steps there were, and of how many the direction, or all, is doubtful."""
 
     n: int = 0
     untrusted: int = 0
+    quick_and_soft: int = 0
 
     def plus(self, step: Step) -> StepCounts:
         """With one step more."""
         is_untrusted = isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
-        return StepCounts(self.n + 1, self.untrusted + is_untrusted)
+        return StepCounts(self.n + 1, self.untrusted + is_untrusted, self.quick_and_soft + step.is_quick_and_soft)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -238,6 +239,13 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if seen.irregular > notable:
         words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
         notes.append(Note("steps", words + "steps there may be false"))
+    if state.walked.quick_and_soft > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
+        words = (
+            f"{state.walked.quick_and_soft} of {state.walked.n} steps are as quick as running and as soft as walking, "
+        )
+        notes.append(
+            Note("steps", words + "as on the spot: lengths and directions there are worse than the covariance says")
+        )
     if state.walked.untrusted > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
         words = f"in {state.walked.untrusted} of {state.walked.n} steps strides do not agree on where walking leads, "
         words += "as in a bag: the turn of the phone alone leads there"

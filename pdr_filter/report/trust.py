@@ -49,6 +49,11 @@ def doubts(track: TrackRows) -> list[str]:
             "strides do not agree on where walking leads, as in a bag: the turn of the phone alone leads the track, "
             "and where the phone was turned against the body the track has turned too.",
         )
+        found += _said(
+            _long(track.time_s, track.is_quick_and_soft),
+            "steps are as quick as running and as soft as walking, as on the spot: their lengths and directions are "
+            "worse than the covariance says.",
+        )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
         found += [

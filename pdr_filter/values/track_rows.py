@@ -8,6 +8,7 @@ from typing import Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.ndimage import uniform_filter1d
 
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
@@ -19,6 +20,7 @@ from pdr_filter.values.uncertainty import uncertainty_95_m
 from pdr_filter.values.windows import Windows
 
 _WINDOW_S = 2.0  # of the context windows
+_ABOUT_STEPS = 21  # ten seconds
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -188,6 +190,12 @@ class TrackRows:
     def direction_trust(self) -> FloatArray:
         """How well strides agreed on where walking leads at each step, shape (K,), 0 to 1."""
         return np.asarray(self.steps.direction_trust)
+
+    @property
+    def is_quick_and_soft(self) -> BoolArray:
+        """Where most of the steps about each are (`Step.is_quick_and_soft`), shape (K,)."""
+        each = np.array([step.is_quick_and_soft for step in steps_of(self.steps)], dtype=float)
+        return uniform_filter1d(each, _ABOUT_STEPS, mode="nearest") > 0.5 if self.n_steps else each > 0.5
 
     @property
     def heading_source(self) -> tuple[str, ...]:

@@ -14,7 +14,8 @@ They were chosen on humolire and ms_indoor, not on the others.
 
 trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
 frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
-agree on a direction (`Step.direction_trust` below 0.2); and how often it says so. To the ellipse the reference's own
+agree on a direction (`Step.direction_trust` below 0.2), or that steps are too quick for walking and too soft for
+running (`Track.is_quick_and_soft`); and how often it says so. To the ellipse the reference's own
 error is added: 0.7 m along each axis (humolire), 1 m (ms_indoor), 0.3 m (oxiod).
 """
 
@@ -137,7 +138,7 @@ def of_trust(tables: Tables, data: Path) -> None:
         own = REFERENCE_STD_M[walk.group.split()[0]] ** 2 * np.eye(2)
         cov = track.position_cov_m2[nearest] + own
         off = evaluate.nees(at_m - turned_m, cov) > level
-        doubted = (track.direction_trust < HARDLY_AGREE)[nearest]
+        doubted = ((track.direction_trust < HARDLY_AGREE) | track.is_quick_and_soft)[nearest]
         late = ~first
         if late.any():
             rows += [

@@ -56,3 +56,14 @@ def test_a_handbag_costs_no_more_than_the_gyroscope_does(data_dir: Path, name: s
         [np.interp(track.time_s[inside], truth.time_s, truth[column]) for column in ("east_m", "north_m")]
     )
     assert pdr.evaluate.position_rmse_m(track.position_m[inside], true_m, "all") < 4.0
+
+
+@pytest.mark.recordings
+def test_who_jogs_in_a_small_room_is_told_that_no_model_holds(data_dir: Path) -> None:
+    track = pdr.track(pdr.read(data_dir / "oxiod" / "oxiod_user1_room_running1_7.zip"))
+    assert track.is_quick_and_soft.mean() > 0.7
+    assert any("as quick as running and as soft as walking" in note for note in track.notes)
+    assert any("as quick as running and as soft as walking" in doubt for doubt in doubts(track))
+    walk = tracked(data_dir, "handheld1")
+    assert not walk.is_quick_and_soft.any()
+    assert not any("as quick as running" in note for note in walk.notes)
