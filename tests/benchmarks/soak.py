@@ -3,8 +3,8 @@
 usage: python -m tests.benchmarks.soak [--hours 48] [--seed 0] [--data ../shared/data] [--print]
 
 One `OnlineFilter` in the world frame takes everything, in blocks of 0.1 to 2 s. Walks follow each other with a rest of
-10 s to 5 minutes between them, and are moved so that each begins where the one before ended; which way a walk leads in
-the world is its own, as after a phone was put away. Walks are recorded at their own rate or read at 20 to 400 Hz. In
+10 s to 5 minutes and a minute without samples between them, and are moved so that each begins where the one before
+ended; which way a walk leads in the world is its own. Walks are recorded at their own rate or read at 20 to 400 Hz. In
 one of five of them each: values are NaN for up to a second, many times; an axis of a sensor stands still for up to a
 minute; nothing comes for up to 30 s; and all fixes are 60 m off for up to two minutes. In one of five rests the clock
 is set back by up to an hour, and in one of five two samples are years ahead. Every 20 to 40 s of a walk there is a fix
@@ -18,6 +18,7 @@ counts the steps of these of which a new note told within a minute.
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
@@ -38,6 +39,7 @@ YEARS_S = 1e8
 HOUR_S = 3600.0
 FIX_STD_M, WRONG_M = 3.0, 60.0
 TOLD_S = 60.0
+SWITCHED_OFF_S = 60.0
 LIMIT = chi2.ppf(0.99, 2)
 
 
@@ -161,6 +163,7 @@ class Soak:
             shift_m = self.place_m - stretch.truth_m[0]
             stretch = replace(stretch, truth_m=stretch.truth_m + shift_m)
             self.place_m = stretch.truth_m[-1]
+            self.true_s += SWITCHED_OFF_S
         elif self.rng.random() < 0.2:
             self.clock_s -= self.rng.uniform(1.0, HOUR_S)
         block, fixes = stretch.block, fixes_of(stretch, self.rng)
@@ -206,7 +209,7 @@ class Soak:
 
     def judge(self, stretch: Stretch, updates: Sequence[StepUpdate], now_s: float) -> None:
         tally = self.hours[-1]
-        kinds = {note.split(":")[0].lstrip("0123456789. ") for note in self.online.notes}
+        kinds = {re.sub(r"[0-9.]+", "", note) for note in self.online.notes}
         if kinds - self.notes:
             self.told_s = self.true_s + now_s
         self.notes |= kinds
