@@ -132,15 +132,7 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    where = None if origin is None else Origin.of(origin)
-    if where is None and recording.location is not None:
-        where = fixes_of(recording.location)[0]
-    turn_rad = where.turn_rad if where is not None and heading_rad is None else heading_rad
-    if north == "magnetic" and turn_rad is not None:
-        raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
-    if north == "magnetic" and gnss == "align":
-        raise ValueError('gnss="align" and north="magnetic" both turn the track: leave one out')
-    config = _with_north(config, recording, where, with_location and gnss != "align", north)
+    config = _with_north(config, recording, origin, heading_rad, with_location, gnss, north)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
     if is_placed and recording.location is not None and gnss is None:
@@ -206,21 +198,36 @@ _YEAR_S = 365.2425 * 86400.0
 
 
 def _with_north(
-    config: Config, recording: Recording, where: Origin | None, with_location: bool, north: str | None
+    config: Config,
+    recording: Recording,
+    origin: Origin | tuple[float, float] | None,
+    heading_rad: float | None,
+    with_location: bool,
+    gnss: str | None,
+    north: str | None,
 ) -> Config:
     """The configuration with north of the magnetometer, if it is used; ValueError for what contradicts itself."""
     if north not in ("magnetic", "off", None):
         raise ValueError(f'north must be "magnetic" or "off", got {north!r}')
+    where = None if origin is None else Origin.of(origin)
     missing = [name for name in ("gyroscope", "magnetometer") if name not in recording.streams]
-    if north == "magnetic" and missing:
-        raise MissingSensorError(
-            f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave it out'
-        )
-    by_itself = with_location and where is not None and not missing and config.learns_directions
+    if north == "magnetic":
+        if heading_rad is not None or (where is not None and where.turn_rad is not None):
+            raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
+        if gnss == "align":
+            raise ValueError('gnss="align" and north="magnetic" both turn the track: leave one out')
+        if missing:
+            raise MissingSensorError(
+                f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave '
+                "it out"
+            )
+    by_itself = with_location and gnss != "align" and not missing and config.learns_directions
     if north == "off" or (north is None and not by_itself):
         return config
+    if where is None and recording.location is not None:
+        where = fixes_of(recording.location)[0]
     if where is None:
-        return config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
+        return config if north is None else config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
     epoch_s = recording.epoch_s
     if epoch_s is None or not np.isfinite(epoch_s):
         return config.with_magnetic_north(where.declination_rad())
