@@ -5,8 +5,9 @@ anything then, and a density over all turns, which the fixes that follow narrow:
 what it leaves between the fixes and the track, whose errors grow as the filter says. Positions are the mean and the
 covariance over that density, so that they are in the frame of the fixes from the first one on. A density that has
 become narrow is a rotation with a standard deviation, in which the filter is linear: the track goes over into the frame
-of the fixes for good (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors",
-Acta Cryst. A32, 1976, in the plane).
+of the fixes (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta
+Cryst. A32, 1976, in the plane). Where the heading is lost later on, in a time without samples, the turn is open again
+from there on, about the place where the track was.
 """
 
 from __future__ import annotations
@@ -83,7 +84,12 @@ class Alignment:
     track_centre_m: FloatArray  # (2,)
     world_centre_m: FloatArray  # (2,)
     centre_var_m2: float
-    n_steps: int  # steps that were reported in the frame of the start
+    n_steps: int  # steps that were reported before
+    since: int = 0  # of these, the first that was reported in the frame that it turns; all are in the world before
+
+    def turns(self, place: Place) -> bool:
+        """Whether a place was reported in the frame that it turns."""
+        return self.since <= place.n_steps < self.n_steps
 
     @property
     def rotation(self) -> FloatArray:
@@ -177,18 +183,20 @@ class Frame:
     """Whether the track is in the frame of the fixes, and what is known of how to bring it there."""
 
     is_joined: bool
-    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
+    since: int = 0  # steps before the heading was lost and the frame with it, zero for that of the start
+    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is; where the heading was lost the place there before them
     agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
     turn: OpenTurn | None = None  # from the first of them on, as they show it
     compass: Compass | None = None  # until it is
+    north_var_rad2: float = math.inf  # of the turn before any position fix: infinite if it may be anything
+    north: Alignment | None = None  # how a heading fix had turned the frame of the start before the position fixes
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
-    north: Alignment | None = None  # how a heading fix had turned the frame of the start before
-    moves: tuple[Alignment, ...] = ()  # how fixes moved the track later on, each from its step on (`doubt`)
+    later: tuple[Alignment, ...] = ()  # how frames after a lost heading became it, and how fixes moved the track
 
     @property
-    def north_var_rad2(self) -> float:
-        """Variance of the turn before any position fix: infinite if it may be anything."""
-        return math.inf if self.north is None else self.north.angle_var_rad2
+    def moves(self) -> tuple[Alignment, ...]:
+        """How fixes moved the track, each from its step on (`doubt`)."""
+        return tuple(turn for turn in self.later if turn.since == turn.n_steps)
 
     @property
     def is_known(self) -> bool:
@@ -208,11 +216,12 @@ class Frame:
         return None if self.turn is None else self.turn.with_compass(self.compass)
 
     def world(self, place: Place) -> Place:
-        """A place that was reported in the frame of the start, by what is known now."""
-        if self.north is not None and place.n_steps < self.north.n_steps:
-            place = self.north.world(place)
-        if self.alignment is not None:
-            return self.alignment.world(place)
+        """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
+        for turn in (self.north, self.alignment, *self.later):
+            if turn is not None and turn.turns(place):
+                place = turn.world(place)
+        if self.is_joined or place.n_steps < self.since:
+            return place
         if self._open is not None:
             return self._open.world(place)
         if self.compass is None:
@@ -259,12 +268,39 @@ class Frame:
         return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
-        """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
-        return replace(self, north=north, compass=None)._turned()
+        """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
+        known = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
+        known = replace(known, later=(*self.later, north)) if self.since else replace(known, north=north)
+        return known._turned()
 
     def with_compass(self, compass: Compass) -> Frame:
         """With what the magnetic field says by now; a heading fix knows better."""
-        return self if self.is_joined or self.north is not None else replace(self, compass=compass)
+        return replace(self, compass=compass) if self.is_open else self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing but positions and the magnetic field has settled the turn."""
+        return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+
+    def joined(self, alignment: Alignment) -> Frame:
+        """With the turn settled."""
+        frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
+        if self.since == 0:
+            return replace(frame, alignment=alignment)
+        return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
+
+    def opened(self, pair: PairedPoint, turn_var_rad2: float, n_steps: int) -> Frame:
+        """With the turn open again from the place of a pair on, where the heading was lost."""
+        var = turn_var_rad2 if turn_var_rad2 < MAX_HEADING_VARIANCE else math.inf
+        return replace(self, is_joined=False, since=n_steps, pairs=(pair,), north_var_rad2=var)._turned()
+
+    def most_probable(self, n_steps: int) -> Alignment:
+        """The alignment of a turn that stays open, for what comes after."""
+        turn, of_each = self.drawn().turn, centre_weights(self.agreeing)
+        assert turn is not None and turn.drawn is not None
+        centre_m = of_each @ np.stack([p.track_m for p in self.agreeing])
+        world_m = _ROTATIONS[turn.drawn] @ centre_m + turn.origin_m[turn.drawn]
+        return Alignment(turn.angle_rad, turn.angle_var_rad2, centre_m, world_m, turn.origin_var_m2, n_steps)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
