@@ -94,7 +94,8 @@ class Alignment:
     @property
     def rotation(self) -> FloatArray:
         """R, (2, 2), for columns east, north: headings grow by the angle."""
-        return _rotations(np.array([self.angle_rad]))[0]
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return np.array([[c, s], [-s, c]])
 
     def positions(self, track_m: FloatArray) -> FloatArray:
         """Positions (..., 2) in the world."""
