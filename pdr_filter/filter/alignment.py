@@ -313,23 +313,24 @@ UNKNOWN_FRAME = Frame(is_joined=False)
 
 
 class _LeastSquares(NamedTuple):
-    """Pairs in the frame of the start, less the shift that fits each turn best."""
+    """Pairs in the frame of the start, less the shift that fits each turn best; both axes are alike."""
 
-    weight: FloatArray  # (2 N, 2 N) inverse covariance of the errors
-    projected: FloatArray  # (2 N, 2 N) the same with the best shift taken off
-    shift_weight: FloatArray  # (2, 2) inverse covariance of the shift
-    track: FloatArray  # (2 N,)
+    projected: FloatArray  # (N, N) inverse covariance of the errors along one axis with the best shift taken off
+    of_each: FloatArray  # (N,) how much each counts in the best shift: one in sum
+    shift_var_m2: float
+    track: FloatArray  # (N, 2)
 
 
 def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
     """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
-    weight = np.kron(np.linalg.inv(_fix_cov(pairs) + shared), np.eye(2))
-    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
-    shift_weight = ones.T @ weight @ ones
-    projected = weight - weight @ ones @ np.linalg.solve(shift_weight, ones.T @ weight)
-    return _LeastSquares(weight, projected, shift_weight, np.concatenate([p.track_m for p in pairs]))
+    weight = np.linalg.inv(_fix_cov(pairs) + shared)
+    of_each = weight.sum(axis=0)
+    information = float(of_each.sum())
+    projected = weight - of_each[:, None] * of_each / information
+    track_m = np.stack([p.track_m for p in pairs])
+    return _LeastSquares(projected, of_each / information, 1.0 / information, track_m)
 
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
@@ -345,8 +346,8 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
 
 def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
     """Sum of squared errors over their covariance for each turn (A,), what is known of the north among them."""
-    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
-    return ((away @ fit.projected) * away).sum(axis=1) + _ANGLES_RAD**2 / north_var_rad2
+    away = _turned_back(pairs, _ROTATIONS) - fit.track
+    return ((fit.projected @ away) * away).sum(axis=(1, 2)) + _ANGLES_RAD**2 / north_var_rad2
 
 
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
@@ -354,11 +355,9 @@ def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) ->
     fit = _least_squares(pairs)
     square = _squares(pairs, fit, north_var_rad2)
     prob = np.exp(-0.5 * (square - square.min()))
-    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
-    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
-    shift = np.linalg.solve(fit.shift_weight, ones.T @ fit.weight @ away.T).T
+    shift = fit.of_each @ (_turned_back(pairs, _ROTATIONS) - fit.track)
     origin_m = np.einsum("aij,aj->ai", _ROTATIONS, shift)
-    return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
+    return OpenTurn(prob / prob.sum(), origin_m, fit.shift_var_m2)
 
 
 def align(
@@ -377,22 +376,20 @@ def align(
     fit = _least_squares(pairs)
     angle_rad, information = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0
     for _ in range(5):
-        back = _turned_back(pairs, np.array([angle_rad]))[0]
-        slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
+        back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
+        slope = np.stack([-back[:, 1], back[:, 0]], axis=1)
         of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
-        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2 + of_compass
-        pull = float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2
+        of_fixes = fit.projected @ slope
+        information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
+        pull = float((of_fixes * (back - fit.track)).sum()) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
-    of_each = centre_weights(pairs)
-    track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
-    centre_var = 2.0 / float(np.trace(fit.shift_weight))
-    return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
+    centre_m, world_m = fit.of_each @ fit.track, fit.of_each @ np.stack([p.world_m for p in pairs])
+    return Alignment(angle_rad, 1.0 / information, centre_m, world_m, fit.shift_var_m2, n_steps)
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
     """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
-    of_each = _least_squares(pairs).weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
-    return of_each / of_each.sum()
+    return _least_squares(pairs).of_each
 
 
 def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
@@ -417,11 +414,9 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
     return pairs
 
 
-def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatArray:
-    """The fixes turned back by each angle, (A, 2 N)."""
-    world = np.stack([p.world_m for p in pairs])
-    R = _ROTATIONS if angle_rad is _ANGLES_RAD else _rotations(angle_rad)
-    return (world @ R).reshape(len(angle_rad), -1)
+def _turned_back(pairs: Sequence[PairedPoint], rotations: FloatArray) -> FloatArray:
+    """The fixes turned back by each rotation, (A, N, 2)."""
+    return np.stack([p.world_m for p in pairs]) @ rotations
 
 
 def walked_var_m2(cov: FloatArray) -> float:
