@@ -84,6 +84,7 @@ ROOMS = [
     "serialise",
     "online",
     "report",
+    "plot",
     "calibration",
     "tracks",
     "aligned",
