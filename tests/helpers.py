@@ -20,6 +20,7 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
 
 T = TypeVar("T")
@@ -193,3 +194,24 @@ def tracker_of(weighting: str, model: PedestrianModel) -> ImmTracker | WeightedT
     if weighting == "imm":
         return ImmTracker(model)
     return WeightedTracker(model, HC if weighting == "hc" else 0.8)
+
+
+def from_hand_to_pocket() -> Recording:
+    """Two minutes through all contexts of the simulator; the phone is put away on the way."""
+    right = np.pi / 2
+    legs = [
+        Leg("stationary", duration_s=5.0),
+        Leg("walking", distance_m=30.0),
+        Leg("walking", distance_m=34.0, turn_rad=right),
+        Leg("stationary", duration_s=5.0, carrying_mode="pocket"),
+        Leg("upstairs", distance_m=5.22),
+        Leg("walking", distance_m=16.0, turn_rad=right),
+        Leg("sideways", distance_m=6.0),
+        Leg("stationary", duration_s=6.0),
+        Leg("running", distance_m=28.0, turn_rad=right),
+        Leg("downstairs", distance_m=5.22),
+        Leg("stationary", duration_s=4.0),
+        Leg("walking", distance_m=14.0, turn_rad=-right),
+        Leg("stationary", duration_s=5.0),
+    ]
+    return simulate(legs, Gait(height_m=1.86), name="from_hand_to_pocket")

@@ -11,7 +11,7 @@ import numpy as np
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.simulate.gait import STOREY_HEIGHT_M, Gait, Leg, plan_steps
 from pdr_filter.simulate.motion import CARRYING, Carrying, Motion, build_motion
-from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
+from pdr_filter.simulate.sensors import SensorErrors
 from pdr_filter.values import FloatArray, Samples, table
 
 MAGNETOMETER_RATE_HZ = 50.0
@@ -102,9 +102,9 @@ def simulate(
 
 
 def demo_walk(seed: int = 0) -> Recording:
-    """Two minutes through all contexts that the models know, phone with barometer in the pocket.
+    """Two minutes through all contexts that the models know, phone in the pocket.
 
-    A loop of 138 m: along two corridors, up to the next storey, back there, the last metres running, down and to the
+    A loop of 138 m: along two corridors, up to the next storey, back there, the last metres running, down and towards
     start.
     """
     right = np.pi / 2
@@ -121,8 +121,7 @@ def demo_walk(seed: int = 0) -> Recording:
         Leg("walking", distance_m=14.0, turn_rad=-right),
         Leg("stationary", duration_s=5.0),
     ]
-    errors = SensorErrors(barometer=BAROMETER)
-    return simulate(legs, Gait(height_m=1.86), "pocket", errors=errors, seed=seed, name="demo_walk")
+    return simulate(legs, Gait(height_m=1.86), "pocket", seed=seed, name="demo_walk")
 
 
 def _places(legs: Sequence[Leg], carrying_mode: str, places: Mapping[str, Carrying]) -> list[tuple[str, Carrying]]:
