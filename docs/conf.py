@@ -28,6 +28,7 @@ nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
 nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
+nb_merge_streams = True
 # Formulas without network: one file with the program and its fonts, beside the pages.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
 html_static_path = [str(mathjax.locate())]
