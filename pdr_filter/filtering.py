@@ -11,12 +11,13 @@ from operator import attrgetter
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.filter import height
+from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
+from pdr_filter.maps.particles import ParticleState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
@@ -29,6 +30,7 @@ from pdr_filter.values import (
     FloorPassage,
     ImuBlock,
     Note,
+    OnPlan,
     PositionFix,
     SpeedFix,
     Standstill,
@@ -99,6 +101,7 @@ class State:
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
+    particles: ParticleState = field(default_factory=ParticleState)  # on the floor plan, if there is one
     finished: bool = False
 
     @property
@@ -125,7 +128,14 @@ class Output:
 
 def init(config: Config) -> State:
     """State of a filter before its first sample."""
-    return State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
+    state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
+    on_plan = config.on_plan
+    if on_plan is None:
+        return state
+    if on_plan.start is not None:
+        state = replace(state, height=height.with_floor(state.height, on_plan.start.floor))
+    # locations are then in the frame of the plan
+    return replace(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
 
 
 def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
@@ -202,6 +212,14 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     return replace(state, waiting_fixes=tuple(waiting))
 
 
+def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
+    """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
+    place = None if config.on_plan is None else config.on_plan.place(state.particles)
+    if place is not None:
+        return place.position_m, place.position_cov_m2
+    return pedestrian.present_position(state.tracker.pedestrian)
+
+
 def person_of(config: Config, state: State) -> Person | None:
     """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
     session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
@@ -251,6 +269,8 @@ def notes_of(config: Config, state: State) -> list[Note]:
         words += "as in a bag: the turn of the phone alone leads there"
         notes.append(Note("heading", words))
     notes += [*config.notes, *height.notes(state.height)]
+    if config.on_plan is not None:
+        notes += config.on_plan.notes(state.particles)
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
         words = (
@@ -328,6 +348,9 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             tracker, brought = config.tracker.on_window(state.tracker, context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+            if config.on_plan is not None:
+                particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
+                state = replace(state, particles=particles)
         else:
             state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
@@ -362,8 +385,27 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         else:
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
-        output.updates.append(replace(update, **there))
+        update = replace(update, **there)
+        if config.on_plan is not None and update.is_final:
+            known_now = state.tracker.pedestrian
+            state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
+            update = _on_plan(update, config.on_plan.place(state.particles))
+        output.updates.append(update)
     return state if known is state.height else replace(state, height=known)
+
+
+def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
+    """A step where the particles on a plan are, if there are some."""
+    if place is None:
+        return update
+    return replace(
+        update,
+        on_plan=place,
+        position_m=place.position_m,
+        position_cov_m2=place.position_cov_m2,
+        walking_heading_rad=place.walking_heading_rad,
+        of_start=None,
+    )
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
@@ -392,6 +434,10 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
+        if config.on_plan is not None:
+            floor = state.height.known.floors.floor
+            particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
+            state = replace(state, particles=particles)
     if isinstance(fix, PositionFix) and fix.floor is not None and outcome != "rejected":
         state = replace(state, height=height.with_floor(state.height, fix.floor))
     result = FixResult.of(fix, now_s, outcome, nis)

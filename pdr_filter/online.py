@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
-from pdr_filter.config import Config
-from pdr_filter.filter.pedestrian import StepUpdate, present_position
+from pdr_filter.config import Config, on_plan
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
     State,
@@ -20,10 +20,12 @@ from pdr_filter.filtering import (
     init,
     notes_of,
     person_of,
+    present_position,
     step,
     untimely,
 )
 from pdr_filter.io.recording import Subject
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import (
@@ -31,6 +33,7 @@ from pdr_filter.values import (
     Fix,
     FloatArray,
     ImuBlock,
+    OnPlan,
     Origin,
     PositionFix,
     as_floats,
@@ -49,6 +52,10 @@ class OnlineFilter:
         A recipe; the default recipe if not given.
     height_m : float, optional
         Of the person, for the default recipe: what `pdr_filter.track` takes from a recording that says it.
+    plan : FloorPlan, optional
+        Keeps the track where people can walk; positions are then in its frame. See `Config.with_plan`.
+    start : PositionFix or str, optional
+        Where on the plan the walk begins: a place, the name of an area, or "anywhere".
 
     Examples
     --------
@@ -66,7 +73,13 @@ class OnlineFilter:
     True
     """
 
-    def __init__(self, config: Config | None = None, height_m: float | None = None) -> None:
+    def __init__(
+        self,
+        config: Config | None = None,
+        height_m: float | None = None,
+        plan: FloorPlan | None = None,
+        start: PositionFix | str | None = None,
+    ) -> None:
         if config is None:
             from pdr_filter import recipes
 
@@ -75,8 +88,8 @@ class OnlineFilter:
             raise ValueError(
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
-        self.config = config
-        self.state = init(config)
+        self.config = on_plan(config, plan, start)
+        self.state = init(self.config)
 
     def push(
         self,
@@ -164,12 +177,17 @@ class OnlineFilter:
     @property
     def position_m(self) -> FloatArray:
         """East and north of the last final step, shape (2,)."""
-        return present_position(self.state.tracker.pedestrian)[0]
+        return present_position(self.config, self.state)[0]
 
     @property
     def position_cov_m2(self) -> FloatArray:
         """Covariance of `position_m`, shape (2, 2)."""
-        return present_position(self.state.tracker.pedestrian)[1]
+        return present_position(self.config, self.state)[1]
+
+    @property
+    def on_plan(self) -> OnPlan | None:
+        """Where the particles on the floor plan are, in one place or several; None before there are some."""
+        return None if self.config.on_plan is None else self.config.on_plan.place(self.state.particles)
 
     @property
     def height_m(self) -> float:
@@ -189,6 +207,8 @@ class OnlineFilter:
     @property
     def origin(self) -> Origin | None:
         """Where on Earth `position_m` is zero; None before a location has placed the track."""
+        if self.config.on_plan is not None:
+            return None if self.on_plan is None else self.config.on_plan.plan.origin
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
         return frame.origin(place) if place is not None and frame.is_known else None
 

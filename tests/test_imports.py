@@ -76,6 +76,7 @@ ROOMS = [
     "classifiers",
     "sensing",
     "filter",
+    "maps",
     "config",
     "papers",
     "recipes",

@@ -21,7 +21,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, PositionFix, Step, read_only, wrap_angle
+from pdr_filter.values import FloatArray, OnPlan, PositionFix, Step, read_only, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -58,6 +58,8 @@ class StepUpdate:
     height_m: float = 0.0
     height_std_m: float = 0.0
     floor: int = 0
+    # Where particles on a floor plan are; with it position, covariance and heading are theirs. None without a plan.
+    on_plan: OnPlan | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

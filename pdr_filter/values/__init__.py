@@ -29,6 +29,7 @@ from pdr_filter.values.fixes import (
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
+from pdr_filter.values.on_plan import Cluster, OnPlan
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
@@ -46,6 +47,7 @@ __all__ = [
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
     "BoolArray",
+    "Cluster",
     "Fix",
     "FixOutcome",
     "FixResult",
@@ -58,6 +60,7 @@ __all__ = [
     "IntArray",
     "Note",
     "NoteSubject",
+    "OnPlan",
     "Origin",
     "PositionFix",
     "Samples",
