@@ -41,6 +41,8 @@ _AREAS = ("floor", "room", "stairs", "lift")
 _LEAST_M, _MOST_M = 2.0, 3000.0
 # Degrees: 0.05 are 5.6 km. Metres of a building span more.
 _MOST_DEG = 0.05
+# Of the walls' hull, which is the outline where none is drawn.
+_BESIDE_M = 1.0
 # A door leads to what is this near: drawings do not meet exactly.
 _NEAR_M = 0.3
 
@@ -183,7 +185,7 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
     n_columns, n_rows = np.ceil((points.max(axis=0) + MARGIN_M - south_west) / CELL_M).astype(int)
     east = south_west[0] + CELL_M * (np.arange(n_columns) + 0.5)
     north = south_west[1] + CELL_M * (np.arange(n_rows) + 0.5)
-    cells = np.full((n_rows, n_columns), OUTSIDE if of_kind["floor"] else FREE, dtype=np.uint8)
+    cells = np.full((n_rows, n_columns), OUTSIDE, dtype=np.uint8)
 
     def fill(shape: Any, kind: int) -> None:
         """Cells whose middle is inside of an area."""
@@ -197,8 +199,10 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
 
     doors = [d.shape for d in of_kind["door"]]
     near = shapely.unary_union(doors).buffer(_NEAR_M) if doors else shapely.Polygon()
-    for d in of_kind["floor"]:
-        fill(d.shape, FREE)
+    # without an outline the floor is what the walls are about
+    outlines = [d.shape for d in of_kind["floor"]] or [shapely.MultiPoint(points).convex_hull.buffer(_BESIDE_M)]
+    for outline in outlines:
+        fill(outline, FREE)
     walls: list[Any] = [
         d.shape if d.shape.geom_type.endswith("LineString") else d.shape.boundary for d in of_kind["wall"]
     ]

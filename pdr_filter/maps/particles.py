@@ -90,7 +90,8 @@ class ParticleState:
     last_fix_s: float = -math.inf
     cost: float = 0.0  # of the plan, see `_COST_MEMORY`
     n_draws: int = 0  # of random numbers: the next ones follow from seed and number alone
-    events: tuple[PlanEvent, ...] = ()
+    events: tuple[PlanEvent, ...] = ()  # the last ones
+    n_lost: int = 0  # how often nothing on the plan fitted
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,7 +105,7 @@ class ParticleFilter:
     start: Start | None = None  # None: where the tracker is
     terrain: Terrain = field(default_factory=Terrain)
     n_least: int = 1000
-    n_most: int = 20_000
+    n_most: int = 50_000
     seed: int = 0
 
     def __post_init__(self) -> None:
@@ -337,7 +338,8 @@ class ParticleFilter:
         time_s: float,
     ) -> ParticleState:
         """State whose particles are drawn again, because what they say cannot be: from the tracker, or anywhere."""
-        state = replace(state, events=(*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:])
+        events = (*state.events, PlanEvent(time_s, "lost", ""))[-_MAX_EVENTS:]
+        state = replace(state, events=events, n_lost=state.n_lost + 1)
         if known.frame.is_joined or known.frame.turn is not None or ground is None:
             return self._from_tracker(state, known, ground, rng, scale_std)
         anywhere = start_of(FloorPlan("", (ground.storey,)), ANYWHERE)

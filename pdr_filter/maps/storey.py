@@ -50,11 +50,6 @@ class Storey:
     cells: NDArray[np.uint8]  # (rows to the north, columns to the east): FREE, STAIRS, LIFT, ROOM, WALL or OUTSIDE
 
     @property
-    def has_outline(self) -> bool:
-        """Whether the plan says where the floor ends."""
-        return any(f.kind == "floor" for f in self.features)
-
-    @property
     def has_stairs(self) -> bool:
         """Whether stairs are drawn."""
         return any(f.kind == "stairs" for f in self.features)
@@ -74,10 +69,9 @@ class Storey:
         return np.where(inside, row * n_columns + column, 0), inside
 
     def kind_at(self, position_m: FloatArray) -> IntArray:
-        """What is at positions (..., 2); beyond the grid what is beyond the drawing."""
+        """What is at positions (..., 2)."""
         index, inside = self.index(position_m)
-        beyond = OUTSIDE if self.has_outline else FREE
-        return np.where(inside, self.cells.ravel()[index], beyond)
+        return np.where(inside, self.cells.ravel()[index], OUTSIDE)
 
     def summary(self) -> dict[str, Any]:
         """What it was understood to be."""
@@ -89,7 +83,8 @@ class Storey:
             "width_m": width_m,
             "height_m": height_m,
             "features": {kind: sum(f.kind == kind for f in self.features) for kind in kinds},
-            "walkable_m2": round(walkable_m2, 1) if self.has_outline else None,  # without an outline nobody knows
+            "has_outline": any(f.kind == "floor" for f in self.features),
+            "walkable_m2": round(walkable_m2, 1),
         }
 
     def what_is_near(self, position_m: FloatArray) -> tuple[str, str]:

@@ -27,11 +27,16 @@ class Terrain:
     wall: float = 4.6
     room: float = 4.6  # of entering one without a door; its stairs to the depth of `soft_m`
     outside: float = 6.0  # of leaving the outline
+    # Of each step in a room or beyond the outline, where no wall tells a wrong way from a right one: what the steps of
+    # somebody in a corridor cost, because their noise leads into walls. Chosen among 0 to 1 on storey F1 of the mall;
+    # the other storeys and buildings had no part in it. Beyond the outline the plan says nothing of a walk on it.
+    stay_room: float = 0.3
+    stay_outside: float = 1.0
     off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
     soft_m: float = 0.5  # how well edges are drawn
 
     def __post_init__(self) -> None:
-        check_numbers(self, zero=("wall", "room", "outside", "off_stairs"))
+        check_numbers(self, zero=("wall", "room", "outside", "stay_room", "stay_outside", "off_stairs"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,15 +56,10 @@ class Ground:
         top[[ROOM, WALL, OUTSIDE]] = terrain.room, terrain.wall, terrain.outside
         return np.asarray(top[cells] * np.where(closed, share, 1.0), dtype=np.float32).ravel()
 
-    @property
-    def beyond(self) -> float:
-        """Cost of being off the grid."""
-        return self.terrain.outside if self.storey.has_outline else 0.0
-
     def heights(self, position_m: FloatArray) -> FloatArray:
         """Cost of being at positions (..., 2)."""
         index, inside = self.storey.index(position_m)
-        return np.where(inside, self.height[index], self.beyond)
+        return np.where(inside, self.height[index], self.terrain.outside)
 
     def costs(self, from_m: FloatArray, to_m: FloatArray, on_stairs: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Cost of steps (N, 2) to (N, 2), and the part of it for what they went through, (N,) each.
@@ -70,8 +70,10 @@ class Ground:
         n = int(np.ceil(np.abs(way_m).max(initial=0.0) / CELL_M)) + 1
         share = np.linspace(0.0, 1.0, n + 1)[:, None, None]
         index, inside = self.storey.index(from_m + share * way_m)
-        height = np.where(inside, self.height[index], self.beyond)
+        height = np.where(inside, self.height[index], self.terrain.outside)
         through = np.maximum(height[1:].max(axis=0) - height[0], 0.0)
+        kind = self.storey.kind_at(to_m)
+        cost = through + self.terrain.stay_room * (kind == ROOM) + self.terrain.stay_outside * (kind == OUTSIDE)
         if self.storey.has_stairs and on_stairs.any():
-            return through + self.terrain.off_stairs * (on_stairs & (self.storey.kind_at(to_m) != STAIRS)), through
-        return through, through
+            cost = cost + self.terrain.off_stairs * (on_stairs & (kind != STAIRS))
+        return cost, through
