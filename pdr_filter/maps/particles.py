@@ -62,6 +62,8 @@ _SHOWN_SHARE = 0.9
 # What the plan costs in the last twenty steps, forgotten with this factor a step: above the limit, three walls in a
 # row, nothing on the plan fits.
 _COST_MEMORY, _COST_LIMIT = 0.95, 13.0
+# What particles went through in the last steps: they do not all go through a wall in the same one.
+_THROUGH_MEMORY = 0.8
 _MAX_EVENTS = 16
 
 
@@ -89,6 +91,7 @@ class ParticleState:
     compass: Compass | None = None  # as it was used
     last_fix_s: float = -math.inf
     cost: float = 0.0  # of the plan, see `_COST_MEMORY`
+    through: float = 0.0  # what most of them went through, see `_THROUGH_MEMORY`
     n_draws: int = 0  # of random numbers: the next ones follow from seed and number alone
     events: tuple[PlanEvent, ...] = ()  # the last ones
     n_lost: int = 0  # how often nothing on the plan fitted
@@ -324,6 +327,7 @@ class ParticleFilter:
             turned_rad=_turned_rad(known),
             compass=known.frame.compass,
             cost=0.0,
+            through=0.0,
         )
         return state if ground is None else _weighed(state, -ground.heights(particles[:, :2]))[0]
 
@@ -368,12 +372,14 @@ class ParticleFilter:
 
     def _noted(self, state: ParticleState, time_s: float, through: float, ground: Ground) -> ParticleState:
         """State with an event, if most of the weight has gone through what the plan draws."""
+        state = replace(state, through=_THROUGH_MEMORY * state.through + through)
         t = self.terrain
-        if through < 0.5 * min(t.wall, t.room, t.outside):
+        if state.through < 0.5 * min(t.wall, t.room, t.outside):
             return state
-        at_m = state.weight @ state.particles[:, :2]
-        what, name = ground.storey.what_is_near(at_m)
-        return replace(state, events=(*state.events, PlanEvent(time_s, what, name))[-_MAX_EVENTS:])
+        what, name = ground.storey.what_is_near(state.weight @ state.particles[:, :2])
+        events = (*state.events, PlanEvent(time_s, what, name))[-_MAX_EVENTS:]
+        # less than nothing: what is left of the same wall is no other one
+        return replace(state, events=events, through=-state.through)
 
 
 def _led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:

@@ -27,9 +27,9 @@ class Terrain:
     wall: float = 4.6
     room: float = 4.6  # of entering one without a door; its stairs to the depth of `soft_m`
     outside: float = 6.0  # of leaving the outline
-    # Of each step in a room or beyond the outline, where no wall tells a wrong way from a right one: what the steps of
-    # somebody in a corridor cost, because their noise leads into walls. Chosen among 0 to 1 on storey F1 of the mall;
-    # the other storeys and buildings had no part in it. Beyond the outline the plan says nothing of a walk on it.
+    # Of each step in a room, in masonry or beyond the outline, where no wall tells a wrong way from a right one: what
+    # the steps of somebody in a corridor cost, because their noise leads into walls. Chosen among 0 to 1 on storey F1
+    # of the mall; other storeys and buildings had no part in it. Beyond the outline the plan says nothing of a walk.
     stay_room: float = 0.3
     stay_outside: float = 1.0
     off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
@@ -73,7 +73,10 @@ class Ground:
         height = np.where(inside, self.height[index], self.terrain.outside)
         through = np.maximum(height[1:].max(axis=0) - height[0], 0.0)
         kind = self.storey.kind_at(to_m)
-        cost = through + self.terrain.stay_room * (kind == ROOM) + self.terrain.stay_outside * (kind == OUTSIDE)
+        stays = self.terrain.stay_room * ((kind == ROOM) | (kind == WALL)) + self.terrain.stay_outside * (
+            kind == OUTSIDE
+        )
+        cost = through + stays
         if self.storey.has_stairs and on_stairs.any():
             cost = cost + self.terrain.off_stairs * (on_stairs & (kind != STAIRS))
         return cost, through
