@@ -10,7 +10,7 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
-from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, PlanFile, Scheduler, Start, on_plan
 from pdr_filter.io.texts import file_name, printable_lines
 
 
@@ -86,6 +86,8 @@ def smooth(
         typer.Option(help="CSV of two times at one place, first_s,second_s and perhaps std_m; with --fixes or alone."),
     ] = None,
     calibration: CalibrationFile = None,
+    plan: PlanFile = None,
+    start: Start = None,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
@@ -103,13 +105,16 @@ def smooth(
         known = None if calibration is None else load_calibration(calibration)
         closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
         origin, known_places = None, ()
+        where = on_plan(plan, start)
         if fixes is not None:
             known_places = fixes_of_file(fixes, fix_std_m)
+        elif start is not None:
+            pass  # where the walk begins is all that is known
         elif not closed and recording.truth.waypoints is None and recording.location is not None:
-            origin, known_places = fixes_of(recording.location)
+            origin, known_places = fixes_of(recording.location, where["plan"].origin if where else None)
         elif not closed:
             known_places = waypoint_fixes(recording, fix_std_m)
-        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed)
+        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed, **where)
         track = result.track if origin is None else result.track.placed(origin)
         if out is not None:
             name = file_name(track.name)

@@ -21,8 +21,11 @@ from pdr_filter.cli.options import (
     Heading,
     North,
     Origin,
+    PlanFile,
     Scheduler,
+    Start,
     heading_rad,
+    on_plan,
     origin_deg,
 )
 from pdr_filter.io.texts import file_name
@@ -62,6 +65,8 @@ class Method:
     north: North = None
     origin: Origin = None
     heading: Heading = None
+    plan: PlanFile = None
+    start: Start = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -208,6 +213,8 @@ def track(
                 "--north": method.north,
                 "--origin": method.origin,
                 "--heading": method.heading,
+                "--plan": method.plan,
+                "--start": method.start,
                 "--export": output.export,
                 "--report": output.report,
                 "--json": as_json,
@@ -221,6 +228,7 @@ def track(
             return
         output.check()
         changes = method.changes()
+        where = on_plan(method.plan, method.start)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
@@ -241,6 +249,7 @@ def track(
             north=None if method.north is None else method.north.value,
             origin=origin_deg(method.origin),
             heading_rad=heading_rad(method.heading),
+            **where,
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)

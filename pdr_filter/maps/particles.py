@@ -1,10 +1,10 @@
 """A particle filter behind the tracker: many pedestrians who make the same steps, of whom the plan keeps those who can.
 
-A particle is a place on the plan, a heading offset and a log scale, as the states of the tracker's modes, and the turn
-from the frame of the start to the plan. A step leads it on as `filter.motion` says, in a mode drawn from the tracker's
-probabilities; the direction that strides show is used in closed form, given the particle (a Kalman update of its
-offset, as in a Rao-Blackwellised filter). What the plan makes of the step weighs it (`Terrain`), and so do fixes that
-the tracker used.
+A particle is a place on the plan, a heading offset and a log scale, as the states of the tracker's modes, the turn from
+the frame of the start to the plan, and what it went through of late. A step leads it on as `filter.motion` says, in a
+mode drawn from the tracker's probabilities; the direction that strides show is used in closed form, given the particle
+(a Kalman update of its offset, as in a Rao-Blackwellised filter). What the plan makes of the step weighs it
+(`Terrain`), and so do fixes that the tracker used.
 
 The tracker stays what it is without a plan. From it the particles come: at a start that is given, at each fix while
 fixes leave the turn of the track open, and again where nothing on the plan fits the steps any more. So the plan cannot
@@ -44,8 +44,8 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-EAST, NORTH, OFFSET, SCALE, TURN = range(5)
-N_COLUMNS = 5
+EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
+N_COLUMNS = 6
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
 _COUNT_M, _COUNT_RAD = 1.0, math.pi / 6
 # Particles are counted every so many steps, and whenever they are drawn again.
@@ -62,8 +62,9 @@ _SHOWN_SHARE = 0.9
 # What the plan costs in the last twenty steps, forgotten with this factor a step: above the limit, three walls in a
 # row, nothing on the plan fits.
 _COST_MEMORY, _COST_LIMIT = 0.95, 13.0
-# What particles went through in the last steps: they do not all go through a wall in the same one.
-_THROUGH_MEMORY = 0.8
+# What a particle went through is forgotten with this factor a step: those who went through a wall are few at first, and
+# it takes some steps until all others are gone.
+_THROUGH_MEMORY = 0.95
 _MAX_EVENTS = 16
 
 
@@ -80,7 +81,7 @@ class PlanEvent:
 class ParticleState:
     """All that changes."""
 
-    particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))  # (N, 5)
+    particles: FloatArray = field(default_factory=lambda: np.empty((0, N_COLUMNS)))  # (N, 6)
     weight: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) sums to one
     parent: IntArray = field(default_factory=lambda: np.empty(0, dtype=np.int64))  # (N,) of before; none: newly drawn
     # (R, 4) time, east, north and device heading after the last steps, each as long as the modes say and in the
@@ -91,7 +92,6 @@ class ParticleState:
     compass: Compass | None = None  # as it was used
     last_fix_s: float = -math.inf
     cost: float = 0.0  # of the plan, see `_COST_MEMORY`
-    through: float = 0.0  # what most of them went through, see `_THROUGH_MEMORY`
     n_draws: int = 0  # of random numbers: the next ones follow from seed and number alone
     events: tuple[PlanEvent, ...] = ()  # the last ones
     n_lost: int = 0  # how often nothing on the plan fitted
@@ -180,9 +180,9 @@ class ParticleFilter:
         if ground is not None:
             up, down = model.on_stairs
             cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
+            x[:, THROUGH] = _THROUGH_MEMORY * x[:, THROUGH] + through
             state, log_share = _weighed(state, -cost)
-            state = replace(state, cost=_COST_MEMORY * state.cost - log_share)
-            state = self._noted(state, step.time_s, float(state.weight @ through), ground)
+            state = self._noted(replace(state, cost=_COST_MEMORY * state.cost - log_share), step.time_s, ground)
         if state.cost > _COST_LIMIT or _n_effective(state) < _LEAST_EFFECTIVE:
             return self._again(state, known, model, ground, rng, scale_std, step.time_s)
         return self._resampled(state, rng, must_count=update.index % _COUNT_STEPS == 0)
@@ -254,7 +254,7 @@ class ParticleFilter:
                 "outline": "the walk leaves the outline of the floor: is the plan complete?",
                 "lost": "nothing on the plan fits the steps: the track begins again from dead reckoning",
             }[event.what]
-            notes.append(Note("plan", f"at {event.time_s:.0f} s {words}"))
+            notes.append(Note("plan", f"about {event.time_s:.0f} s {words}"))
         return notes
 
     # --- parts --------------------------------------------------------------------------------------------------------
@@ -327,7 +327,6 @@ class ParticleFilter:
             turned_rad=_turned_rad(known),
             compass=known.frame.compass,
             cost=0.0,
-            through=0.0,
         )
         return state if ground is None else _weighed(state, -ground.heights(particles[:, :2]))[0]
 
@@ -370,16 +369,16 @@ class ParticleFilter:
         parent = state.parent[chosen] if len(state.parent) else state.parent
         return replace(state, particles=particles, weight=np.full(needed, 1.0 / needed), parent=parent)
 
-    def _noted(self, state: ParticleState, time_s: float, through: float, ground: Ground) -> ParticleState:
+    def _noted(self, state: ParticleState, time_s: float, ground: Ground) -> ParticleState:
         """State with an event, if most of the weight has gone through what the plan draws."""
-        state = replace(state, through=_THROUGH_MEMORY * state.through + through)
         t = self.terrain
-        if state.through < 0.5 * min(t.wall, t.room, t.outside):
+        if float(state.weight @ state.particles[:, THROUGH]) < 0.5 * min(t.wall, t.room, t.outside):
             return state
         what, name = ground.storey.what_is_near(state.weight @ state.particles[:, :2])
+        particles = state.particles.copy()
+        particles[:, THROUGH] = 0.0
         events = (*state.events, PlanEvent(time_s, what, name))[-_MAX_EVENTS:]
-        # less than nothing: what is left of the same wall is no other one
-        return replace(state, events=events, through=-state.through)
+        return replace(state, particles=particles, events=events)
 
 
 def _led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:
@@ -390,7 +389,7 @@ def _led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:
 
 
 def backwards(particles: FloatArray, since_m: FloatArray) -> FloatArray:
-    """Where particles (N, 5) were before a way (2,) in the direction of the device: each with its offset and scale."""
+    """Where particles (N, 6) were before a way (2,) in the direction of the device: each with its offset and scale."""
     return particles[:, :2] - np.exp(particles[:, [SCALE]]) * _rotated(since_m[None], particles[:, OFFSET])
 
 

@@ -19,6 +19,7 @@ from pdr_filter.io.files import whole_file
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.palette import FAINT, GRID, INK, context_colours, floor_colours
+from pdr_filter.report.plans import draw_storey, storeys_of
 from pdr_filter.values import FloatArray, TrackRows, Windows
 
 _SIZE_IN = (8.0, 9.0)
@@ -64,6 +65,8 @@ def save(figure: Figure, path: str | Path) -> None:
 def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:
     """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
     way = np.vstack([track.start_position_m, track.position_m])
+    for storey in storeys_of(track.plan, track.floor) if track.plan is not None else ():
+        draw_storey(axes, storey)
     if reference_m is not None:
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:
