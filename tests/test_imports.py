@@ -91,6 +91,7 @@ ROOMS = [
     "simulate",
     "evaluate",
     "offline",
+    "radio",
     "training",
     "batch",
     "",  # the package itself: the public names
