@@ -2,8 +2,8 @@
 
 Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values in
 Android's units and sign; comment lines (`#`) name site, floor and phone. `TYPE_WAYPOINT` is a point of the floor map in
-metres, marked by the surveyor; `TYPE_WIFI` has name, address, dBm, MHz and when it was last heard. Other types (beacons,
-uncalibrated values) are ignored.
+metres, marked by the surveyor; `TYPE_WIFI` has name, address, dBm, MHz and when it was last heard. Other types
+(beacons, uncalibrated values) are ignored.
 """
 
 from __future__ import annotations

@@ -33,7 +33,12 @@ TRUTH_COLUMNS: dict[str, tuple[str, ...]] = {
     "segments": ("start_s", "end_s", "distance_m", "n_steps"),
     "labels": ("start_s", "end_s", "context", "carrying_mode"),
 }
-FILES = ("meta.json", "wifi.csv", *(f"{name}.csv" for name in STREAM_COLUMNS), *(f"truth_{name}.csv" for name in TRUTH_COLUMNS))
+FILES = (
+    "meta.json",
+    "wifi.csv",
+    *(f"{name}.csv" for name in STREAM_COLUMNS),
+    *(f"truth_{name}.csv" for name in TRUTH_COLUMNS),
+)
 TIME_COLUMNS = ("time_s", "start_s", "end_s")
 TEXT_COLUMNS = ("context", "carrying_mode")
 
@@ -75,7 +80,9 @@ def _numbers_csv(columns: Sequence[str], arrays: Sequence[FloatArray]) -> str:
 
 
 def _wifi_csv(wifi: Wifi) -> str:
-    rows = zip(wifi.time_s.tolist(), wifi.bssid.tolist(), wifi.rssi_dbm.tolist(), wifi.frequency_mhz.tolist(), strict=True)
+    rows = zip(
+        wifi.time_s.tolist(), wifi.bssid.tolist(), wifi.rssi_dbm.tolist(), wifi.frequency_mhz.tolist(), strict=True
+    )
     body = "".join(f"{t:.6f},{address_text(b)},{rssi:.7g},{mhz:.7g}\n" for t, b, rssi, mhz in rows)
     return ",".join(("time_s", *WIFI_COLUMNS)) + "\n" + body.replace("nan", "")
 

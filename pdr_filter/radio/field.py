@@ -11,8 +11,8 @@ variance v(x) = k(x, x) - k_x' (K + n I)^-1 k_x + n. With r(x)^2 = |q - m(x)|^2 
     log p(q | x) = -(E / 2) (r(x)^2 / v(x) + log v(x)) + constant.
 
 E is not the number of access points: many are on one box, and all are behind the same walls. It is how many independent
-ones say as much together, and was chosen, with l and n, so that half of the waypoints of walks left out are in the 50 %
-regions. Far from every walk v is that of the prior: a place where nobody mapped stays possible.
+ones say as much together, and was chosen so that regions hold the truth on walks left out. Far from every walk v is
+that of the prior: a place where nobody mapped stays possible.
 (C. E. Rasmussen and C. K. I. Williams, Gaussian Processes for Machine Learning, 2006, equations 2.23 to 2.26.)
 """
 
@@ -25,24 +25,20 @@ import numpy as np
 from scipy.linalg import cho_factor, cho_solve
 from scipy.sparse import csr_matrix
 
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.values import FloatArray, IntArray, loudness
 
-# Chosen on storey F1 of `ms_indoor`, walks left out one by one (tests/benchmarks/radio.py, docs/tables/radio_choice.md).
+# Chosen on storey F1 of `ms_indoor`, walks left out (docs/tables/radio_choice.md).
 LENGTH_M = 20.0
 NOISE = 0.3
 EVIDENCE = 20.0
-# Places that are weighed: closer than a scan is long (a walker goes 2 m), and so far beyond the walks of the map.
+# Places that are weighed: hardly further apart than a walker goes in a scan, and so far beyond the walks of the map.
 CELL_M = 3.0
-MARGIN_M = 15.0
-_SILENT_DBM, _LOUD_DBM = -100.0, -30.0
+MARGIN_M = 30.0
 
 
 def fingerprints(scan: IntArray, access_point: IntArray, rssi_dbm: FloatArray, shape: tuple[int, int]) -> csr_matrix:
-    """Vectors of unit length (S, A) of hearings (H,): the square of how far each is above silence.
-
-    The square lets the nearest access points speak: with the plain level walks left out are found a fifth worse.
-    """
-    level = np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
+    """Fingerprints (S, A) of hearings (H,), as those of a `WifiScan`."""
+    level = loudness(rssi_dbm)
     norm = np.sqrt(np.bincount(scan, level**2, minlength=shape[0]))
     return csr_matrix((level / norm[scan], (scan, access_point)), shape=shape)
 

@@ -13,7 +13,7 @@ from scipy.sparse import csr_matrix
 
 from pdr_filter.classifiers.artefact import Arrays, ArtefactFormat, file_pair
 from pdr_filter.io.recording import MissingSensorError, Recording
-from pdr_filter.radio.field import CELL_M, Field, fingerprints
+from pdr_filter.radio.field import Field, fingerprints
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray, IntArray, PositionFix, WifiScan, read_only
 from pdr_filter.version import __version__
@@ -28,9 +28,13 @@ _OWN_VAR_M2 = 6.0
 # Two scans of one place err alike until the walker has left what the map does not tell apart: by the autocorrelation of
 # errors on F1, 12 s where they are 5 m, 40 s and more where they are 15 m and more.
 _CORRELATION_S_PER_M = 2.4
+# More often than this share of that time fixes would hardly say more, and those that show the turn of a track are few.
+_INTERVAL_SHARE = 0.5
+# A scan that fits places further apart is no position with an error: several corridors, or all that nobody mapped.
+_WIDEST_STD_M = 15.0
 # The storey is said where it is as sure as this.
 _SURE_OF_FLOOR = 0.95
-_LARGEST_M, _MOST_POINTS = 1e6, 20_000
+_LARGEST_M, _MOST_POINTS, _HIGHEST_FLOOR = 1e6, 20_000, 1000
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -111,12 +115,15 @@ class RadioMap:
     def fixes(self, recording: Recording) -> list[PositionFix]:
         """Where a recording was, scan by scan, with the covariance of what the map does not tell apart.
 
-        Each is received when its scan ended. Errors of scans that follow each other are alike (`correlation_s`). A scan
-        that hears fewer than five access points of the map gives no fix. The storey is said where it is 95 % sure.
-        MissingSensorError without Wi-Fi.
+        Each is received when its scan ended. Errors of scans that follow each other are alike (`correlation_s`), and
+        those that would say nothing new are left out. A scan gives no fix that hears fewer than five access points of the map, or that the map does
+        not place within 15 m (standard deviation of an axis): where nobody walked, or too much is alike. The storey is
+        said where it is 95 % sure. MissingSensorError without Wi-Fi.
         """
         if recording.wifi is None:
-            raise MissingSensorError(f"{recording.name or 'the recording'} has no Wi-Fi: record it, or go without a map")
+            raise MissingSensorError(
+                f"{recording.name or 'the recording'} has no Wi-Fi: record it, or go without a map"
+            )
         scans = [s for s in recording.wifi.scans() if np.isin(s.bssid, self.bssid).sum() >= _FEWEST]
         if not scans:
             return []
@@ -133,17 +140,21 @@ class RadioMap:
             mean = p @ cell_m
             apart = cell_m - mean
             cov = (p[:, None] * apart).T @ apart + _OWN_VAR_M2 * np.eye(2)
+            std_m = float(np.sqrt(0.5 * np.trace(cov)))
+            correlation_s = _CORRELATION_S_PER_M * std_m
+            is_new = not found or scan.time_s - found[-1].time_s >= _INTERVAL_SHARE * correlation_s
+            if std_m > _WIDEST_STD_M or not is_new:
+                continue
             is_sure = np.isfinite(floor) and of_floor[k, i] >= _SURE_OF_FLOOR
-            found.append(
-                PositionFix(
-                    scan.time_s,
-                    mean,
-                    cov,
-                    received_time_s=scan.end_s,
-                    correlation_s=_CORRELATION_S_PER_M * float(np.sqrt(0.5 * np.trace(cov))),
-                    floor=int(floor) if is_sure else None,
-                )
+            fix = PositionFix(
+                scan.time_s,
+                mean,
+                cov,
+                received_time_s=scan.end_s,
+                correlation_s=correlation_s,
+                floor=int(floor) if is_sure else None,
             )
+            found.append(fix)
         return found
 
     def save(self, path: str | Path) -> Path:
@@ -205,10 +216,13 @@ def _check(radio: RadioMap) -> None:
     n, a, h = len(radio.floor), len(radio.bssid), len(radio.rssi_dbm)
     if radio.position_m.shape != (n, 2) or not 0 < n <= _MOST_POINTS:
         raise ValueError(
-            f"position_m must be (N, 2) and floor (N,), N from 1 to {_MOST_POINTS}, got {radio.position_m.shape} and {n}"
+            f"position_m must be (N, 2) and floor (N,), N at most {_MOST_POINTS}, got {radio.position_m.shape} and {n}"
         )
     if not (np.abs(radio.position_m) <= _LARGEST_M).all():
         raise ValueError(f"position_m must be metres up to {_LARGEST_M:g}")
+    known = radio.floor[~np.isnan(radio.floor)]
+    if not (np.abs(known) <= _HIGHEST_FLOOR).all() or not (known == np.round(known)).all():
+        raise ValueError(f"floor must be whole numbers up to {_HIGHEST_FLOOR}, NaN if not known")
     for name, largest in (("point", n), ("access_point", a), ("bssid", 1 << 48)):
         numbers = getattr(radio, name)
         if numbers.dtype.kind != "i" or numbers.ndim != 1 or not ((numbers >= 0) & (numbers < largest)).all():

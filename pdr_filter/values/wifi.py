@@ -15,6 +15,8 @@ from pdr_filter.values.arrays import FloatArray, IntArray, read_only
 _PAUSE_S = 0.35
 # Their scans last 1.8 s at most in 95 of 100. A phone that never rests is cut here: a walker goes three metres.
 _LONGEST_S = 2.5
+# What a phone hardly hears, and what it hears of an access point beside it.
+_SILENT_DBM, _LOUD_DBM = -100.0, -30.0
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -65,8 +67,8 @@ class Wifi:
         for i, at_s in enumerate(time_s.tolist()):
             if i == 0 or at_s - time_s[i - 1] > _PAUSE_S or at_s - time_s[starts[-1]] > _LONGEST_S:
                 starts.append(i)
-        parts = pairwise([*starts, len(order)])
-        return tuple(WifiScan.of(time_s[i:j], self.bssid[order[i:j]], self.rssi_dbm[order[i:j]]) for i, j in parts if j > i)
+        rows = (order[i:j] for i, j in pairwise([*starts, len(order)]))
+        return tuple(WifiScan.of(self.time_s[k], self.bssid[k], self.rssi_dbm[k]) for k in rows)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,6 +87,17 @@ class WifiScan:
         loudest = np.full(len(heard), -np.inf)
         np.maximum.at(loudest, index, rssi_dbm)
         return cls(float(time_s.mean()), float(time_s.max()), heard, loudest)
+
+    @property
+    def fingerprint(self) -> FloatArray:
+        """Loudness of each access point, (A,), as a vector of unit length: how loud the phone hears at all cancels."""
+        level = loudness(self.rssi_dbm)
+        return level / np.sqrt(level @ level)
+
+
+def loudness(rssi_dbm: FloatArray) -> FloatArray:
+    """The square of how far each is above silence, 1 beside the access point: the nearest ones say most."""
+    return np.clip((rssi_dbm - _SILENT_DBM) / (_LOUD_DBM - _SILENT_DBM), 1e-3, None) ** 2
 
 
 def address_text(bssid: int) -> str:
