@@ -28,7 +28,7 @@ from scipy.sparse import csr_matrix
 from pdr_filter.values import FloatArray, IntArray, loudness
 
 # Chosen on storey F1 of `ms_indoor`, walks left out (docs/tables/radio_choice.md).
-LENGTH_M = 20.0
+LENGTH_M = 40.0
 NOISE = 0.3
 EVIDENCE = 20.0
 # Places that are weighed: hardly further apart than a walker goes in a scan, and so far beyond the walks of the map.

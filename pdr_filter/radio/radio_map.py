@@ -116,9 +116,9 @@ class RadioMap:
         """Where a recording was, scan by scan, with the covariance of what the map does not tell apart.
 
         Each is received when its scan ended. Errors of scans that follow each other are alike (`correlation_s`), and
-        those that would say nothing new are left out. A scan gives no fix that hears fewer than five access points of the map, or that the map does
-        not place within 15 m (standard deviation of an axis): where nobody walked, or too much is alike. The storey is
-        said where it is 95 % sure. MissingSensorError without Wi-Fi.
+        those that would say nothing new are left out. A scan gives no fix that hears fewer than five access points of
+        the map, or that the map does not place within 15 m (standard deviation of an axis): where nobody walked, or too
+        much is alike. The storey is said where it is 95 % sure. MissingSensorError without Wi-Fi.
         """
         if recording.wifi is None:
             raise MissingSensorError(

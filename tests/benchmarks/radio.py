@@ -155,7 +155,7 @@ def choice(walks: Sequence[Known], tables: Tables) -> None:
     rows: list[list[str]] = []
     settings: list[dict[str, float]] = [
         {},
-        *({"LENGTH_M": v} for v in (10.0, 40.0)),
+        *({"LENGTH_M": v} for v in (20.0, 80.0)),
         *({"NOISE": v} for v in (0.1, 0.5)),
         *({"EVIDENCE": v} for v in (15.0, 30.0)),
         *({"MARGIN_M": v} for v in (15.0, 45.0)),
