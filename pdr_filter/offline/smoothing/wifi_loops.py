@@ -13,7 +13,7 @@ from pdr_filter.values import FloatArray, WifiScan
 
 # Cosine of two fingerprints from which on they are of one place, and how far apart along each axis two such scans are:
 # pairs of different walks over F1 of `ms_indoor` (docs/tables/radio_loops.md; walks of other storeys are reported). Of
-# 160,000 pairs on different storeys none is so alike.
+# a million pairs on different storeys none is so alike.
 ALIKE = 0.85
 STD_M = 7.5
 # Fewer access points than this are alike by chance.
