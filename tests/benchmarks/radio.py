@@ -1,6 +1,6 @@
 """Wi-Fi of a shopping mall: a radio map on walks left out of it, and loops closed by scans that are alike.
 
-usage: python -m tests.benchmarks.radio [choice] [fixes] [storeys] [walks] [start] [loops] [--data ../shared/data]
+usage: python -m tests.benchmarks.radio [choice] [alike] [fixes] [storeys] [walks] [start] [loops] [--data DIR]
 
 99 walks of `ms_indoor` with Wi-Fi on five storeys, 40 on F1 and 14 or 15 on each other one. Kernel, noise, evidence,
 variances and likeness were chosen on F1 (choice, loops); what is reported are the others beside it. A walk is never in
@@ -188,6 +188,33 @@ def by_storey(walks: Sequence[Known]) -> Iterator[tuple[str, list[Known]]]:
     for storey in sorted({k.storey for k in walks}):
         yield storey.upper() + (" (chosen on)" if storey == CHOSEN_ON else ""), [k for k in walks if k.storey == storey]
     yield "all but F1", [k for k in walks if k.storey != CHOSEN_ON]
+
+
+def errs_alike(walks: Sequence[Known], tables: Tables) -> None:
+    """How long errors on F1 stay alike, by how wide the fixes are: what `correlation_s` was chosen by; every scan."""
+    edges_m, apart_s = (0.0, 4.5, 7.0, 10.0, 20.0, 100.0), (1.0, 4.0, 7.0, 11.0, 16.0, 24.0, 40.0)
+    found: list[np.ndarray] = []
+    with chosen(_INTERVAL_SHARE=0.0, _WIDEST_STD_M=np.inf):
+        for walk, others in left_out([k for k in walks if k.storey == CHOSEN_ON]):
+            fixes = map_of(others).fixes(walk.recording)
+            whitened = [np.linalg.solve(np.linalg.cholesky(c), e) for e, c in errors_of(walk, fixes)]
+            for (a, u), (b, v) in combinations(list(zip(fixes, whitened, strict=True)), 2):
+                width_m = np.sqrt(np.sqrt(a.var_m2 * b.var_m2))
+                found.append(np.array([b.time_s - a.time_s, width_m, u @ v, 0.5 * (u @ u + v @ v)]))
+    time_s, width_m, product, square = np.array(found).T
+    rows: list[list[object]] = []
+    for low, high in pairwise(edges_m):
+        inside = (width_m >= low) & (width_m < high)
+        row: list[object] = [f"{low:g} to {high:g} m", int(inside.sum())]
+        for after, before in pairwise(apart_s):
+            pairs = inside & (time_s >= after) & (time_s < before)
+            row.append(f"{product[pairs].mean() / square[inside].mean():.2f}" if pairs.sum() > 20 else "-")
+        rows.append(row)
+    columns = ["standard deviation", "pairs", *(f"{a:g} to {b:g} s" for a, b in pairwise(apart_s))]
+    about = (
+        "Correlation of the errors of two scans of one walk on F1, in units of their covariance, by the time between."
+    )
+    tables.write("radio_alike", columns, rows, about)
 
 
 def of_fixes(walks: Sequence[Known], fixes: dict[str, list[pdr.PositionFix]], tables: Tables) -> None:
@@ -401,13 +428,15 @@ def loops(walks: Sequence[Known], tables: Tables) -> None:
 
 
 def main() -> None:
-    arguments = options(__doc__, "choice", "fixes", "storeys", "walks", "start", "loops").parse_args()
+    arguments = options(__doc__, "choice", "alike", "fixes", "storeys", "walks", "start", "loops").parse_args()
     tables = Tables.of("tests.benchmarks.radio", arguments)
     walks = known_walks(arguments.data)
     if "loops" in arguments.parts:
         loops(walks, tables)
     if "storeys" in arguments.parts:
         storeys(walks, tables)
+    if "alike" in arguments.parts:
+        errs_alike(walks, tables)
     if "choice" in arguments.parts:
         choice(walks, tables)
     if {"fixes", "walks", "start"} & set(arguments.parts):
