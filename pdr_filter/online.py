@@ -16,6 +16,7 @@ from pdr_filter.filtering import (
     add_fixes,
     add_location,
     add_pressure,
+    arrive,
     finish,
     init,
     notes_of,
@@ -24,8 +25,11 @@ from pdr_filter.filtering import (
     untimely,
 )
 from pdr_filter.io.recording import Subject
+from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.features.barometric import checked_pressure
+from pdr_filter.sensing.merging import Sensor
 from pdr_filter.values import (
     STANDARD_GRAVITY_MPS2,
     Fix,
@@ -96,22 +100,56 @@ class OnlineFilter:
         angular_rate_radps, magnetic_field_ut : (N, 3), optional
             At the same times; NaN rows, or nothing, where there is no measurement.
         """
+        if self.state.merger.is_used:
+            raise ValueError(
+                "push takes samples that are merged, and this filter takes sensors apart: use one of the two"
+            )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
         self.state, output = step(self.config, self.state, block)
         return output.updates
 
-    def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
+    def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
+        """Updates of the steps that became known, after samples of the accelerometer: one row (3,) or a block (N, 3).
+
+        For sensors that arrive apart, out of step and late by some seconds (`pdr_filter.sensing.merging`); `push` takes
+        samples that are merged already. The track is that of `merge_streams` on all of them.
+        """
+        return self._arrive("accelerometer", time_s, specific_force_mps2, "specific_force_mps2")
+
+    def push_gyroscope(self, time_s: ArrayLike, angular_rate_radps: ArrayLike) -> list[StepUpdate]:
+        """The same of a gyroscope."""
+        return self._arrive("gyroscope", time_s, angular_rate_radps, "angular_rate_radps")
+
+    def push_magnetometer(self, time_s: ArrayLike, magnetic_field_ut: ArrayLike) -> list[StepUpdate]:
+        """The same of a magnetometer."""
+        return self._arrive("magnetometer", time_s, magnetic_field_ut, "magnetic_field_ut")
+
+    def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> list[StepUpdate]:
         """Take samples of a barometer, (N,) each: the height follows it, and its climb rate distinguishes stairs.
 
-        Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
+        With `push`, give the pressure before the other samples of the same time; with `push_accelerometer` it may be
+        late as they may. Raises ValueError for pressures in Pa or kPa.
         """
         columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
         time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
-        self.state = add_pressure(self.config, self.state, time, pressure)
+        time, pressure = checked_pressure(time, pressure)
+        if not self.state.merger.is_used:
+            self.state = add_pressure(self.config, self.state, time, pressure)
+            return []
+        self.state, output = arrive(self.config, self.state, "barometer", time, pressure[:, None])
+        return output.updates
+
+    def _arrive(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
+        time, rows = np.atleast_1d(as_floats(time_s, "time_s")), as_floats(values, name)
+        rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
+        if time.ndim != 1 or rows.shape != (len(time), 3):
+            raise ValueError(f"{name} must be ({time.size}, 3), one row for each time_s, got {rows.shape}")
+        self.state, output = arrive(self.config, self.state, sensor, time, rows)
+        return output.updates
 
     def push_location(
         self, time_s: ArrayLike, latitude_deg: ArrayLike, longitude_deg: ArrayLike, accuracy_m: ArrayLike
-    ) -> None:
+    ) -> list[StepUpdate]:
         """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
 
         For a configuration in the world frame, `config.in_world_frame()`, or `config.with_magnetic_north(...)` with the
@@ -139,6 +177,7 @@ class OnlineFilter:
                 f"{time.shape}, {latitude.shape}, {longitude.shape} and {accuracy.shape}"
             )
         self.state = add_location(self.config, self.state, time, latitude, longitude, accuracy)
+        return []
 
     def finish(self) -> list[StepUpdate]:
         """Updates of the last steps, when no further sample will come."""
@@ -160,6 +199,10 @@ class OnlineFilter:
         if wrong:
             raise ValueError(wrong)
         self.state = add_fixes(self.config, self.state, (fix,))
+
+    def now(self) -> Now:
+        """What is known at this moment, with the steps that are not accepted yet; changes nothing."""
+        return now(self.config, self.state)
 
     @property
     def position_m(self) -> FloatArray:

@@ -325,19 +325,26 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
     return ImuBlock(
         time_s=time_s,
         specific_force_mps2=recording.accelerometer.values,
-        angular_rate_radps=_at_times(recording.gyroscope, time_s, max_gap_s),
-        magnetic_field_ut=_at_times(recording.magnetometer, time_s, max_gap_s),
+        angular_rate_radps=_of_stream(recording.gyroscope, time_s, max_gap_s),
+        magnetic_field_ut=_of_stream(recording.magnetometer, time_s, max_gap_s),
     )
 
 
-def _at_times(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    result = np.full((len(at_s), 3), np.nan)
+def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
     if stream is None:
-        return result
+        return np.full((len(at_s), 3), np.nan)
     good = np.isfinite(stream.time_s) & np.isfinite(stream.values).all(axis=1)
     time_s, first = np.unique(stream.time_s[good], return_index=True)
-    values = stream.values[good][first]
-    if len(time_s) < 2:
+    return at_times(time_s, stream.values[good][first], at_s, max_gap_s)
+
+
+def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+    """Values (N, 3) of increasing times (N,) between them, as `merge_streams` has them, at some times (M,).
+
+    Of the samples only the two around each time enter, and the last two where there is none after it.
+    """
+    result = np.full((len(at_s), 3), np.nan)
+    if len(time_s) < 2 or not len(at_s):
         return result
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left = right - 1

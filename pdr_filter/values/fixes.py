@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.origin import Origin, check_place
+from pdr_filter.values.plain import as_plain
 from pdr_filter.values.uncertainty import RADIUS_68
 
 # A standard deviation beyond this says nothing, and its square must stay a number.
@@ -173,3 +174,7 @@ class FixResult:
     def accepted(self) -> bool:
         """Whether the filter used it."""
         return self.outcome in ("used", "placed", "turned", "moved")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as JSON has them, None for what is not finite."""
+        return {**as_plain(self), "accepted": self.accepted}
