@@ -90,7 +90,7 @@ def now(config: Config, state: State) -> Now:
     mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
     device_rad, frame = sensing.attitude.device_heading_rad, pedestrian.frame
     place = replace(own_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
-    if last is not None and steps:
+    if last is not None and (steps or not last.is_final):
         own = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.n_final)
         turned_rad = device_rad - last.step.device_heading_rad
         place = last.of_start or own
