@@ -7,8 +7,8 @@ there, the same bits that the finished recording gives. Times of the samples are
 - where more than `max_gap_s` of a sensor, and more than 2.5 usual intervals, are missing, what came after waits until
   it spans `wait_s`: a message that was overtaken fills the hole;
 - a sensor that is more than `wait_s` behind the accelerometer is silent, and nobody waits for it any more;
-- samples of the accelerometer whose time has left are late, and dropped. Late ones alone, for longer than `wait_s`, are
-  a clock that was set back: everything starts afresh, and `sensing.clock` follows it.
+- samples of the accelerometer whose time has left are late, and dropped. A minute of late ones alone is a clock that
+  was set back: everything starts afresh, and `sensing.clock` follows it.
 """
 
 from __future__ import annotations
@@ -27,6 +27,9 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
 # Rows that wait for each sensor at most: twice `wait_s` of the fastest phones, 2000 Hz.
 _MAX_ROWS = 20_000
+# Late samples over so long, without one in time between, are a clock that was set back. Less may be a backlog that is
+# sent again after the network was away.
+_SET_BACK_S = 60.0
 # Samples from which the rate of a sensor is measured.
 _RATE_SAMPLES = 64
 
@@ -175,7 +178,7 @@ class StreamMerger:
             begin_s, end_s = state.late_s
             late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
             state = replace(state, late_s=late_s)
-            if late_s[1] - late_s[0] > self.wait_s:
+            if late_s[1] - late_s[0] > _SET_BACK_S:
                 return self._in_time(self._afresh(state), rows[i:])
         return state, rows[~is_late]
 
