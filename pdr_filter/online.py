@@ -211,10 +211,13 @@ class OnlineFilter:
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
         check_fix(fix)
-        fix, seen = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner.report
-        wrong = "" if np.isnan(seen.first_time_s) else untimely(fix, seen.first_time_s, seen.last_time_s)
-        if wrong:
-            raise ValueError(wrong)
+        fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
+        seen = conditioner.report
+        # after a gap of over a minute samples wait until those that follow confirm them
+        latest_s = (seen.last_time_s, *(float(row[0]) for row in conditioner.clock.held[-1:]))
+        wrong = [untimely(fix, seen.first_time_s, last_s) for last_s in latest_s]
+        if np.isfinite(seen.first_time_s) and all(wrong):
+            raise ValueError(wrong[0])
         self.state = add_fixes(self.config, self.state, (fix,))
 
     def now(self) -> Now:
