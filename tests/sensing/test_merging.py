@@ -87,7 +87,7 @@ def assert_same_block(actual: ImuBlock, expected: ImuBlock) -> None:
 
 
 @example(seed=104993, longest_s=0.2, latest_s=3.5)  # one sample of the gyroscope comes first
-@settings(max_examples=12, deadline=None, phases=PHASES)
+@settings(max_examples=8, deadline=None, phases=PHASES)
 @given(
     seed=st.integers(0, 10**6), longest_s=st.sampled_from([0.03, 0.2, 1.0]), latest_s=st.sampled_from([0.0, 1.0, 3.5])
 )
@@ -114,7 +114,7 @@ def test_pieces_that_come_twice_change_no_bit_that_is_used(seed: int) -> None:
     assert len(pressure) == len(np.unique(pressure[:, 0]))
 
 
-@settings(max_examples=3, deadline=None, phases=PHASES)
+@settings(max_examples=2, deadline=None, phases=PHASES)
 @given(seed=st.integers(0, 10**6), reorder_s=st.sampled_from([0.05, 0.5]))
 def test_samples_out_of_order_by_less_than_said_are_put_in_order(seed: int, reorder_s: float) -> None:
     rng = np.random.default_rng(seed)
