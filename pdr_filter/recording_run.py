@@ -50,6 +50,7 @@ from pdr_filter.values import (
     Step,
     Table,
     Windows,
+    check_fix,
     read_only,
     step_table,
     wrap_angle,
@@ -123,6 +124,8 @@ def track(
         Where on the plan the walk begins: a place, the name of an area, or "anywhere". If not given, where the fixes
         put the track, or at the plan's zero and to its north.
     """
+    for fix in fixes:
+        check_fix(fix)
     with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
     with_location = with_location and not is_placed

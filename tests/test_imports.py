@@ -82,6 +82,7 @@ ROOMS = [
     "recipes",
     "gnss",
     "filtering",
+    "now",
     "serialise",
     "online",
     "report",
@@ -92,6 +93,7 @@ ROOMS = [
     "simulate",
     "evaluate",
     "offline",
+    "radio",
     "training",
     "batch",
     "",  # the package itself: the public names

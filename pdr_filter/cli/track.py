@@ -22,6 +22,7 @@ from pdr_filter.cli.options import (
     North,
     Origin,
     PlanFile,
+    RadioFile,
     Scheduler,
     Start,
     heading_rad,
@@ -67,6 +68,7 @@ class Method:
     heading: Heading = None
     plan: PlanFile = None
     start: Start = None
+    radio: RadioFile = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -215,6 +217,7 @@ def track(
                 "--heading": method.heading,
                 "--plan": method.plan,
                 "--start": method.start,
+                "--radio": method.radio,
                 "--export": output.export,
                 "--report": output.report,
                 "--json": as_json,
@@ -229,11 +232,14 @@ def track(
         output.check()
         changes = method.changes()
         where = on_plan(method.plan, method.start)
+        radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
+        if radio is not None:
+            config = config.in_world_frame()
         device, person = (
             path if path is not None and path.exists() else None for path in (method.device, method.person)
         )
@@ -241,6 +247,7 @@ def track(
             recording,
             config,
             method.weighting_name,
+            fixes=() if radio is None else radio.fixes(recording),
             progress=progress,
             calibration=method.calibration,
             device=device,

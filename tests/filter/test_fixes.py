@@ -243,6 +243,20 @@ def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_o
     np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
 
 
+def test_correlated_fixes_of_crossed_ellipses_stay_measurements() -> None:
+    """Long in one direction, then in the other, as along two corridors: a^2 R_1 must stay below R_2 in each."""
+    tracker, state = somebody_who_stands(8.0)
+    covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
+    for k in range(8):
+        fix = PositionFix(4.0 * k, np.zeros(2), covs[k % 2], correlation_s=30.0)
+        before = present_position(state.pedestrian)[1]
+        state, outcome, nis = tracker.on_fix(state, fix)
+        assert outcome == "used"
+        assert nis >= 0
+        gained = before - present_position(state.pedestrian)[1]
+        assert np.linalg.eigvalsh(gained).min() > -1e-9
+
+
 def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> None:
     """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
     tracker, state = somebody_who_stands(2.0)
@@ -435,6 +449,17 @@ def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing
     rest = samples.time_s[now:], samples.specific_force_mps2[now:], samples.angular_rate_radps[now:]
     online.push(*rest), other.push(*rest)
     np.testing.assert_array_equal(online.position_m, other.position_m)
+
+
+def test_a_fix_soon_after_a_gap_of_minutes_is_taken_while_its_samples_wait_to_be_confirmed(walk: Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    online = pdr.OnlineFilter()
+    for part, later_s in ((slice(0, 8000), 0.0), (slice(8000, 8020), 300.0)):
+        online.push(samples.time_s[part] + later_s, samples.specific_force_mps2[part], samples.angular_rate_radps[part])
+    online.add_fix(PositionFix(380.1, np.zeros(2), np.eye(2)))
+    online.add_fix(PositionFix(79.9, np.zeros(2), np.eye(2)))
+    with pytest.raises(ValueError, match="the fix at 250"):
+        online.add_fix(PositionFix(250.0, np.zeros(2), np.eye(2)))
 
 
 def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> None:
