@@ -22,7 +22,7 @@ def plan(
 ) -> None:
     """Say what a floor plan was understood to be, and draw it as NAME.png into the folder of --out."""
     import pdr_filter as pdr
-    from pdr_filter.report.plans import plot_plan
+    from pdr_filter.report.plotting import plot_plan
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)

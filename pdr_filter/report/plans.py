@@ -1,48 +1,16 @@
-"""Pictures of floor plans: alone, and under a track."""
+"""Floor plans in axes, under what else is drawn there."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from pathlib import Path as FilePath
 
-import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import LineCollection, PathCollection
-from matplotlib.figure import Figure
-from matplotlib.patches import Patch
 from matplotlib.path import Path
 
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.storey import Feature, Storey
-from pdr_filter.report.palette import INK, PLAN_COLOURS, WALL
-
-_STOREY_IN = 7.0
-
-
-def plot_plan(plan: FloorPlan, path: str | FilePath | None = None) -> Figure:
-    """Figure of all storeys of a plan, with the names of its areas; saved if a path is given."""
-    from pdr_filter.report.plotting import save
-
-    figure = Figure(figsize=(_STOREY_IN, 0.75 * _STOREY_IN * len(plan.storeys)), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, storey in zip(np.atleast_1d(figure.subplots(len(plan.storeys), 1)), plan.storeys, strict=True):
-        draw_storey(axes, storey)
-        points = np.concatenate([ring for f in storey.features for ring in f.lines])
-        axes.update_datalim(points)
-        axes.autoscale_view()
-        for feature in storey.features:
-            if feature.name and feature.kind != "floor":
-                middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
-                axes.annotate(feature.name[:20], middle, ha="center", va="center", fontsize=6, color=INK, clip_on=True)
-        axes.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
-        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK)
-        kinds = [kind for kind in PLAN_COLOURS if any(f.kind == kind for f in storey.features)]
-        handles = [Patch(facecolor=PLAN_COLOURS[kind], edgecolor=WALL, label=kind) for kind in kinds]
-        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
-    if path is not None:
-        save(figure, path)
-    return figure
+from pdr_filter.report.palette import PLAN_COLOURS, WALL
 
 
 def draw_storey(axes: Axes, storey: Storey) -> None:
