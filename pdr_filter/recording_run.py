@@ -119,7 +119,8 @@ def track(
         without fixes the track is turned about its start (`Track.frame` is "north").
     plan : FloorPlan, optional
         Keeps the track where people can walk. `fixes` are in its frame, and so is the track then (`Track.frame` is
-        "plan"); `Track.clusters` says in how many places the walk may be.
+        "plan"); `Track.clusters` says in how many places the walk may be. The recording's own locations are used
+        where the plan was in degrees.
     start : PositionFix or str, optional
         Where on the plan the walk begins: a place, the name of an area, or "anywhere". If not given, where the fixes
         put the track, or at the plan's zero and to its north.
@@ -128,7 +129,8 @@ def track(
         check_fix(fix)
     with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    with_location = with_location and not is_placed
+    # a plan in metres has a frame of its own
+    with_location = with_location and not is_placed and (plan is None or plan.origin is not None)
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:

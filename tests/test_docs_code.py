@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import os
 import re
 import subprocess
@@ -39,6 +40,16 @@ NOT_RUN = {"docs/methods/batch.md", "docs/methods/rvm.md", "docs/methods/smoothi
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WITH_CODE = [name for name, text in PAGES.items() if CODE.search(text) and name not in NOT_RUN | {"docs/index.md"}]
 
+_RING = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0], [-60.0, -60.0]]
+BUILDING = [
+    {
+        "type": "Feature",
+        "properties": {"type": kind, "name": name},
+        "geometry": {"type": "Polygon", "coordinates": [_RING]},
+    }
+    for kind, name in (("floor", "entrance hall"),)
+]
+
 
 @pytest.fixture(scope="module")
 def recording() -> pdr.Recording:
@@ -62,6 +73,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = recording.save("walk.zip")
+    Path("building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
     # What pages take for granted: the reader's recording, and the samples of an app.
     names: dict[str, Any] = {
         "pdr": pdr,
@@ -101,6 +113,7 @@ def test_the_commands_of_a_page_run_as_they_are_typed(page: str, recording: pdr.
     replace(mine, location=None, name="indoors").save(tmp_path / "indoors.zip")
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n20,1,20\n30,10,25\n", encoding="utf-8")
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
+    (tmp_path / "building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
     command = tmp_path / "bin" / "pdr-filter"
     command.parent.mkdir()
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "from pdr_filter.cli.app import main; main()" "$@"\n')
