@@ -94,6 +94,7 @@ ROOMS = [
     "offline",
     "training",
     "batch",
+    "live",
     "",  # the package itself: the public names
     "cli",
 ]

@@ -1,0 +1,379 @@
+"""Phones while they walk: each session of each device has its own filter, its own recording and its own saved state.
+
+No web here: `Devices.take` gets the body of a message and says what came of it; what there is to show goes to `emit`.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter import recipes
+from pdr_filter.config import Config
+from pdr_filter.filter.alignment import Place
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.io import limits
+from pdr_filter.io.recording import Recording
+from pdr_filter.io.texts import file_name
+from pdr_filter.live import assembly
+from pdr_filter.live.assembly import Assembly, SessionError
+from pdr_filter.live.messages import FORCE, Message, MessageError, parse
+from pdr_filter.live.recorder import Recorder
+from pdr_filter.online import OnlineFilter
+from pdr_filter.recording_run import live_config
+from pdr_filter.values import PositionFix, Samples
+
+# A state is saved when this much has come since the last time; the journal has what is newer.
+_SAVE_S = 10.0
+# A phone that sends nothing for so long is forgotten until it sends again.
+_IDLE_S = 600.0
+# Positions on the page, from the newest back: three hours of walking.
+_MAX_PATH = 20_000
+# What is known of now is told this often at most, and a path that turns while its north is sought.
+_NOW_S, _TURN_S = 0.2, 5.0
+_FIX_STD_RANGE_M = (0.01, 1000.0)
+
+_ENDED = "this session has ended; begin a new one"
+
+# Which device and session a folder is of.
+ABOUT = "session.json"
+
+Event = dict[str, Any]
+
+
+class FixError(ValueError):
+    """A fix that cannot be used; the words say why."""
+
+
+class BusyError(RuntimeError):
+    """No room for another phone."""
+
+
+@dataclass(frozen=True, slots=True)
+class Settings:
+    """How phones are tracked."""
+
+    recipe: str = "default"
+    height_m: float | None = None
+    platform: str = ""  # "ios" or "android", for an app that does not say it
+    max_devices: int = 64
+
+    def config(self) -> Config:
+        """The configuration of a session, before its first samples are seen."""
+        meta = {"subject": {"height_m": self.height_m}}
+        nobody = Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta)
+        return recipes.for_recording(self.recipe, nobody)
+
+
+def part_of(device: str, n_parts: int) -> int:
+    """Which of so many workers a device belongs to."""
+    return int.from_bytes(hashlib.sha256(device.encode()).digest()[:4]) % n_parts
+
+
+def session_id(device: str, session: str) -> str:
+    """A name for addresses and folders: letters of the device's, and a checksum, so that two never are one."""
+    letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
+    return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
+
+
+class Session:
+    """One session of one device."""
+
+    def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
+        self.id = session_id(device, session)
+        self.device, self.session, self.settings = device, session, settings
+        self.recorder = Recorder(folder / self.id)
+        self.assembly, self.held = Assembly(), list[Message]()
+        self.online: OnlineFilter | None = None
+        self.refused = ""  # why it cannot be tracked
+        self.path: list[list[float]] = []
+        self._starts: list[Place] = []  # of the same steps, while north is sought
+        self._unsaved_at = math.inf  # since when something is not saved
+        self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
+
+    # --- what comes in ---
+
+    def take(self, message: Message, received_s: float) -> list[Event]:
+        """What a message brings; SessionError if this session cannot be tracked."""
+        if self.refused:
+            raise SessionError(self.refused)
+        self.recorder.journal(message)
+        return self._took(message, received_s)
+
+    def _took(self, message: Message, received_s: float) -> list[Event]:
+        self.seen_at = time.monotonic()
+        self._unsaved_at = min(self._unsaved_at, self.seen_at)
+        try:
+            if message.fix is not None:
+                self._fixed(message.fix)
+                return [*self._now(received_s, is_due=True)]
+            platform = self.settings.platform
+            self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, platform)
+            events = self._filtered(ready, received_s)
+            return [*events, *self.finish()] if message.is_end else events
+        except FixError as error:
+            raise error from None
+        except (SessionError, ValueError) as error:
+            self.refused = str(error)
+            raise SessionError(self.refused) from None
+
+    def finish(self) -> list[Event]:
+        """The last steps, when nothing else will come."""
+        self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
+        events = self._filtered(ready, math.nan)
+        if self.online is not None:
+            events += self._stepped(self.online.finish())
+        self.refused = _ENDED
+        return [*events, *self._turned(is_due=True), *self._now(math.nan, is_due=True)]
+
+    def _filtered(self, ready: Sequence[assembly.Streams], received_s: float) -> list[Event]:
+        events: list[Event] = []
+        if ready and self.online is None:
+            self.online = OnlineFilter(self._begun(ready))
+            events.append(self.about())
+        online = self.online
+        if online is None:
+            return events
+        for samples in ready:
+            for name, rows in samples.items():
+                self.recorder.samples(name, rows)
+            events += self._stepped(_pushed(online, samples))
+        return [*events, *self._turned(), *self._now(received_s)]
+
+    def _begun(self, ready: Sequence[assembly.Streams]) -> Config:
+        """The configuration, by what the first seconds hold."""
+        kind = self.assembly.kind
+        assert kind is not None
+        meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
+        meta["name"] = file_name(meta["name"])
+        meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
+        if kind.zero_ns:
+            meta["epoch_ns"] = kind.zero_ns
+        if self.settings.height_m is not None:
+            meta["subject"] = {"height_m": self.settings.height_m}
+        first = Recording(meta["name"], **_streams(ready), meta=meta)
+        config = live_config(first, self.settings.config())
+        self.recorder.describe(meta, config)
+        return config
+
+    def _fixed(self, content: Any) -> None:
+        """A fix that somebody gave: east and north in the track's frame, or latitude and longitude."""
+        online = self.online
+        if online is None:
+            raise FixError("no samples yet: give a fix when the track has begun")
+        now = online.now()
+        try:
+            std_m = float(content.get("std_m", 1.0))
+            time_s = float(content.get("time_s", now.time_s))
+            if "latitude_deg" in content:
+                if online.origin is None:
+                    raise FixError("the track lies nowhere on Earth yet: give east_m and north_m")
+                place = float(content["latitude_deg"]), float(content["longitude_deg"])
+                east_m, north_m = map(float, online.origin.east_north_m(*place))
+            else:
+                east_m, north_m = float(content["east_m"]), float(content["north_m"])
+            if not _FIX_STD_RANGE_M[0] <= std_m <= _FIX_STD_RANGE_M[1]:
+                raise FixError(f"std_m must be {_FIX_STD_RANGE_M[0]} to {_FIX_STD_RANGE_M[1]} m, got {std_m}")
+            online.add_fix(PositionFix(time_s, np.array([east_m, north_m]), std_m**2 * np.eye(2)))
+        except (KeyError, TypeError, ValueError) as error:
+            raise error if isinstance(error, FixError) else FixError(str(error)) from None
+        self.recorder.fix(time_s, east_m, north_m, std_m)
+
+    # --- what goes out ---
+
+    def about(self) -> Event:
+        """What the session is."""
+        kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
+        return {
+            "event": "session",
+            "id": self.id,
+            "device": self.device,
+            "session": self.session,
+            "force": "" if kind is None else f"{kind.force}, {kind.how}",
+            "has_location": kind is not None and kind.has_location,
+            "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+            "refused": self.refused,
+            "n_lost_messages": self.assembly.n_lost,
+            "n_repeated_messages": self.assembly.n_repeated,
+        }
+
+    def _stepped(self, updates: Iterable[StepUpdate]) -> list[Event]:
+        events: list[Event] = []
+        for update in updates:
+            content = update.to_dict()
+            if update.is_final:
+                self.recorder.step(json.dumps(content))
+                self._add(update)
+            events.append({"event": "step", "id": self.id, **content})
+        return events
+
+    def _add(self, update: StepUpdate) -> None:
+        self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
+        if update.of_start is not None:
+            self._starts.append(update.of_start)
+        if len(self.path) > _MAX_PATH:
+            del self.path[: _MAX_PATH // 10]
+            del self._starts[: max(len(self._starts) - len(self.path), 0)]
+
+    def _now(self, received_s: float, is_due: bool = False) -> list[Event]:
+        online = self.online
+        if online is None or (time.monotonic() - self._now_at < _NOW_S and not is_due):
+            return []
+        self._now_at = time.monotonic()
+        sent = None if math.isnan(received_s) else received_s
+        return [{"event": "now", "id": self.id, "received_unix_s": sent, **online.now().to_dict()}]
+
+    def _turned(self, is_due: bool = False) -> list[Event]:
+        """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
+        online = self.online
+        if online is None or not self._starts or (time.monotonic() - self._turn_at < _TURN_S and not is_due):
+            return []
+        frame = online.state.tracker.pedestrian.frame
+        if not frame.is_known:
+            return []
+        self._turn_at, settled = time.monotonic(), frame.is_joined
+        n, drawn = len(self._starts), frame.drawn()
+        places = [drawn.world(place) for place in self._starts]
+        old = self.path[-n:]
+        self.path[-n:] = [_row(row[0], p.position_m, p.cov_m2) for row, p in zip(old, places, strict=True)]
+        if settled:
+            self._starts = []
+        return [self.track()]
+
+    def track(self) -> Event:
+        """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
+        return {**self.about(), "event": "track", "path": self.path}
+
+    @property
+    def unsaved_s(self) -> float:
+        """For how long something has only been in the journal."""
+        return max(time.monotonic() - self._unsaved_at, 0.0)
+
+    def save(self) -> None:
+        """Write all there is; messages that wait for their turn are the new journal."""
+        state = None if self.online is None else self.online.state
+        self.recorder.saved({"assembly": self.assembly, "state": state})
+        for message in self.held:
+            self.recorder.journal(message)
+        self._unsaved_at = math.inf
+
+    @classmethod
+    def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
+        """The session as it was when the last message was acknowledged, whatever became of the process since."""
+        self = cls(device, session, settings, folder)
+        saved, entries = self.recorder.load()
+        if saved is not None:
+            self.assembly = saved["assembly"]
+            if saved["state"] is not None:
+                self.online = OnlineFilter(self.recorder.config())
+                self.online.state = saved["state"]
+                self.refused = _ENDED if self.online.state.finished else ""
+            for step in self.recorder.steps()[-_MAX_PATH:]:
+                (ee, en), (_, nn) = step["position_cov_m2"]
+                self.path.append([step["time_s"], *step["position_m"], ee, en, nn])
+        for _, _, platform, body in entries:
+            for message in parse(body, device, session, platform):
+                # what was refused then is refused again
+                with suppress(SessionError, FixError):
+                    self._took(message, math.nan)
+        self.save()
+        return self
+
+
+class Devices:
+    """The sessions of one worker. What there is to show is given to `emit`, as JSON objects."""
+
+    def __init__(
+        self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
+    ) -> None:
+        self.settings, self.folder, self.emit = settings, folder, emit
+        self.part, self.n_parts = part, n_parts
+        self.sessions: dict[str, Session] = {}
+        for path in sorted(folder.glob("*/" + ABOUT)):
+            device, session = json.loads(path.read_text())
+            is_recent = time.time() - max(f.stat().st_mtime for f in path.parent.iterdir()) < _IDLE_S
+            if is_recent and part_of(device, n_parts) == part:
+                loaded = Session.load(device, session, settings, folder)
+                self.sessions[loaded.id] = loaded
+
+    def take(self, body: bytes, device: str, session: str, platform: str, received_s: float) -> Event:
+        """How many samples a body held, all of which are taken.
+
+        MessageError, SessionError, FixError or BusyError if one of its messages cannot be used; those before it are.
+        """
+        n = 0
+        for message in parse(body, device, session, platform):
+            if not message.device:
+                raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
+            if part_of(message.device, self.n_parts) != self.part:
+                raise MessageError("one body is of one device; send messages of different devices apart")
+            for event in self._session(message).take(message, received_s):
+                self.emit(event)
+            n += message.n_samples
+        return {"samples": n}
+
+    def _session(self, message: Message) -> Session:
+        key = session_id(message.device, message.session)
+        if key not in self.sessions:
+            if len(self.sessions) >= self.settings.max_devices:
+                raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
+            kept = self.folder / key / ABOUT
+            make = Session.load if kept.exists() else Session
+            self.sessions[key] = make(message.device, message.session, self.settings, self.folder)
+            if not kept.exists():
+                kept.write_text(json.dumps([message.device, message.session]))
+        return self.sessions[key]
+
+    def tick(self) -> None:
+        """Save what has grown, and forget phones that are silent; to be called about once a second."""
+        for key, session in list(self.sessions.items()):
+            silent_s = time.monotonic() - session.seen_at
+            if silent_s > _IDLE_S:
+                session.save()
+                del self.sessions[key]
+                self.emit({"event": "gone", "id": key})
+            elif session.unsaved_s > _SAVE_S or (session.unsaved_s and silent_s > 1.0):
+                session.save()
+
+    def close(self) -> None:
+        """Save everything."""
+        for session in self.sessions.values():
+            session.save()
+
+
+def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
+    """Updates after the samples of one message."""
+    updates: list[StepUpdate] = []
+    push = {FORCE: online.push_accelerometer, "gyroscope": online.push_gyroscope}
+    for name, of_three in (push | {"magnetometer": online.push_magnetometer}).items():
+        if name in samples:
+            updates += of_three(samples[name].time_s, samples[name].values)
+    if "barometer" in samples:
+        updates += online.push_pressure(samples["barometer"].time_s, samples["barometer"].values[:, 0])
+    if "location" in samples and not online.config.model.frame.is_joined:
+        latitude_deg, longitude_deg, _, accuracy_m = samples["location"].values.T
+        updates += online.push_location(samples["location"].time_s, latitude_deg, longitude_deg, accuracy_m)
+    return updates
+
+
+def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:
+    """Streams of a recording from samples of messages."""
+    names = {name for samples in ready for name in samples}
+    found = {name: [samples[name] for samples in ready if name in samples] for name in names}
+    return {
+        name: Samples(np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows]))
+        for name, rows in found.items()
+    }
+
+
+def _row(time_s: float, position_m: Any, cov_m2: Any) -> list[float]:
+    return [float(v) for v in (time_s, *position_m, cov_m2[0, 0], cov_m2[0, 1], cov_m2[1, 1])]
