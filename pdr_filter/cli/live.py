@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import asyncio
+import sys
 import tempfile
+import uuid
 from collections.abc import Callable, Coroutine
 from contextlib import ExitStack
 from dataclasses import dataclass
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -35,6 +38,21 @@ class Address:
     ] = "127.0.0.1"
     port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for any free one.")] = 8000
     token: Annotated[str | None, typer.Option(help="Part of the address; a random one if not given.")] = None
+    https: Annotated[
+        bool, typer.Option("--https", help="With a certificate of its own, for the page that sends from a browser.")
+    ] = False
+
+    @property
+    def name(self) -> str:
+        """By which a phone finds this machine."""
+        from pdr_filter.live.access import lan_address
+
+        return lan_address() if self.host in ("0.0.0.0", "::") else self.host
+
+    def address(self, port: int) -> str:
+        """Up to the path."""
+        host = f"[{self.name}]" if ":" in self.name else self.name
+        return f"http{'s' * self.https}://{host}:{port}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -56,8 +74,34 @@ class Phones:
 class Sources:
     """What the server fetches itself."""
 
+    phyphox: Annotated[
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="A phone with phyphox, its remote access on.")
+    ] = None
+    sensorserver: Annotated[
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="An Android phone with SensorServer.")
+    ] = None
+    mqtt: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Topic of a broker, mqtt://USER:PASSWORD@HOST/TOPIC; ws, wss and mqtts too."),
+    ] = None
     replay: Annotated[Path | None, typer.Option(help="A recording to be walked again.")] = None
     speed: Annotated[float, typer.Option(min=0.01, help="How many times as fast.")] = 1.0
+
+    def tasks(self, shared: Live) -> list[Coroutine[Any, Any, None]]:
+        """What fetches samples."""
+        from pdr_filter.live import sources
+
+        def say(words: str) -> None:
+            console.say_error(words)
+
+        session = uuid.uuid4().hex[:8]
+        made: list[Callable[[], Coroutine[Any, Any, None]]] = [
+            *(partial(sources.phyphox, address, shared.take) for address in self.phyphox or ()),
+            *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
+            *(partial(sources.mqtt, address, shared.take) for address in self.mqtt or ()),
+        ]
+        replay = [] if self.replay is None else [sources.replay(self.replay, self.speed, shared.take)]
+        return [*(sources.again(source, say) for source in made), *replay]
 
 
 def live(
@@ -75,6 +119,7 @@ def live(
         try:
             import uvicorn
 
+            from pdr_filter.live.certificate import certificate
             from pdr_filter.live.server import Live, app
         except ImportError as error:
             raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
@@ -90,8 +135,12 @@ def live(
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
         shared = Live(settings, folder, phones.workers)
+        certified: dict[str, Any] = {}
+        if address.https:
+            certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
         config = uvicorn.Config(
             app(shared, token, tiles),
+            **certified,
             host=address.host,
             port=address.port,
             log_level="warning",
@@ -102,14 +151,7 @@ def live(
         def say(port: int) -> None:
             _say(address, port, token)
 
-        asyncio.run(_served(uvicorn.Server(config), _tasks(shared, sources), say))
-
-
-def _tasks(shared: Live, sources: Sources) -> list[Coroutine[Any, Any, None]]:
-    """What fetches samples."""
-    from pdr_filter.live.sources import replay
-
-    return [] if sources.replay is None else [replay(sources.replay, sources.speed, shared.take)]
+        asyncio.run(_served(uvicorn.Server(config), sources.tasks(shared), say))
 
 
 async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]) -> None:
@@ -138,14 +180,12 @@ def _say(address: Address, port: int, token: str) -> None:
     """The addresses, and a code that a phone's camera reads."""
     import segno
 
-    from pdr_filter.live.access import lan_address
-
-    host = lan_address() if address.host in ("0.0.0.0", "::") else address.host
-    host = f"[{host}]" if ":" in host else host
-    query = f"?token={token}" if token else ""
+    root, query = address.address(port), f"?token={token}" if token else ""
     out = console.stderr()
-    out.print(f"page         http://{host}:{port}/{query}")
-    out.print(f"phones send  http://{host}:{port}/data{query}")
+    out.print(f"page         {root}/{query}")
+    out.print(f"phones send  {root}/data{query}")
+    if address.https:
+        out.print(f"browsers     {root}/phone{query}")
     if token:
-        segno.make(f"http://{host}:{port}/{query}", micro=False).terminal(compact=True)
+        segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
     out.print("Ctrl+C ends it.")

@@ -207,8 +207,9 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
     if not times:
         return None
     unit_s = 1.0 if times[0].dtype.kind == "f" else 1e-9
-    begin, end = min(t.min() for t in times), max(t.max() for t in times)
-    span_s = float(end - begin) * unit_s
+    every: Any = np.concatenate(times)
+    recent = every[every > every.max() - _STALE_S / unit_s]
+    span_s = float(recent.max() - recent.min()) * unit_s
     if span_s < PRELUDE_S and not is_last:
         return None
     first = {name: _together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
@@ -225,7 +226,7 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
     assert rows is not None
     platform = next((m.platform for m in messages if m.platform), platform)
     scale, how = _scale(force, first, platform)
-    zero_ns = 0 if rows.time.dtype.kind == "f" else int(rows.time.min())
+    zero_ns = 0 if rows.time.dtype.kind == "f" else int(rows.time[rows.time >= recent.min()].min())
     return Kind(force, scale, how, zero_ns, any("location" in m.rows for m in messages))
 
 

@@ -96,7 +96,7 @@ class Session:
         self.online: OnlineFilter | None = None
         self.refused = ""  # why it cannot be tracked
         self.path: list[list[float]] = []
-        self._starts: list[Place] = []  # of the same steps, while north is sought
+        self._starts: list[Place] = []  # of the first of these steps, whose places turn while north is sought
         self._unsaved_at = math.inf  # since when something is not saved
         self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
 
@@ -222,7 +222,7 @@ class Session:
             self._starts.append(update.of_start)
         if len(self.path) > _MAX_PATH:
             del self.path[: _MAX_PATH // 10]
-            del self._starts[: max(len(self._starts) - len(self.path), 0)]
+            del self._starts[: _MAX_PATH // 10]
 
     def _now(self, received_s: float, is_due: bool = False) -> list[Event]:
         online = self.online
@@ -241,10 +241,10 @@ class Session:
         if not frame.is_known:
             return []
         self._turn_at, settled = time.monotonic(), frame.is_joined
-        n, drawn = len(self._starts), frame.drawn()
+        drawn = frame.drawn()
         places = [drawn.world(place) for place in self._starts]
-        old = self.path[-n:]
-        self.path[-n:] = [_row(row[0], p.position_m, p.cov_m2) for row, p in zip(old, places, strict=True)]
+        for row, place in zip(self.path, places, strict=False):
+            row[:] = _row(row[0], place.position_m, place.cov_m2)
         if settled:
             self._starts = []
         return [self.track()]
@@ -278,13 +278,16 @@ class Session:
                 self.online.state = saved["state"]
                 self.refused = _ENDED if self.online.state.finished else ""
             for step in self.recorder.steps()[-_MAX_PATH:]:
-                (ee, en), (_, nn) = step["position_cov_m2"]
-                self.path.append([step["time_s"], *step["position_m"], ee, en, nn])
+                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
+                if (start := step["of_start"]) is not None:
+                    where = np.array(start["position_m"]), np.array(start["cov_m2"])
+                    self._starts.append(Place(*where, start["heading_rad"], start["n_steps"]))
         for _, _, platform, body in entries:
             for message in parse(body, device, session, platform):
                 # what was refused then is refused again
                 with suppress(SessionError, FixError):
                     self._took(message, math.nan)
+        self._turned(is_due=True)
         self.save()
         return self
 

@@ -159,7 +159,7 @@ def _sensor_logger_rows(payload: Any) -> dict[str, Rows]:
 
 # --- SensorServer -----------------------------------------------------------------------------------------------------
 
-_ANDROID: Mapping[str, str] = {
+ANDROID_SENSORS: Mapping[str, str] = {
     "android.sensor.accelerometer": FORCE,
     "android.sensor.linear_acceleration": LINEAR,
     "android.sensor.gravity": GRAVITY,
@@ -171,7 +171,7 @@ _ANDROID: Mapping[str, str] = {
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
     """The one sample of an event of Android, which SensorServer passes on as it is."""
-    sensor = _ANDROID.get(str(item["type"]))
+    sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
     values: Any = item["values"]

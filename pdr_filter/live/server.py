@@ -25,6 +25,7 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pdr_filter.io.own_writer import FILES
 from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, Rates, is_token
+from pdr_filter.live.certificate import NAMES
 from pdr_filter.live.devices import Event, Settings
 from pdr_filter.live.geojson import geojson
 from pdr_filter.live.workers import Answer, Take, Workers
@@ -184,6 +185,11 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         content = await asyncio.to_thread(_zipped, live.folder / key)
         return Response(content, media_type="application/zip", headers=name)
 
+    async def authority(_: Request) -> Response:
+        path = live.folder / "certificate" / NAMES[0]
+        kind = "application/x-x509-ca-cert"
+        return FileResponse(path, media_type=kind) if path.exists() else PlainTextResponse("not with --https", 404)
+
     async def events(_: Request) -> Response:
         async def lines() -> AsyncIterator[str]:
             async for text in live.events():
@@ -223,6 +229,7 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         Route("/sessions", sessions),
         Route("/sessions/{id}/fix", fix, methods=["POST"]),
         Route("/sessions/{id}/{kind}", download),
+        Route("/authority.pem", authority),
         Route("/events", events),
         WebSocketRoute("/ws", events_socket),
         WebSocketRoute("/stream", stream),
