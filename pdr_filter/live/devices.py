@@ -253,6 +253,10 @@ class Session:
         """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
         return {**self.about(), "event": "track", "path": self.path}
 
+    def whole(self) -> list[Event]:
+        """All there is to show to somebody who has seen nothing yet."""
+        return [self.track(), *self._now(math.nan, is_due=True)]
+
     @property
     def unsaved_s(self) -> float:
         """For how long something has only been in the journal."""

@@ -276,8 +276,8 @@ def _plausible(time: Any, values: FloatArray) -> Rows:
 
 def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
     """A short text that can be shown."""
-    value: Any = item.get(key, otherwise)
-    return printable(value if isinstance(value, str | int) else otherwise)[: limits.MAX_NAME_CHARS]
+    value: Any = item.get(key)
+    return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
 
 
 def _whole(item: Mapping[str, Any], key: str) -> int | None:

@@ -58,8 +58,11 @@ class Live:
         """Start the workers, which go on with the sessions that they find."""
         self._workers = Workers(self.settings, self.folder, self.n_workers, self._shown)
         await self._workers.ready()
-        for track in await self._workers.tracks():
-            self.sessions[track["id"]] = track
+        self.sessions = await self.tracks()
+
+    async def tracks(self) -> dict[str, Event]:
+        """Sessions with their paths, by their names."""
+        return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
 
     def stop(self) -> None:
         """Save everything."""
@@ -95,8 +98,8 @@ class Live:
             while True:
                 if reader.is_stale:
                     reader.clear()
-                    for track in await self.workers.tracks():
-                        yield json.dumps(track, allow_nan=False)
+                    for event in await self.workers.whole():
+                        yield json.dumps(event, allow_nan=False)
                 yield await reader.get()
         finally:
             self._readers.discard(reader)
@@ -176,7 +179,7 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
 
     async def download(request: Request) -> Response:
         key, kind = request.path_params["id"], request.path_params["kind"]
-        tracks = {track["id"]: track for track in await live.workers.tracks()}
+        tracks = await live.tracks()
         if key not in tracks or kind not in ("track.geojson", "recording.zip"):
             return JSONResponse({"error": "no such session or file"}, 404)
         name = {"Content-Disposition": f'attachment; filename="{key}.{kind.partition(".")[2]}"'}

@@ -41,8 +41,8 @@ class Take:
 
 
 @dataclass(frozen=True, slots=True)
-class Tracks:
-    """The question for all sessions and their paths."""
+class Whole:
+    """The question for all sessions, with their paths and what is known of now."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -50,7 +50,7 @@ class Stop:
     """The last request: save everything and end."""
 
 
-Request = Take | Tracks | Stop
+Request = Take | Whole | Stop
 
 
 @dataclass(frozen=True, slots=True)
@@ -86,9 +86,9 @@ def serve(connection: Connection, settings: Settings, folder: Path, part: int, n
             ticked_at = time.monotonic()
 
 
-def _answer(devices: Devices, request: Take | Tracks) -> Answer:
-    if isinstance(request, Tracks):
-        return Answer(200, [session.track() for session in devices.sessions.values()])
+def _answer(devices: Devices, request: Take | Whole) -> Answer:
+    if isinstance(request, Whole):
+        return Answer(200, [event for session in devices.sessions.values() for event in session.whole()])
     try:
         content = devices.take(request.body, request.device, request.session, request.platform, request.received_s)
         return Answer(200, content)
@@ -215,10 +215,10 @@ class Workers:
         """What the worker of a device says to its message."""
         return await self.workers[part_of(request.device, len(self.workers))].ask(request)
 
-    async def tracks(self) -> list[Event]:
-        """All sessions with their paths."""
-        answers = await asyncio.gather(*(worker.ask(Tracks()) for worker in self.workers))
-        return [track for answer in answers for track in answer.content]
+    async def whole(self) -> list[Event]:
+        """All there is to show: of each session its path, and what is known of now."""
+        answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self.workers))
+        return [event for answer in answers for event in answer.content]
 
     def close(self) -> None:
         """End all of them."""

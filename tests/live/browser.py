@@ -51,7 +51,8 @@ class Browser:
             raise RuntimeError("Chromium did not start")
         pages = httpx.get(f"http://{found[1].decode()}/json/list").json()
         address = next(page["webSocketDebuggerUrl"] for page in pages if page["type"] == "page")
-        self._socket = connect(address, max_size=None)
+        self._connection = connect(address, max_size=None)
+        self._socket = self._connection.__enter__()
         for domain in ("Page", "Runtime", "Log"):
             self.ask(f"{domain}.enable")
         self.size(width, height)
@@ -62,7 +63,7 @@ class Browser:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self._socket.close()
+        self._connection.__exit__(None, None, None)
         self._process.terminate()
         self._process.wait(10)
         assert self._process.stderr is not None

@@ -57,7 +57,8 @@ class Server:
         return self
 
     def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.end()
+        if self._process.poll() is None:
+            self.end()
 
     @property
     def pid(self) -> int:
@@ -97,6 +98,8 @@ class Server:
         """Sessions with their paths, by device: what a page is told first."""
         n = len(self.http.get("/sessions").json()["sessions"])
         found: dict[str, dict[str, Any]] = {}
+        if not n:
+            return found
         with self.http.stream("GET", "/events") as answer:
             for event in events_of(answer):
                 if event["event"] == "track":
