@@ -30,7 +30,7 @@ from pdr_filter.live.messages import FORCE, Message, MessageError, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.online import OnlineFilter
 from pdr_filter.recording_run import live_config
-from pdr_filter.values import PositionFix, Samples
+from pdr_filter.values import FloatArray, PositionFix, Samples
 
 # A state is saved when this much has come since the last time; the journal has what is newer.
 _SAVE_S = 10.0
@@ -40,6 +40,8 @@ _IDLE_S = 600.0
 _MAX_PATH = 20_000
 # What is known of now is told this often at most, and a path that turns while its north is sought.
 _NOW_S, _TURN_S = 0.2, 5.0
+# Much less than what a sensor may be behind the others, `sensing.merging`.
+_PART_S = 1.0
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 
 _ENDED = "this session has ended; begin a new one"
@@ -358,18 +360,37 @@ class Devices:
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Updates after the samples of one message."""
+    """Updates after the samples of one message.
+
+    Of a long one, such as after a minute without network, the sensors go in second by second: one that is seconds
+    behind the others is taken for silent.
+    """
+    begin_s = min(float(stream.time_s[0]) for stream in samples.values())
+    seconds = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
     updates: list[StepUpdate] = []
-    push = {FORCE: online.push_accelerometer, "gyroscope": online.push_gyroscope}
-    for name, of_three in (push | {"magnetometer": online.push_magnetometer}).items():
-        if name in samples:
-            updates += of_three(samples[name].time_s, samples[name].values)
-    if "barometer" in samples:
-        updates += online.push_pressure(samples["barometer"].time_s, samples["barometer"].values[:, 0])
-    if "location" in samples and not online.config.model.frame.is_joined:
-        latitude_deg, longitude_deg, _, accuracy_m = samples["location"].values.T
-        updates += online.push_location(samples["location"].time_s, latitude_deg, longitude_deg, accuracy_m)
+    for second in np.unique(np.concatenate(list(seconds.values()))):
+        for name, stream in samples.items():
+            first, last = np.searchsorted(seconds[name], [second, second + 1])
+            if last > first:
+                updates += _pushed_one(online, name, stream.time_s[first:last], stream.values[first:last])
     return updates
+
+
+def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: FloatArray) -> list[StepUpdate]:
+    """The same of one sensor."""
+    of_three = {
+        FORCE: online.push_accelerometer,
+        "gyroscope": online.push_gyroscope,
+        "magnetometer": online.push_magnetometer,
+    }
+    if name in of_three:
+        return of_three[name](time_s, values)
+    if name == "barometer":
+        return online.push_pressure(time_s, values[:, 0])
+    if online.config.model.frame.is_joined:  # locations that began later than the track are on record only
+        return []
+    latitude_deg, longitude_deg, _, accuracy_m = values.T
+    return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m)
 
 
 def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:

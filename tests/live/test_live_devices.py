@@ -207,3 +207,9 @@ def test_each_device_belongs_to_one_worker() -> None:
     parts = [part_of(f"phone {i}", 2) for i in range(100)]
     assert 30 < sum(parts) < 70
     assert parts == [part_of(f"phone {i}", 2) for i in range(100)]
+
+
+def test_a_message_of_a_minute_gives_the_same_track_as_many_short_ones(walk: Recording, tmp_path: Path) -> None:
+    short, _ = taken(tmp_path / "short", own_messages(walk))
+    long, _ = taken(tmp_path / "long", own_messages(walk, part_s=30.0))
+    np.testing.assert_array_equal(positions(long), positions(short))
