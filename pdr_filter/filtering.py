@@ -105,6 +105,7 @@ class State:
     merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
     window: WindowContext | None = None  # the last one
     last_fixes: tuple[FixResult, ...] = ()  # what became of them
+    last_update: StepUpdate | None = None  # of this segment
     finished: bool = False
 
     @property
@@ -240,8 +241,8 @@ _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
 def notes_of(config: Config, state: State) -> list[Note]:
     """What to keep in mind about the track so far: the same for a whole recording and for an app."""
-    report, seen = state.sensing.conditioner.report, state.seen
-    notes = [Note("samples", text) for text in report.notes()]
+    seen = state.seen
+    notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
     moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
@@ -359,6 +360,7 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             tracker, brought = config.tracker.on_window(state.tracker, context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+            state = replace(state, last_update=None)
         else:
             state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
@@ -394,7 +396,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
         output.updates.append(replace(update, **there))
-    return state if known is state.height else replace(state, height=known)
+    return replace(state, height=known, last_update=output.updates[-1]) if updates else state
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:

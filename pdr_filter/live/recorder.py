@@ -9,7 +9,9 @@ is for a process that dies; after a power failure the last seconds may be missin
 
 from __future__ import annotations
 
+import hashlib
 import json
+import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -21,7 +23,8 @@ from pdr_filter.io.own_writer import STREAM_COLUMNS
 from pdr_filter.live.messages import Message
 from pdr_filter.values import Samples
 
-STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.bin", "meta.json", "steps.jsonl", "fixes.csv"
+STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
+CONFIGS = "configurations"
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
 # Of the state and of the length of a message in a journal.
 _LENGTH_BYTES = 8
@@ -37,14 +40,19 @@ class Recorder:
         self._n_saved = 0
         folder.mkdir(parents=True, exist_ok=True)
 
-    def describe(self, meta: Mapping[str, Any], config: object) -> None:
-        """Write what is known of the session once and for all."""
+    def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
+        """Write what is known of the session once and for all; sessions of one configuration share its file."""
         _replace(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
-        _replace(self.folder / CONFIG, serialise.to_bytes(config))
+        shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
+        if not shared.exists():
+            shared.parent.mkdir(exist_ok=True)
+            _replace(shared, config)
+        _replace(self.folder / CONFIG, shared.name.encode())
 
     def config(self) -> Any:
         """The configuration that `describe` was given."""
-        return serialise.from_bytes((self.folder / CONFIG).read_bytes())
+        name = (self.folder / CONFIG).read_text()
+        return serialise.from_bytes((self.folder.parent / CONFIGS / name).read_bytes())
 
     def samples(self, name: str, rows: Samples) -> None:
         """Append samples of a sensor: every digit, so that the recording is what the filter had."""
@@ -127,6 +135,6 @@ class Recorder:
 
 def _replace(path: Path, content: bytes) -> None:
     """A file is the old one or the new one, whenever the process ends."""
-    unfinished = path.with_name(path.name + ".part")
+    unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
     unfinished.write_bytes(content)
     unfinished.replace(path)

@@ -4,11 +4,11 @@ A sample of the accelerometer waits until the other sensors have passed its time
 there, the same bits that the finished recording gives. Times of the samples are the only clock here:
 
 - samples that come within `reorder_s` of the newest one of their sensor may come in any order;
-- where more than `max_gap_s` of the accelerometer are missing, what came after waits until it spans `wait_s`: a message
-  that was overtaken fills the hole;
+- where more than `max_gap_s` of a sensor, and more than 2.5 usual intervals, are missing, what came after waits until
+  it spans `wait_s`: a message that was overtaken fills the hole;
 - a sensor that is more than `wait_s` behind the accelerometer is silent, and nobody waits for it any more;
-- samples of the accelerometer whose time has left are late, and dropped. Late ones alone, for longer than `wait_s`, are
-  a clock that was set back: everything starts afresh, and `sensing.clock` follows it.
+- samples of the accelerometer whose time has left are late, and dropped. A minute of late ones alone is a clock that
+  was set back: everything starts afresh, and `sensing.clock` follows it.
 """
 
 from __future__ import annotations
@@ -18,6 +18,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
+from pdr_filter.io.describe import GAP_INTERVALS
 from pdr_filter.sensing.conditioning import at_times
 from pdr_filter.values import FloatArray, ImuBlock, check_numbers
 
@@ -26,6 +27,9 @@ SENSORS: tuple[Sensor, ...] = get_args(Sensor)
 _COLUMNS = {"accelerometer": 3, "gyroscope": 3, "magnetometer": 3, "barometer": 1}
 # Rows that wait for each sensor at most: twice `wait_s` of the fastest phones, 2000 Hz.
 _MAX_ROWS = 20_000
+# Late samples over so long, without one in time between, are a clock that was set back. Less may be a backlog that is
+# sent again after the network was away.
+_SET_BACK_S = 60.0
 # Samples from which the rate of a sensor is measured.
 _RATE_SAMPLES = 64
 
@@ -110,18 +114,15 @@ class StreamMerger:
     ) -> tuple[MergerState, Merged]:
         """New state, and what may leave after samples (N,), (N, d) of one sensor."""
         state = self._arrived(state, sensor, np.column_stack([time_s, values]))
-        n_whole = self._n_whole(state)
-        force = state.stream("accelerometer").rows
-        frontier_s = float(force[n_whole - 1, 0]) if n_whole else state.released_s
-        ready_s = frontier_s - self.reorder_s
-        since_s = float(np.fmax(state.first_s, -np.inf))
-        for name in SENSORS[1:]:
-            passed_s = self._passed_s(state, name, frontier_s)
-            if frontier_s - max(passed_s, since_s) <= self.wait_s:
-                ready_s = min(ready_s, passed_s - self.reorder_s)
-        n = min(int(np.searchsorted(force[:, 0], ready_s, side="right")), n_whole)
-        pressure_s = state.stream("barometer").rows[-1:, 0].max(initial=-np.inf)
-        return self._released(state, max(n, len(force) - _MAX_ROWS), float(pressure_s) - self.reorder_s)
+        force = state.stream("accelerometer")
+        before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())
+        n_whole = self._n_whole(force, before_s)
+        frontier_s = float(force.rows[n_whole - 1, 0]) if n_whole else state.released_s
+        passed_s = {name: self._passed_s(state.stream(name), frontier_s) for name in SENSORS[1:]}
+        awaited_s = [p for p in passed_s.values() if frontier_s - float(np.fmax(p, state.first_s)) <= self.wait_s]
+        ready_s = min([frontier_s, *awaited_s]) - self.reorder_s
+        n = min(int(np.searchsorted(force.rows[:, 0], ready_s, side="right")), n_whole)
+        return self._released(state, max(n, len(force.rows) - _MAX_ROWS), passed_s["barometer"] - self.reorder_s)
 
     def finish(self, state: MergerState) -> tuple[MergerState, Merged]:
         """New state, and all that still waits."""
@@ -148,7 +149,7 @@ class StreamMerger:
             kept = timed[np.isfinite(timed[:, 1:]).all(axis=1)]
             is_late = kept[:, 0] <= (state.pressure_s if sensor == "barometer" else state.released_s)
             n_late = int(is_late.sum())
-            kept = kept[~is_late] if sensor == "barometer" else kept
+            kept = kept[~is_late]
         stream = state.stream(sensor)
         rows = np.concatenate([stream.rows, kept])
         if sensor != "accelerometer":
@@ -177,7 +178,7 @@ class StreamMerger:
             begin_s, end_s = state.late_s
             late_s = (float(np.fmin(begin_s, time_s)), float(np.fmax(end_s, time_s))) if late else _NO_LATE
             state = replace(state, late_s=late_s)
-            if late_s[1] - late_s[0] > self.wait_s:
+            if late_s[1] - late_s[0] > _SET_BACK_S:
                 return self._in_time(self._afresh(state), rows[i:])
         return state, rows[~is_late]
 
@@ -187,21 +188,30 @@ class StreamMerger:
         kept = (replace(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
         return MergerState(tuple(kept))
 
-    def _n_whole(self, state: MergerState) -> int:
-        """How many waiting rows of the accelerometer lie before the first hole that may still be filled."""
-        time_s = state.stream("accelerometer").rows[:, 0]
-        if not len(time_s):
-            return 0
-        before_s = state.released_s if np.isfinite(state.released_s) else time_s[0]
-        holes = np.flatnonzero(np.diff(time_s, prepend=before_s) > self.max_gap_s)
-        waits = holes[time_s[-1] - time_s[holes] < self.wait_s]
+    def _n_whole(self, stream: StreamState, before_s: float, others_s: float = -np.inf) -> int:
+        """How many rows lie before the first hole that may still be filled.
+
+        `before_s` is the last time before them, `others_s` how far the accelerometer has come, if they are of another
+        sensor.
+        """
+        time_s = stream.rows[:, 0]
+        intervals_s = np.diff(time_s, prepend=before_s)
+        if not (intervals_s > self.max_gap_s).any():
+            return len(time_s)
+        usual_s = 1.0 / stream.rate_hz if stream.rate_hz > 0 else 0.0
+        holes = np.flatnonzero(intervals_s > max(self.max_gap_s, GAP_INTERVALS * usual_s))
+        begin_s = time_s[holes] - intervals_s[holes]
+        waits = holes[(time_s[-1] - time_s[holes] < self.wait_s) & (others_s - begin_s <= self.wait_s)]
         return int(waits[0]) if len(waits) else len(time_s)
 
-    def _passed_s(self, state: MergerState, sensor: Sensor, frontier_s: float) -> float:
-        """How far a sensor has come; single times far ahead are none."""
-        time_s = state.stream(sensor).rows[:, 0]
-        n = int(np.searchsorted(time_s, frontier_s + self.wait_s, side="right"))
-        return float(time_s[n - 1]) if n else -np.inf
+    def _passed_s(self, stream: StreamState, frontier_s: float) -> float:
+        """How far a sensor has come, of which nothing counts that is far ahead of the accelerometer."""
+        n = int(np.searchsorted(stream.rows[:, 0], frontier_s + self.wait_s, side="right"))
+        near = replace(stream, rows=stream.rows[:n])
+        n = self._n_whole(near, float(near.rows[0, 0]), frontier_s) if n else 0
+        # what comes before the first sample takes its value from the first two
+        interpolates = stream.rows.shape[1] > 2
+        return float(near.rows[n - 1, 0]) if n > interpolates else -np.inf
 
     def _released(self, state: MergerState, n: int, pressure_until_s: float) -> tuple[MergerState, Merged]:
         """State without the first rows of the accelerometer, which leave, and pressures up to a time."""

@@ -24,6 +24,7 @@ from pdr_filter.values.fixes import (
     PositionFix,
     SpeedFix,
     Standstill,
+    check_fix,
     received_s,
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
@@ -73,6 +74,7 @@ __all__ = [
     "check_columns",
     "check_cov",
     "check_declared",
+    "check_fix",
     "check_numbers",
     "check_transition_prob",
     "check_whole",

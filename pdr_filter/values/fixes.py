@@ -141,6 +141,15 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 Fix = PositionFix | HeadingFix | SpeedFix | Standstill
 
 
+def check_fix(fix: object) -> None:
+    """ValueError unless it is a fix."""
+    if not isinstance(fix, PositionFix | HeadingFix | SpeedFix | Standstill):
+        raise ValueError(
+            f"a fix must be a PositionFix, HeadingFix, SpeedFix or Standstill, got {fix!r}; a position is "
+            "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
+        )
+
+
 def received_s(fix: Fix) -> float:
     """When a fix became known: when it was received, or at once."""
     return fix.time_s if fix.received_time_s is None else fix.received_time_s

@@ -30,7 +30,7 @@ from serving import Server, sensor_logger_messages
 
 _NAME = "phone-000000"
 _TICKS_PER_S = os.sysconf("SC_CLK_TCK")
-_WARM_UP_S = 8.0
+_WARM_UP_S = 12.0
 
 
 @dataclass
