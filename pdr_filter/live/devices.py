@@ -9,7 +9,7 @@ import hashlib
 import json
 import math
 import time
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
@@ -40,7 +40,8 @@ _IDLE_S = 600.0
 # Positions on the page, from the newest back: three hours of walking.
 _MAX_PATH = 20_000
 # What is known of now is told this often at most, and a path that turns while its north is sought.
-_NOW_S, _TURN_S = 0.2, 5.0
+# Turning a step costs some 50 us: of a path of hours that is a share of one in a hundred.
+_NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
 # Much less than what a sensor may be behind the others, `sensing.merging`.
 _PART_S = 1.0
 _FIX_STD_RANGE_M = (0.01, 1000.0)
@@ -105,7 +106,8 @@ class Session:
         self.online: OnlineFilter | None = None
         self.refused = ""  # why it cannot be tracked
         self.path: list[list[float]] = []
-        self._starts: list[Place] = []  # of the first of these steps, whose places turn while north is sought
+        # Of each of these steps where it is in the frame of the start, if its place turns while north is sought.
+        self._starts: list[Place | None] = []
         self._unsaved_at = math.inf  # since when something is not saved
         self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
 
@@ -228,11 +230,10 @@ class Session:
 
     def _add(self, update: StepUpdate) -> None:
         self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
-        if update.of_start is not None:
-            self._starts.append(update.of_start)
-        if len(self.path) > _MAX_PATH:
-            del self.path[: _MAX_PATH // 10]
-            del self._starts[: _MAX_PATH // 10]
+        self._starts.append(update.of_start)
+        for kept in (self.path, self._starts):
+            if len(kept) > _MAX_PATH:
+                del kept[: _MAX_PATH // 10]
 
     def _now(self, received_s: float, is_due: bool = False) -> list[Event]:
         online = self.online
@@ -245,18 +246,19 @@ class Session:
     def _turned(self, is_due: bool = False) -> list[Event]:
         """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
         online = self.online
-        if online is None or not self._starts or (time.monotonic() - self._turn_at < _TURN_S and not is_due):
+        wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
+        if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
             return []
         frame = online.state.tracker.pedestrian.frame
-        if not frame.is_known:
+        if not frame.is_known or all(place is None for place in self._starts):
             return []
-        self._turn_at, settled = time.monotonic(), frame.is_joined
-        drawn = frame.drawn()
-        places = [drawn.world(place) for place in self._starts]
-        for row, place in zip(self.path, places, strict=False):
-            row[:] = _row(row[0], place.position_m, place.cov_m2)
-        if settled:
-            self._starts = []
+        self._turn_at, drawn = time.monotonic(), frame.drawn()
+        for row, start in zip(self.path, self._starts, strict=True):
+            if start is not None:
+                place = drawn.world(start)
+                row[:] = _row(row[0], place.position_m, place.cov_m2)
+        if frame.is_joined:  # for good
+            self._starts = [None] * len(self.path)
         return [self.track()]
 
     def track(self) -> Event:
@@ -293,9 +295,8 @@ class Session:
                 self.refused = _ENDED if self.online.state.finished else ""
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
-                if (start := step["of_start"]) is not None:
-                    where = np.array(start["position_m"]), np.array(start["cov_m2"])
-                    self._starts.append(Place(*where, start["heading_rad"], start["n_steps"]))
+                start = step["of_start"]
+                self._starts.append(None if start is None else _place(start))
         for _, _, platform, body in entries:
             for message in parse(body, device, session, platform):
                 # what was refused then is refused again
@@ -409,6 +410,12 @@ def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:
         name: Samples(np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows]))
         for name, rows in found.items()
     }
+
+
+def _place(content: Mapping[str, Any]) -> Place:
+    """A place as `StepUpdate.to_dict` writes it."""
+    position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
+    return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
 
 
 def _row(time_s: float, position_m: Any, cov_m2: Any) -> list[float]:

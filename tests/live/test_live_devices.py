@@ -122,9 +122,10 @@ def test_a_clock_that_is_set_back_gives_the_track_of_the_same_recording(walk: Re
         jumped.append(json.dumps(content).encode())
     session, _ = taken(tmp_path, jumped)
     expected = pdr.track(replace(walk, meta={}, **early))
-    # Samples of a sensor that are late for five seconds are what shows a clock that was set back, and they are lost.
-    assert 0 <= expected.n_steps - len(session.path) <= 14
-    assert session.path[-1][0] == pytest.approx(expected.time_s[-1], abs=6.0)
+    # Who listens cannot tell these twenty seconds from a backlog that is sent again: they are lost.
+    assert 0 <= expected.n_steps - len(session.path) <= 40
+    assert any("too late" in note for note in session.online.now().notes)
+    assert session.path[-1][0] > 30.0
 
 
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
