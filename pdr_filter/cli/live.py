@@ -69,6 +69,13 @@ class Phones:
     max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
     workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
 
+    def check(self) -> None:
+        """ValueError for a recipe that does not exist."""
+        if self.recipe != "default":
+            from pdr_filter import recipes
+
+            recipes.check_name(self.recipe)
+
 
 @dataclass(frozen=True, slots=True)
 class Sources:
@@ -123,11 +130,10 @@ def live(
             from pdr_filter.live.server import Live, app
         except ImportError as error:
             raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
-        from pdr_filter import recipes
         from pdr_filter.live.access import is_loopback, made_token
-        from pdr_filter.live.devices import Settings
+        from pdr_filter.live.settings import Settings
 
-        recipes.check_name(phones.recipe)
+        phones.check()
         is_open = not is_loopback(address.host)
         token = (address.token or made_token(record)) if is_open or address.token else ""
         platform = "" if phones.platform is None else phones.platform.value

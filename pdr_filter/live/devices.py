@@ -11,7 +11,6 @@ import math
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -29,6 +28,7 @@ from pdr_filter.live import assembly
 from pdr_filter.live.assembly import Assembly, SessionError
 from pdr_filter.live.messages import FORCE, Message, MessageError, parse
 from pdr_filter.live.recorder import Recorder
+from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.online import OnlineFilter
 from pdr_filter.recording_run import live_config
 from pdr_filter.values import FloatArray, PositionFix, Samples
@@ -51,42 +51,18 @@ _ENDED = "this session has ended; begin a new one"
 # Which device and session a folder is of.
 ABOUT = "session.json"
 
-Event = dict[str, Any]
+
+@cache
+def plain_config(settings: Settings) -> Config:
+    """The configuration of a session, before its first samples are seen."""
+    meta = {"subject": {"height_m": settings.height_m}}
+    return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
 
 
-class FixError(ValueError):
-    """A fix that cannot be used; the words say why."""
-
-
-class BusyError(RuntimeError):
-    """No room for another phone."""
-
-
-@dataclass(frozen=True, slots=True)
-class Settings:
-    """How phones are tracked."""
-
-    recipe: str = "default"
-    height_m: float | None = None
-    platform: str = ""  # "ios" or "android", for an app that does not say it
-    max_devices: int = 64
-
-    @cache  # noqa: B019  (there is one for a process)
-    def config(self) -> Config:
-        """The configuration of a session, before its first samples are seen."""
-        meta = {"subject": {"height_m": self.height_m}}
-        nobody = Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta)
-        return recipes.for_recording(self.recipe, nobody)
-
-    @cache  # noqa: B019
-    def config_bytes(self) -> bytes:
-        """The same as it is saved: sixty milliseconds of work that a crowd of phones shares."""
-        return serialise.to_bytes(self.config())
-
-
-def part_of(device: str, n_parts: int) -> int:
-    """Which of so many workers a device belongs to."""
-    return int.from_bytes(hashlib.sha256(device.encode()).digest()[:4]) % n_parts
+@cache
+def plain_config_bytes(settings: Settings) -> bytes:
+    """The same as it is saved: sixty milliseconds of work that a crowd of phones shares."""
+    return serialise.to_bytes(plain_config(settings))
 
 
 def session_id(device: str, session: str) -> str:
@@ -172,9 +148,11 @@ class Session:
         if self.settings.height_m is not None:
             meta["subject"] = {"height_m": self.settings.height_m}
         first = Recording(meta["name"], **_streams(ready), meta=meta)
-        config = live_config(first, self.settings.config())
-        is_plain = config is self.settings.config()
-        self.recorder.describe(meta, self.settings.config_bytes() if is_plain else serialise.to_bytes(config))
+        plain = plain_config(self.settings)
+        config = live_config(first, plain)
+        self.recorder.describe(
+            meta, plain_config_bytes(self.settings) if config is plain else serialise.to_bytes(config)
+        )
         return config
 
     def _fixed(self, content: Any) -> None:

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from pdr_filter.live.devices import Event
+from pdr_filter.live.settings import Event
 from pdr_filter.values import Origin
 
 # As in the files of tracks that lie nowhere (`io.writers`): drawn where nobody walks.

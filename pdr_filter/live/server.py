@@ -26,13 +26,14 @@ from starlette.websockets import WebSocket, WebSocketDisconnect
 from pdr_filter.io.own_writer import FILES
 from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, Rates, is_token
 from pdr_filter.live.certificate import NAMES
-from pdr_filter.live.devices import Event, Settings
 from pdr_filter.live.geojson import geojson
+from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Answer, Take, Workers
 
 PAGE = Path(__file__).parent / "page"
 # Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
 _MAX_WAITING = 500
+_MAX_READERS = 100
 _DEVICE = re.compile(rb'"device(?:Id)?"\s*:\s*"([^"\\]{1,200})"')
 _ALIVE_S = 15.0
 
@@ -90,6 +91,11 @@ class Live:
         for reader in self._readers:
             reader.put(text)
 
+    @property
+    def is_full(self) -> bool:
+        """Whether as many read as may."""
+        return len(self._readers) >= _MAX_READERS
+
     async def events(self) -> AsyncIterator[str]:
         """Everything there is to show, from the whole as it is now; "" now and then while there is nothing."""
         reader = Reader()
@@ -112,6 +118,9 @@ class Reader:
         self.is_stale = True
         self._waiting: deque[str] = deque()
         self._filled = asyncio.Event()
+
+    def __len__(self) -> int:
+        return len(self._waiting)
 
     def put(self, text: str) -> None:
         """Add an event, or forget them all."""
@@ -156,12 +165,8 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         return FileResponse(path, headers=_policy(tiles)) if known else PlainTextResponse("not found", 404)
 
     async def data(request: Request) -> Response:
-        body = bytearray()
-        async for part in request.stream():
-            body += part
-            if len(body) > MAX_BODY_BYTES:
-                return JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message"}, 413)
-        return _json(await live.take(bytes(body), **_named(request)))
+        body = await _body(request)
+        return _TOO_LONG if body is None else _json(await live.take(body, **_named(request)))
 
     async def sessions(_: Request) -> Response:
         return JSONResponse({"sessions": list(live.sessions.values()), "tiles": tiles})
@@ -171,8 +176,8 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
         try:
-            content: Any = await request.json()
-        except ValueError:
+            content: Any = json.loads(await _body(request) or b"")
+        except (ValueError, RecursionError):
             return JSONResponse({"error": "not JSON; send east_m, north_m and perhaps std_m"}, 400)
         body = json.dumps({"device": about["device"], "session": about["session"], "fix": content}).encode()
         return _json(await live.workers.take(Take(body, about["device"], received_s=time.time())))
@@ -194,6 +199,9 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         return FileResponse(path, media_type=kind) if path.exists() else PlainTextResponse("not with --https", 404)
 
     async def events(_: Request) -> Response:
+        if live.is_full:
+            return JSONResponse({"error": "too many read already"}, 503)
+
         async def lines() -> AsyncIterator[str]:
             async for text in live.events():
                 yield f"data: {text}\n\n" if text else ": still here\n\n"
@@ -201,12 +209,14 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
     async def events_socket(socket: WebSocket) -> None:
+        if live.is_full:
+            return await socket.close(1013)
         await socket.accept()
         try:
             async for text in live.events():
                 await socket.send_text(text or "{}")
         except (WebSocketDisconnect, RuntimeError, OSError):  # the reader has gone
-            return
+            return None
 
     async def stream(socket: WebSocket) -> None:
         await socket.accept()
@@ -287,6 +297,19 @@ class Door:
             await send(message)
 
         return with_cookie
+
+
+_TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"}, 413)
+
+
+async def _body(request: Request) -> bytes | None:
+    """The body of a request; None of one that is too long, which is not read to its end."""
+    body = bytearray()
+    async for part in request.stream():
+        body += part
+        if len(body) > MAX_BODY_BYTES:
+            return None
+    return bytes(body)
 
 
 def _json(answer: Answer) -> Response:

@@ -13,7 +13,6 @@ from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 
-from pdr_filter.io.formats import read
 from pdr_filter.live.access import MAX_BODY_BYTES
 from pdr_filter.live.messages import (
     ANDROID_SENSORS,
@@ -26,9 +25,10 @@ from pdr_filter.live.messages import (
     phyphox_rows,
     to_json,
 )
+from pdr_filter.live.workers import Answer
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
-Taker = Callable[..., Awaitable[object]]
+Taker = Callable[..., Awaitable[Answer]]
 # Samples of so long are one message, as with phones that send several times a second.
 _PART_S = 0.2
 # Between two tries to reach a phone or a broker.
@@ -36,8 +36,16 @@ _AGAIN_S = 2.0
 _ANSWER_S = 5.0
 
 
+async def _given(take: Taker, body: bytes, **named: str) -> None:
+    """Give a message to the server, again where it has no time for it."""
+    while (await take(body, **named)).status in (429, 503):
+        await asyncio.sleep(_PART_S)
+
+
 async def replay(file: Path, speed: float, take: Taker) -> None:
     """Send a recording as if it were walked now, or `speed` times as fast."""
+    from pdr_filter.io.formats import read
+
     recording = await asyncio.to_thread(read, file)
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
@@ -57,7 +65,7 @@ async def replay(file: Path, speed: float, take: Taker) -> None:
         is_end = number == len(cuts) - 1
         message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
         await asyncio.sleep(max(begun + (number + 1) * _PART_S / speed - loop.time(), 0.0))
-        await take(to_json(message))
+        await _given(take, to_json(message))
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
@@ -97,7 +105,7 @@ async def phyphox(address: str, take: Taker) -> None:
         new = {name: _later(rows[name], seen_s[name]) for name in rows}
         new = {name: r for name, r in new.items() if len(r.time)}
         if new:
-            await take(to_json(Message(f"phyphox {urlsplit(address).netloc}", session, number, "android", new)))
+            await _given(take, to_json(Message(f"phyphox {urlsplit(address).netloc}", session, number, "android", new)))
             number += 1
             seen_s |= {name: float(r.time.max()) for name, r in new.items()}
         await asyncio.sleep(_PART_S)
@@ -142,7 +150,7 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
                 except TimeoutError:
                     break
             device = f"SensorServer {urlsplit(address).netloc}"
-            await take(to_json(Message(device, session, None, "android", _joined(parts))))
+            await _given(take, to_json(Message(device, session, None, "android", _joined(parts))))
 
 
 def _joined(bodies: list[bytes]) -> dict[str, Rows]:
@@ -183,7 +191,7 @@ async def mqtt(address: str, take: Taker) -> None:
     async with client:
         await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
         async for message in client.messages:
-            await take(message.payload)
+            await _given(take, message.payload)
 
 
 def _with_scheme(address: str, scheme: str) -> str:

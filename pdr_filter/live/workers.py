@@ -17,10 +17,13 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from pdr_filter.live.devices import BusyError, Devices, Event, FixError, Settings, part_of
 from pdr_filter.live.messages import MessageError
+from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
+
+if TYPE_CHECKING:
+    from pdr_filter.live.devices import Devices
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
@@ -63,6 +66,8 @@ class Answer:
 
 def serve(connection: Connection, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
     """The loop of a worker: requests in, answers and events out, until the other end is closed."""
+    from pdr_filter.live.devices import Devices  # the filter is loaded here, and not where phones are answered
+
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal; the server says when to end
 
     def emit(event: Event) -> None:

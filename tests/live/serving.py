@@ -10,7 +10,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from types import TracebackType
 from typing import Any
@@ -20,6 +20,8 @@ import numpy as np
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.live.messages import N_VALUES, Message, Rows, to_json
+from pdr_filter.simulate import demo_walk
+from pdr_filter.values import Samples
 
 COMMAND = "from pdr_filter.cli import main; main()"
 EPOCH_NS = 1_716_760_513_715_797_500
@@ -123,6 +125,13 @@ def until(condition: Any, timeout_s: float = 20.0) -> Any:
         assert time.monotonic() < end, "never true"
         time.sleep(0.05)
     return value
+
+
+def short_walk(seconds: float) -> Recording:
+    """The first seconds of the walk that the package comes with."""
+    whole = demo_walk()
+    cut = {name: stream.time_s < seconds for name, stream in whole.streams.items()}
+    return replace(whole, **{n: Samples(s.time_s[cut[n]], s.values[cut[n]]) for n, s in whole.streams.items()})
 
 
 @dataclass(frozen=True)

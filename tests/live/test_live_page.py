@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from browser import BROWSER, Browser
-from serving import Server, own_messages
+from serving import Server, own_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
@@ -20,7 +20,7 @@ SESSION = "[...live.sessions.values()][0]"
 
 @pytest.fixture(scope="module")
 def walk() -> Recording:
-    return pdr.simulate.demo_walk()
+    return short_walk(80.0)
 
 
 @pytest.fixture(scope="module")

@@ -19,12 +19,11 @@ from urllib.parse import parse_qsl, urlsplit
 
 import numpy as np
 import pytest
-from serving import Server, sensor_logger_messages, until
+from serving import Server, sensor_logger_messages, short_walk, until
 from websockets.sync.server import ServerConnection, serve
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
-from pdr_filter.values import Samples
 
 BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
 CONFIG = {
@@ -38,9 +37,7 @@ CONFIG = {
 @pytest.fixture(scope="module")
 def walk() -> Recording:
     """Forty seconds of a walk with two sensors."""
-    whole = pdr.simulate.demo_walk()
-    cut = {n: Samples(s.time_s[s.time_s < 40], s.values[s.time_s < 40]) for n, s in whole.streams.items()}
-    return replace(whole, **{n: cut[n] for n in ("accelerometer", "gyroscope")}, magnetometer=None)
+    return replace(short_walk(40.0), magnetometer=None)
 
 
 @contextmanager
