@@ -92,6 +92,7 @@ ROOMS = [
     "simulate",
     "evaluate",
     "offline",
+    "radio",
     "training",
     "batch",
     "live",
