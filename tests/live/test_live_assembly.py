@@ -41,11 +41,12 @@ def test_messages_out_of_order_and_twice_give_the_same_samples(walk: Recording) 
     _, expected = assembled(messages)
     order = np.arange(60).reshape(-1, 4)[:, ::-1].ravel()  # 3, 2, 1, 0, 7, ...
     shuffled = [messages[i] for i in order for _ in range(1 + i % 2)]
+    shuffled.insert(40, messages[3])  # long after its turn
     state, found = assembled(shuffled)
     assert found.keys() == expected.keys()
     for name in found:
         np.testing.assert_array_equal(found[name], expected[name])
-    assert state.n_repeated == 30
+    assert state.n_repeated == 31
     assert state.n_lost == 0
 
 

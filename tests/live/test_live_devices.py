@@ -55,9 +55,9 @@ def test_the_track_is_that_of_what_was_sent_and_of_what_was_recorded(walk: Recor
     np.testing.assert_array_equal(shown, again.position_m)
 
 
-@pytest.mark.parametrize("n_saved", [0, 40])
+@pytest.mark.parametrize("n_saved", [3, 40])
 def test_a_process_that_dies_loses_nothing_that_it_took(walk: Recording, tmp_path: Path, n_saved: int) -> None:
-    """Saved after some messages, gone after others without another word."""
+    """Saved after some messages, the first while it is not known yet what the session is, and gone after others."""
     bodies = own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
     events: list[Event] = []
@@ -77,15 +77,19 @@ def test_a_process_that_dies_loses_nothing_that_it_took(walk: Recording, tmp_pat
         assert (session.recorder.folder / name).read_bytes() == (expected.recorder.folder / name).read_bytes()
 
 
-def test_a_broken_write_of_the_journal_is_left_out(walk: Recording, tmp_path: Path) -> None:
+def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk)[:20]
     session, _ = taken(tmp_path, bodies[:10])
+    samples = session.recorder.folder / "accelerometer.csv"
+    whole = samples.read_bytes()
+    samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
     devices = Devices(Settings(), tmp_path, lambda _: None)
     devices.take(bodies[10], "", "", "", 0.0)
     (journal,) = session.recorder.folder.glob("journal_*.bin")
     journal.write_bytes(journal.read_bytes()[:-7])
     (again,) = Devices(Settings(), tmp_path, lambda _: None).sessions.values()
     assert again.assembly.next_number == 10
+    assert samples.read_bytes() == whole
 
 
 def test_a_walk_with_locations_lies_in_the_world_as_its_recording_does(walk: Recording, tmp_path: Path) -> None:
