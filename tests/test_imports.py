@@ -96,6 +96,7 @@ ROOMS = [
     "radio",
     "training",
     "batch",
+    "live",
     "",  # the package itself: the public names
     "cli",
 ]

@@ -12,6 +12,7 @@ import typer
 from pdr_filter.cli.calibrate import calibrate, smooth
 from pdr_filter.cli.compare import compare
 from pdr_filter.cli.info import info
+from pdr_filter.cli.live import live
 from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.plan import plan
 from pdr_filter.cli.radio import radio
@@ -27,7 +28,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, plan, train, compare, calibrate, smooth, radio, simulate, demo):
+for command in (track, info, plan, train, compare, calibrate, smooth, radio, simulate, demo, live):
     app.command()(in_groups(command))
 
 
