@@ -17,12 +17,18 @@ TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 def checked_streams(
-    found: Mapping[str, tuple[FloatArray, FloatArray]], zero_s: float, suffix: str, where: str, notes: list[str]
+    found: Mapping[str, tuple[FloatArray, FloatArray]],
+    zero_s: float,
+    suffix: str,
+    where: str,
+    notes: list[str],
+    is_unit_declared: bool = False,
 ) -> dict[str, Samples]:
     """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
 
     `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
-    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do.
+    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where the
+    file itself says the unit of its times, a slow rate is believed and no other unit is looked for.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):
@@ -32,7 +38,7 @@ def checked_streams(
         samples = Samples(time_s[known] - zero_s, values if known.all() else values[known])
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
-            _check_times(samples, f"{where}: {label}")
+            _check_times(samples, f"{where}: {label}", is_unit_declared)
             _check_specific_force(median_norm(samples.values), f"{where}: {label}")
         elif np.isnan(samples.values).all():  # also true of no rows
             notes.append(f"{label}: no values, left out")
@@ -101,7 +107,7 @@ def _check_rows(samples: Samples, where: str) -> None:
         raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")
 
 
-def _check_times(samples: Samples, where: str) -> None:
+def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
     """Refuse times that do not increase, or that are no seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
@@ -114,7 +120,9 @@ def _check_times(samples: Samples, where: str) -> None:
     low, high = limits.RATE_RANGE_HZ
     if rate_hz < low:
         fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
-        remedy = f"they look like {fits[0]}, convert them to seconds" if fits else f"record at {low:g} Hz or more"
+        remedy = f"they look like {fits[0]}, convert them to seconds"
+        if is_unit_declared or not fits:
+            remedy = f"steps cannot be seen in that: record at {low:g} Hz or more, 50 Hz if the app can"
         raise RecordingError(f"{where}: time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}")
     if rate_hz > high:
         raise RecordingError(

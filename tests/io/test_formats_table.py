@@ -30,10 +30,12 @@ ROUND_TRIP = {
     "indoor_location": ("same values, times to 1 ms", 1.01e-3, 0.0),
     "core_motion": ("same values, 50 Hz", 1e-9, 1e-12),
     "ronin": ("same values", 1e-12, 0.0),
+    "ros_bag": ("same values", 1e-9, 0.0),
+    "table": ("same values, times to 1 us", 0.51e-6, 1e-12),
     "generic_csv": ("same values", 1e-9, 1e-12),
 }
 # An attitude in the file is the only witness of the sign.
-WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "generic_csv")]
+WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "table", "generic_csv")]
 
 
 def a_recording() -> Recording:
