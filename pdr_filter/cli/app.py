@@ -11,6 +11,7 @@ import typer
 
 from pdr_filter.cli.calibrate import calibrate, smooth
 from pdr_filter.cli.compare import compare
+from pdr_filter.cli.convert import convert
 from pdr_filter.cli.info import info
 from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.simulate import demo, simulate
@@ -25,7 +26,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, train, compare, calibrate, smooth, simulate, demo):
+for command in (track, info, convert, train, compare, calibrate, smooth, simulate, demo):
     app.command()(in_groups(command))
 
 

@@ -17,7 +17,7 @@ from pdr_filter.io.mapping import Mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sheet_data import SheetData, fill
-from pdr_filter.io.sheets import Sheet, text_sheet
+from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
 from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
@@ -69,7 +69,7 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
     with open_members(path) as members:
         sheets = sheets_of(members, mapping.separator or None)
         if mapping.decimal:
-            sheets = [replace(s, decimal=mapping.decimal) if hasattr(s, "decimal") else s for s in sheets]
+            sheets = [replace(s, decimal=mapping.decimal) if isinstance(s, TextSheet) else s for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
         data = [
             SheetData(sheet, tuple(i for i, name in enumerate(sheet.fields) if name in names), parsed.notes)
@@ -84,14 +84,14 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
     return parsed.recording()
 
 
-def sheets_of(members: Members, separator: str | None = None) -> list[Sheet]:
+def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]:
     """The tables among the files of a recording; RecordingError if there is none."""
     if is_spreadsheet(members):
         return spreadsheet_sheets(members)
     if not members.is_container and is_matlab(members.head(members.names[0], 128)):
         return matlab_sheets(members, members.names[0])
     texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
-    found: list[Sheet] = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+    found = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
     if not found:
         listed = ", ".join(members.names[:8])
         raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
@@ -124,8 +124,8 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
         return "its first line has numbers; write a line with the names of the columns above it"
     columns = [name.replace('"', "'") for name in (*fields, "?", "?", "?", "?")]
     return (
-        f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what in "
-        f"a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a "
+        f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what "
+        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a "
         f"phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
         f'time = {{ column = "{columns[0]}", unit = "s" }}\n'
         f'accelerometer = {{ columns = ["{columns[1]}", "{columns[2]}", "{columns[3]}"], unit = "m/s2", sign = 1 }}\n'

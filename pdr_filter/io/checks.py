@@ -27,8 +27,8 @@ def checked_streams(
     """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
 
     `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
-    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where the
-    file itself says the unit of its times, a slow rate is believed and no other unit is looked for.
+    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where
+    the file itself says the unit of its times, a slow rate is believed and no other unit is looked for.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):

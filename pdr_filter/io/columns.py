@@ -19,12 +19,13 @@ SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
-    ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration accelerationwithg gf gforce specificforce "
-    "beschleunigung",
-    LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel useracceleration "
-    "useraccel useracc accelerationwithoutg linearebeschleunigung",
+    ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration accelerationwithg gf gforce "
+    "specificforce beschleunigung",
+    LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
+    "useracceleration useraccel useracc accelerationwithoutg linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
-    RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate gyroskop",
+    RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate "
+    "gyroskop",
     FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",
     "light": "illuminance light lux",

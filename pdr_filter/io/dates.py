@@ -13,7 +13,7 @@ import numpy as np
 
 from pdr_filter.values import IntArray
 
-_MONTHS = {name: i for i, name in enumerate("jan feb mar apr may jun jul aug sep oct nov dec".split(), 1)}
+_MONTHS = {"janfebmaraprmayjunjulaugsepoctnovdec"[3 * i : 3 * i + 3]: i + 1 for i in range(12)}
 _DATE = r"(\d{1,4})[-/. ]([A-Za-z]{3}|\d{1,2})[-/. ](\d{1,4})"
 _CLOCK = r"(\d{1,2})[:\-](\d{2})[:\-](\d{2})(?:[.:_,](\d{1,9}))?"
 _ZONE = r"(?:\s?(Z|UTC|[+-]\d{2}:?\d{2}))?"

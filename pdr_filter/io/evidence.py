@@ -8,12 +8,13 @@ from pdr_filter.values import FloatArray
 
 # Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
 WINDOW_S = 2.0
-# Values are averaged over this, in which a stride is over, and directions are compared this far apart.
-TURN_S = 1.0
+# Values are averaged over this, some steps long, so that what the walk adds to gravity is gone, and directions are
+# compared this far apart.
+TURN_S = 2.0
 # How far gravity must have turned within that, as a root mean square, before its turning says anything; and how well
 # both must correlate: below, what turned was the acceleration of the walk and not gravity.
-LEAST_TURN_RAD = 0.05
-LEAST_CORRELATION = 0.6
+LEAST_TURN_RAD = 0.03
+LEAST_CORRELATION = 0.4
 LEAST_S = 10.0
 
 

@@ -72,8 +72,10 @@ def _detect_among(members: Members) -> str:
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
     # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
-    return of_apps[0] if of_apps and not (of_apps == ["phyphox"] and "table" in found) else (
-        "table" if "table" in found else "own"
+    return (
+        of_apps[0]
+        if of_apps and not (of_apps == ["phyphox"] and "table" in found)
+        else ("table" if "table" in found else "own")
     )
 
 

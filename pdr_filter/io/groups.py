@@ -86,9 +86,7 @@ def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[i
     return [Column(first + i, name, bare, axes[i]) for i, name in enumerate(names)], times
 
 
-def _triples(
-    sheet: Sheet, columns: Sequence[Column], times: Sequence[int]
-) -> list[tuple[str, list[Column], int]]:
+def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
     """Quantity and the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
@@ -152,7 +150,7 @@ def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence
         of = _sensor_of_time(name)
         is_other = bool(of) and of != quantity
         # among those of no sensor, numbers before dates; among its own, what comes just before it
-        return is_other, of != quantity, time in sheet.dates, (first - time) if 0 < first - time else 1000 + time
+        return is_other, of != quantity, time in sheet.dates, (first - time) if first - time > 0 else 1000 + time
 
     return min(times, key=order)
 

@@ -27,8 +27,10 @@ _G_OF_GRAVITY = (0.8, 1.25)
 _LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
 # A gyroscope in deg/s that is taken for one in rad/s makes gravity turn 57 times too little.
 _DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
-_NAMES = {"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux"}
-_NAMES |= {"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s", "i": "cm"}
+_NAMES = {
+    **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+}
 # Unix time now, in each unit, is above this; no clock that counts from the start of a phone gets there.
 _EPOCH_FROM = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 5e8}
 
@@ -66,8 +68,10 @@ class _Stream:
         return UNITS[self.group.quantity].get(self.unit, 1.0)
 
 
-def guess(data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str) -> Guess:
-    """The mapping of these tables; RecordingError if there is no acceleration with gravity, or its sign is not known."""
+def guess(
+    data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
+) -> Guess:
+    """The mapping of these tables; RecordingError without an acceleration with gravity, or if its sign is not known."""
     app = "" if dialect is None else dialect.app
     result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
     rate_hz = _rate_of_rows(data, groups, dialect, where)
@@ -175,7 +179,9 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
         if not best.is_unit_declared:
             best = replace(best, unit=gravity.unit)
         best = replace(best, group=replace(best.group, quantity=LINEAR))
-        result.evidence.append(f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}")
+        result.evidence.append(
+            f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}"
+        )
         return [best, gravity]
     seen = (linear or found)[0]
     app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
@@ -218,8 +224,10 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
     quantity, name = s.group.quantity, s.group.name
     if quantity == RATE:
         factor = turning(time_s, force, s.time_s, s.values * (s.factor if s.unit else 1.0))
-        turns = "gravity hardly turns, so that it cannot be checked" if factor is None else (
-            f"gravity turns {factor:.2f} times as far as it says"
+        turns = (
+            "gravity hardly turns, so that it cannot be checked"
+            if factor is None
+            else (f"gravity turns {factor:.2f} times as far as it says")
         )
         if not s.unit:
             is_deg = median_norm(s.values) > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS
@@ -257,8 +265,8 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
         return -1 if platform == "ios" else 1
     if dialect is None and forces[0].unit == "g":
         raise RecordingError(
-            f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying face "
-            "up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"
+            f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
+            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"
         )
     result.notes.append(
         "accelerometer: nothing in the file shows its sign, so Android's is taken; if a phone lying face up reads "

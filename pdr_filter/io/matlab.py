@@ -18,7 +18,7 @@ import numpy as np
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.sheets import ArraySheet, Sheet, unlike
+from pdr_filter.io.sheets import ArraySheet, unlike
 from pdr_filter.values import FloatArray, IntArray
 
 _HEAD = b"MATLAB 5.0 MAT-file"
@@ -38,7 +38,7 @@ def is_matlab(head: bytes) -> bool:
     return head.startswith((_HEAD, _HEAD_OF_7_3))
 
 
-def matlab_sheets(members: Members, name: str) -> list[Sheet]:
+def matlab_sheets(members: Members, name: str) -> list[ArraySheet]:
     """The tables in a MATLAB file."""
     where = members.where(name)
     content = members.whole(name, limits.MAX_UNPACKED_BYTES)
@@ -88,9 +88,9 @@ class _File:
             else:
                 self.variables[found[0]] = found[1]
 
-    def sheets(self, where: str) -> list[Sheet]:
+    def sheets(self, where: str) -> list[ArraySheet]:
         """A table of each timetable, and one of all columns of the same length."""
-        found: list[Sheet] = []
+        found: list[ArraySheet] = []
         plain: dict[int, dict[str, FloatArray]] = {}
         for name, value in list(self.variables.items())[: limits.MAX_TABLES]:
             if isinstance(value, _Opaque) and value.kind == "timetable":
@@ -200,7 +200,7 @@ class _File:
         shape, name = self._array(*parts[1]).astype(int), parts[2][1].decode("latin-1")
         values = parts[3:]
         if kind in _NUMERIC:
-            array = self._array(*values[0]).astype(np.float64 if kind <= 7 else None)
+            array = self._array(*values[0]).astype(np.float64) if kind <= 7 else self._array(*values[0])
             if flags & _COMPLEX and len(values) > 1:
                 array = array + 1j * self._array(*values[1])
             return name, array.reshape(shape, order="F")
@@ -229,7 +229,9 @@ class _File:
 
 
 def _is_object(value: Any) -> bool:
-    return isinstance(value, _Opaque) or (isinstance(value, np.ndarray) and value.size >= 6 and value.flat[0] == _OBJECT)
+    return isinstance(value, _Opaque) or (
+        isinstance(value, np.ndarray) and value.size >= 6 and value.flat[0] == _OBJECT
+    )
 
 
 def _object_number(value: Any) -> int:

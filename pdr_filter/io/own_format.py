@@ -67,7 +67,9 @@ def _folder(members: Members) -> str:
     """The folder of the recording inside a zip, with its slash; empty if its files are in none."""
     path = members.path
     if not members.is_container and path.name == REQUIRED:
-        raise RecordingError(f"{path}: one sensor of a recording; give the folder that holds {REQUIRED}, or its zip file")
+        raise RecordingError(
+            f"{path}: one sensor of a recording; give the folder that holds {REQUIRED}, or its zip file"
+        )
     if not members.is_container:
         raise RecordingError(
             f"{path}: no format that is known by its content; give a zip file or the folder of a recording, or a table "

@@ -26,7 +26,9 @@ from pdr_filter.values import FloatArray, IntArray
 MCAP = b"\x89MCAP0\r\n"
 _BAGS = (".mcap", ".db3")
 _MAX_TOPICS = 1000
-IMU, FIELD, PRESSURE, PLACE = (f"sensor_msgs/msg/{name}" for name in ("Imu", "MagneticField", "FluidPressure", "NavSatFix"))
+IMU, FIELD, PRESSURE, PLACE = (
+    f"sensor_msgs/msg/{name}" for name in ("Imu", "MagneticField", "FluidPressure", "NavSatFix")
+)
 
 
 def looks_like(head: bytes) -> bool:
@@ -187,6 +189,7 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
     left = max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * len(content))
     schemas: dict[int, str] = {}
     topics: dict[int, tuple[str, str]] = {}
+
     def records() -> Iterator[Any]:
         nonlocal left
         for record in StreamReader(io.BytesIO(content), emit_chunks=True, record_size_limit=len(content)).records:
@@ -209,7 +212,16 @@ def _of_mcap(members: Members, name: str, seen: dict[str, str]) -> Messages:
                     topics[record.id] = (record.topic, kind)
             elif isinstance(record, Message) and record.channel_id in topics:
                 yield *topics[record.channel_id], record.log_time, record.data
-    except (McapError, struct.error, ValueError, EOFError, LookupError, OverflowError, TypeError, AttributeError) as error:
+    except (
+        McapError,
+        struct.error,
+        ValueError,
+        EOFError,
+        LookupError,
+        OverflowError,
+        TypeError,
+        AttributeError,
+    ) as error:
         if isinstance(error, RecordingError):
             raise
         words = str(error)[:100] or type(error).__name__

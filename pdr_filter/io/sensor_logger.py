@@ -87,9 +87,9 @@ def sessions_of(members: Members) -> list[str]:
 def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recording:
     """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
 
-    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific force
-    is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude that
-    contradicts the sign.
+    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific
+    force is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude
+    that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
@@ -102,8 +102,8 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
             export = _Export(sensors=push_tables(members, first, COLUMNS))
             if (n := max(map(len, export.sensors.values()), default=0)) < limits.MIN_SAMPLES:
                 raise RecordingError(
-                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages of "
-                    "the recording into one file, one behind the other"
+                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages "
+                    "of the recording into one file, one behind the other"
                 )
         elif not members.is_container or head.lstrip()[:1] == b"[":
             export = _read_json(members, first)
@@ -198,15 +198,16 @@ def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
             parsed.notes.append(f"no platform in Metadata; {platform}, because Gravity points {way} in Orientation")
             return platform
     raise RecordingError(
-        f"{parsed.path}: Metadata names no platform (found {named or 'nothing'!r}), and the signs of iOS and Android are "
-        "opposite; export with Metadata.csv, or say it with pdr-filter convert FILE --platform ios, or android"
+        f"{parsed.path}: Metadata names no platform (found {named or 'nothing'!r}), and the signs of iOS and Android "
+        "are opposite; export with Metadata.csv, or say it with pdr-filter convert FILE --platform ios, or android"
     )
 
 
 def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
     """Values interpolated linearly, NaN where the sensor has a hole."""
-    zero_ns = sensor.whole.min() if len(sensor) else 0
-    return interpolated((time_ns - zero_ns) * 1e-9, (sensor.whole - zero_ns) * 1e-9, sensor.values)
+    zero_ns = int(sensor.whole.min()) if len(sensor) else 0
+    at_s, known_s = ((ns - zero_ns).astype(np.float64) * 1e-9 for ns in (time_ns, sensor.whole))
+    return interpolated(at_s, known_s, sensor.values)
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:

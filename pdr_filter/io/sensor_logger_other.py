@@ -1,8 +1,8 @@
 """Sensor Logger's database, with a table for each sensor, and the messages that it pushes while it records.
 
-A message is `{"messageId", "sessionId", "deviceId", "payload": [{"name", "time", "values": {...}}]}`, with names in lower
-case and whole nanoseconds since 1970 (github.com/tszheichoi/awesome-sensor-logger, PUSHING.md). Messages may arrive in
-any order; a file of them is an array, one message, or one after the other.
+A message is `{"messageId", "sessionId", "deviceId", "payload": [{"name", "time", "values": {...}}]}`, with names in
+lower case and whole nanoseconds since 1970 (github.com/tszheichoi/awesome-sensor-logger, PUSHING.md). Messages may
+arrive in any order; a file of them is an array, one message, or one after the other.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
     wanted = members.inside or next(iter(sessions), "")
     if wanted not in sessions or (not members.inside and len(sessions) > 1):
         raise RecordingError(
-            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); name one of them behind the path"
+            f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); name one behind the path"
         )
     known = {sensor.lower(): sensor for sensor in columns}
     rows: dict[str, list[tuple[int, list[float]]]] = {}

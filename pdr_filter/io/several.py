@@ -27,9 +27,7 @@ def parts_of(path: Path, format_of: Callable[[Members, str], str]) -> list[str]:
     return parts if len(parts) > 1 else []
 
 
-def recordings_among(
-    members: Members, names: Iterable[str], format_of: Callable[[Members, str], str]
-) -> list[str]:
+def recordings_among(members: Members, names: Iterable[str], format_of: Callable[[Members, str], str]) -> list[str]:
     """Folders, and files, of which each is one recording; "." is the folder of all.
 
     A file with an accelerometer alone and files of other sensors beside it are one, with whatever lies there, too.

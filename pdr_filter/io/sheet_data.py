@@ -79,7 +79,7 @@ def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
     first = found.get("accelerometer", (np.empty(0), 1.0, np.empty(0)))
     whole = [ticks for ticks, _, _ in found.values() if ticks.dtype.kind == "i"]
     # Whole numbers need all their digits: made relative before they become seconds.
-    zero, zero_unit_s = (0, 1.0) if not whole or not len(first[0]) else (first[0][0], first[1])
+    zero, zero_unit_s = (0, 1.0) if not whole or not len(first[0]) else (first[0][0].item(), first[1])
     for name, (ticks, unit_s, values) in found.items():
         if name not in (GRAVITY, LINEAR):
             parsed.streams[name] = (_seconds(ticks, unit_s, zero, zero_unit_s), values)
@@ -116,18 +116,17 @@ def _summed(
     linear: tuple[IntArray | FloatArray, float, FloatArray], gravity: tuple[IntArray | FloatArray, float, FloatArray]
 ) -> tuple[IntArray | FloatArray, float, FloatArray]:
     """Linear acceleration and gravity, which may have other times."""
-    zero = linear[0][0] if len(linear[0]) else 0
+    zero = linear[0][0].item() if len(linear[0]) else 0
     at_s = _seconds(linear[0], linear[1], zero, linear[1])
     known_s = _seconds(gravity[0], gravity[1], zero, linear[1])
     known = ~np.isnan(known_s)
     return linear[0], linear[1], linear[2] + interpolated(at_s, known_s[known], gravity[2][known])
 
 
-def _seconds(
-    ticks: IntArray | FloatArray, unit_s: float, zero: int | float | np.generic, zero_unit_s: float
-) -> FloatArray:
+def _seconds(ticks: IntArray | FloatArray, unit_s: float, zero: float, zero_unit_s: float) -> FloatArray:
+    """Times in s from a time that is an int if it is that of whole numbers."""
     if unit_s == zero_unit_s or zero == 0:
-        return (ticks - zero).astype(np.float64) * unit_s
+        return np.asarray(ticks - zero, dtype=np.float64) * unit_s
     return ticks.astype(np.float64) * unit_s - float(zero) * zero_unit_s
 
 

@@ -10,7 +10,6 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
-from typing import Protocol
 
 import numpy as np
 
@@ -29,32 +28,17 @@ _LINES_COMPARED = 8
 _LARGEST_FLOAT_WHOLE = 2**53
 
 
-class Sheet(Protocol):
-    """A table of any source: a text, a sheet of a spreadsheet, a variable of MATLAB."""
-
-    name: str  # of the file or sheet, without folder and suffix
-    where: str  # for messages
-    fields: tuple[str, ...]
-    about: str  # the lines above the table
-    dates: frozenset[int]  # columns of dates and clock times, which `table` gives in whole nanoseconds
-    exact: frozenset[int]  # columns that only whole numbers hold
-
-    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
-        """These columns as floats, and one as whole numbers."""
-        ...
-
-
 @dataclass(frozen=True, slots=True)
 class ArraySheet:
     """A table whose columns are in memory: floats, or int64 nanoseconds."""
 
-    name: str
-    where: str
+    name: str  # of the sheet or variable
+    where: str  # for messages
     fields: tuple[str, ...]
     columns: tuple[FloatArray | IntArray, ...]
-    about: str = ""
-    dates: frozenset[int] = frozenset()
-    exact: frozenset[int] = frozenset()
+    about: str = ""  # what is above the table
+    dates: frozenset[int] = frozenset()  # columns of dates and clock times, in whole nanoseconds
+    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
 
     def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
         """These columns as floats, and one as whole numbers."""
@@ -68,12 +52,12 @@ class ArraySheet:
 class TextSheet:
     """A table in a text, whose rows are parsed when they are asked for."""
 
-    name: str
-    where: str
+    name: str  # of the file, without folder and suffix
+    where: str  # for messages
     fields: tuple[str, ...]
-    about: str
-    dates: frozenset[int]
-    exact: frozenset[int]
+    about: str  # the lines above the table
+    dates: frozenset[int]  # columns of dates and clock times, which `table` gives in whole nanoseconds
+    exact: frozenset[int]  # columns that only whole numbers hold
     separator: str
     decimal: str
     n_before: int  # lines before the first row
@@ -106,13 +90,20 @@ class TextSheet:
                 raise RecordingError(f"{self.where}: {error}") from error
 
 
+Sheet = ArraySheet | TextSheet
+
+
 def text_sheet(members: Members, member: str, separator: str | None = None) -> TextSheet | None:
     """The table in a text; None if it holds none."""
     head = members.head(member)
     if b"\x00" in head[:4096]:
         return None
     lines = _lines(head)
-    found = max((layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))), key=lambda f: f.score, default=None)
+    found = max(
+        (layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))),
+        key=lambda f: f.score,
+        default=None,
+    )
     if found is None:
         return None
     named, row = found.header, found.row

@@ -14,7 +14,7 @@ from pdr_filter.io.archive import Members
 from pdr_filter.io.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.files import read_small
-from pdr_filter.io.sheets import ArraySheet, Sheet, unlike
+from pdr_filter.io.sheets import ArraySheet, unlike
 from pdr_filter.io.table import to_number
 from pdr_filter.values import FloatArray, IntArray
 
@@ -34,7 +34,7 @@ def is_spreadsheet(members: Members, name: str = "") -> bool:
     return members.head(name or members.names[0], 8) == _OLD
 
 
-def spreadsheet_sheets(members: Members) -> list[Sheet]:
+def spreadsheet_sheets(members: Members) -> list[ArraySheet]:
     """The tables in a spreadsheet."""
     path = members.path
     try:
@@ -90,8 +90,12 @@ def _sheet(name: str, rows: list[list[Any]], where: str) -> ArraySheet | None:
     columns: list[FloatArray | IntArray] = []
     for i in range(n):
         values = [row[i] if i < len(row) else "" for row in rows[first:]]
-        columns.append(_nanoseconds(values, where) if i in dates else np.array([_number(v) for v in values], dtype=float))
-    about = "\n".join(" ".join(str(v) for v in row if str(v).strip())[:200] for row in rows[:first] if row is not header)
+        columns.append(
+            _nanoseconds(values, where) if i in dates else np.array([_number(v) for v in values], dtype=float)
+        )
+    about = "\n".join(
+        " ".join(str(v) for v in row if str(v).strip())[:200] for row in rows[:first] if row is not header
+    )
     return ArraySheet(name, where, unlike(names + [""] * (n - len(names))), tuple(columns), about, dates)
 
 

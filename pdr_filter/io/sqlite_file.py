@@ -62,12 +62,18 @@ def open_database(members: Members, name: str) -> Generator[Database]:
         connection.execute("PRAGMA trusted_schema = OFF")
         connection.setlimit(sqlite3.SQLITE_LIMIT_LENGTH, limits.MAX_LINE_BYTES)
         connection.set_progress_handler(broken_off, _STEPS_A_CALL)
-        connection.set_authorizer(lambda kind, *_: sqlite3.SQLITE_OK if kind in _ALLOWED else sqlite3.SQLITE_DENY)
+        connection.set_authorizer(_authorised)
         yield Database(connection, where)
     except (sqlite3.Error, UnicodeDecodeError, OverflowError) as error:
-        raise RecordingError(f"{where}: this database is damaged or not one of samples ({error}); export it again") from error
+        raise RecordingError(
+            f"{where}: this database is damaged or not one of samples ({error}); export it again"
+        ) from error
     finally:
         connection.close()
+
+
+def _authorised(kind: int, *_: object) -> int:
+    return sqlite3.SQLITE_OK if kind in _ALLOWED else sqlite3.SQLITE_DENY
 
 
 def _quoted(name: str) -> str:

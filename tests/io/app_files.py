@@ -293,7 +293,9 @@ def wall_clock(time_s: np.ndarray) -> list[str]:
     """Dates as MATLAB Mobile writes them, with more digits."""
     start = np.datetime64("2023-03-16T23:59:58", "us")  # midnight lies within
     dates = [str(start + np.timedelta64(round(t * 1e6), "us")) for t in time_s.tolist()]
-    return [f"{d[8:10]}-Mar-{d[:4]} {d[11:]}" if len(d) > 19 else f"{d[8:10]}-Mar-{d[:4]} {d[11:]}.000000" for d in dates]
+    return [
+        f"{d[8:10]}-Mar-{d[:4]} {d[11:]}" if len(d) > 19 else f"{d[8:10]}-Mar-{d[:4]} {d[11:]}.000000" for d in dates
+    ]
 
 
 def physics_toolbox_text(recording: Recording) -> str:
@@ -309,7 +311,10 @@ def matlab_mobile_files(recording: Recording) -> dict[str, str]:
     names = {"accelerometer": "Acceleration", "gyroscope": "AngularVelocity", "magnetometer": "MagneticField"}
     return {
         f"{name}.csv": table_text(
-            {f"{name}_Timestamp": wall_clock(samples.time_s), **{k.upper(): v for k, v in axes("%", samples.values).items()}}
+            {
+                f"{name}_Timestamp": wall_clock(samples.time_s),
+                **{k.upper(): v for k, v in axes("%", samples.values).items()},
+            }
         )
         for stream, name in names.items()
         if (samples := recording.streams.get(stream)) is not None
@@ -331,7 +336,9 @@ WORKBOOK = (
     '<workbook xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" '
     'xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships"><sheets>{sheets}</sheets></workbook>'
 )
-RELATIONS = '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">{inside}</Relationships>'
+RELATIONS = (
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">{inside}</Relationships>'
+)
 OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
 
 
@@ -340,7 +347,7 @@ def xlsx_files(sheets: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, str]
     files: dict[str, str] = {}
     listed = links = ""
     for n, (name, columns) in enumerate(sheets.items(), 1):
-        rows = [[f'<is><t>{key}</t></is>' for key in columns]]
+        rows = [[f"<is><t>{key}</t></is>" for key in columns]]
         rows += [[f"<v>{v!r}</v>" for v in row] for row in np.column_stack([*columns.values()]).tolist()]
         cells = "".join(
             f'<row r="{i}">'
@@ -360,7 +367,9 @@ def xlsx_files(sheets: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, str]
     root = f'<Relationship Id="rId1" Type="{OFFICE}/officeDocument" Target="xl/workbook.xml"/>'
     files["_rels/.rels"] = RELATIONS.format(inside=root)
     types = "http://schemas.openxmlformats.org/package/2006/content-types"
-    files["[Content_Types].xml"] = f'<Types xmlns="{types}"><Default Extension="xml" ContentType="application/xml"/></Types>'
+    files["[Content_Types].xml"] = (
+        f'<Types xmlns="{types}"><Default Extension="xml" ContentType="application/xml"/></Types>'
+    )
     return files
 
 
@@ -454,8 +463,12 @@ def write_db3(path: Path, messages: list[tuple[int, bytes]], kind: str = "sensor
 
     path.unlink(missing_ok=True)
     with sqlite3.connect(path) as connection:
-        connection.execute("CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)")
-        connection.execute("CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)")
+        connection.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        connection.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
         connection.execute("INSERT INTO topics VALUES (1, '/imu', ?, 'cdr')", (kind,))
         connection.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", messages)
     connection.close()
