@@ -125,8 +125,8 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     columns = [name.replace('"', "'") for name in (*fields, "?", "?", "?", "?")]
     return (
         f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what "
-        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a "
-        f"phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
+        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if "
+        f"a phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
         f'time = {{ column = "{columns[0]}", unit = "s" }}\n'
         f'accelerometer = {{ columns = ["{columns[1]}", "{columns[2]}", "{columns[3]}"], unit = "m/s2", sign = 1 }}\n'
     )

@@ -239,7 +239,7 @@ def _unpacked(compression: str, data: bytes, claimed: int, most: int, where: str
     except KeyError:
         raise RecordingError(f"{where}: compressed with {compression[:20]!r}; known are {', '.join(_UNPACK)}") from None
     try:
-        unpacked = unpack(data, claimed)
+        unpacked = unpack(data, claimed + 1)
     except RuntimeError as error:  # of lz4
         raise ValueError(error) from error
     if len(unpacked) != claimed:

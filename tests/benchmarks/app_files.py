@@ -63,7 +63,23 @@ FILES = (
 )
 
 
-def row_of(known: Known, folder: Path) -> list[str]:
+@dataclass(frozen=True)
+class Row:
+    """What came of a file."""
+
+    what: str
+    is_right: bool
+    steps: str = ""
+    gravity: str = ""
+    turning: str = ""
+
+    def cells(self, known: Known) -> list[str]:
+        """A row of the table."""
+        right = "yes" if self.is_right else "NO"
+        return [known.path, known.app, self.what, right, self.steps, known.steps, self.gravity, self.turning]
+
+
+def row_of(known: Known, folder: Path, with_steps: bool = True) -> Row:
     """What comes of a file, and whether that is right."""
     path = folder / known.path
     one = recordings_in(path) == [path]
@@ -72,25 +88,18 @@ def row_of(known: Known, folder: Path) -> list[str]:
     except RecordingError as error:
         words = str(error)
         # A refusal is right if it gives the reason and never asks for what is there or calls the file a broken zip.
-        is_right = bool(known.refusal) and known.refusal in words and "not a zip" not in words and "add that" not in words
-        return [known.path, known.app, f"refused: {known.reason}", "yes" if is_right else "NO", "", known.steps, "", ""]
+        is_right = (
+            bool(known.refusal) and known.refusal in words and "not a zip" not in words and "add that" not in words
+        )
+        return Row(f"refused: {known.reason}", is_right)
     force, gyroscope = recording.accelerometer, recording.gyroscope
     gravity = constant_part(force.time_s, force.values) / STANDARD_GRAVITY_MPS2
     factor = None
     if gyroscope is not None:
         factor = turning(force.time_s, force.values, gyroscope.time_s, gyroscope.values)
-    source = reading_report(recording).source
-    is_right = not known.refusal and known.app in source and one and 0.7 < gravity < 1.4
-    return [
-        known.path,
-        known.app,
-        "read",
-        "yes" if is_right else "NO",
-        str(pdr.track(recording).n_steps),
-        known.steps,
-        f"{gravity:.2f}",
-        "" if factor is None else f"{factor:.2f}",
-    ]
+    is_right = not known.refusal and known.app in reading_report(recording).source and one and 0.7 < gravity < 1.4
+    steps = str(pdr.track(recording).n_steps) if with_steps else ""
+    return Row("read", is_right, steps, f"{gravity:.2f}", "" if factor is None else f"{factor:.2f}")
 
 
 def main() -> None:
@@ -98,9 +107,10 @@ def main() -> None:
     parser = options(__doc__)
     parser.add_argument("--files", type=Path, default=DATA.parent / "app_files")
     args = parser.parse_args()
-    rows = [row_of(known, args.files) for known in FILES]
+    found = [row_of(known, args.files) for known in FILES]
+    rows = [row.cells(known) for row, known in zip(found, FILES, strict=True)]
     columns = ["file", "app", "what happens", "right", "steps", "walker's count", "gravity", "turning"]
-    n_right = sum(row[3] == "yes" for row in rows)
+    n_right = sum(row.is_right for row in found)
     about = f"{n_right} of {len(rows)} files are read or refused rightly."
     Tables.of(__spec__.name, args).write("app_files", columns, rows, about)
 

@@ -375,3 +375,16 @@ def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path) -> None
         any("gravity turns 1.0" in line for line in read_guessed(tmp_path / "walk.csv").guess.evidence)
         or unit == "deg/s"
     )
+
+
+@pytest.mark.recordings
+def test_real_files_of_apps_are_read_or_refused_rightly(data_dir: Path) -> None:
+    from tests.benchmarks.app_files import FILES, row_of
+
+    folder = data_dir.parent / "app_files"
+    if not folder.is_dir():
+        pytest.skip(f"no files of apps at {folder}")
+    there = {p.relative_to(folder).as_posix() for p in folder.glob("*/*")}
+    assert there == {known.path for known in FILES}
+    wrong = [known.path for known in FILES if not row_of(known, folder, with_steps=False).is_right]
+    assert wrong == []
