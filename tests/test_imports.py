@@ -89,6 +89,7 @@ ROOMS = [
     "aligned",
     "recording_run",
     "simulate",
+    "datasets",
     "evaluate",
     "offline",
     "training",

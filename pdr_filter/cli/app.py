@@ -1,6 +1,6 @@
 """The command `pdr-filter`: results on stdout, everything about the work on stderr.
 
-Exit codes: 0 all well; 1 some of several files failed; 2 the input or the options cannot be used.
+Exit codes: 0 all well; 1 some of several files failed; 2 all of them did, or the options cannot be used; 130 stopped.
 """
 
 from __future__ import annotations
