@@ -14,6 +14,7 @@ from .io.errors import RecordingError as RecordingError
 from .io.formats import read as read
 from .io.recording import MissingSensorError as MissingSensorError
 from .io.recording import Recording as Recording
+from .now import Now as Now
 from .offline.calibration.fit import calibrate as calibrate
 from .offline.smoothing.fixed_lag import FixedLagSmoother as FixedLagSmoother
 from .offline.smoothing.smooth import Smoothed as Smoothed

@@ -18,6 +18,7 @@ from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
+from pdr_filter.sensing.merging import StreamMerger
 from pdr_filter.values import DECLINATION_STD_RAD, Note
 
 
@@ -37,6 +38,7 @@ class Config:
     notes: tuple[Note, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
     person: Person | None = None  # whose step lengths the modes have
+    merger: StreamMerger = field(default_factory=StreamMerger)  # of sensors that arrive apart
 
     def __post_init__(self) -> None:
         heading, drift = self.sensing.heading, self.model.noise.heading_drift

@@ -20,6 +20,7 @@ from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
+from pdr_filter.sensing.merging import SENSORS, Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.values import (
     CONTEXTS,
     HARDLY_AGREE,
@@ -42,6 +43,8 @@ MAX_FIX_AGE_S = 60.0
 # A fix of the moment at which the sensors were switched on is one of their first sample.
 FIX_TOLERANCE_S = 1.0
 
+# Results of fixes that an app can still ask for.
+_N_LAST_FIXES = 16
 _STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 
 
@@ -99,6 +102,10 @@ class State:
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
+    merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
+    window: WindowContext | None = None  # the last one
+    last_fixes: tuple[FixResult, ...] = ()  # what became of them
+    last_update: StepUpdate | None = None  # of this segment
     finished: bool = False
 
     @property
@@ -141,6 +148,22 @@ def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
         state, output = _process(config, replace(state, sensing=sensing), events)
         whole.extend(output)
     return state, whole
+
+
+def arrive(
+    config: Config, state: State, sensor: Sensor, time_s: FloatArray, values: FloatArray
+) -> tuple[State, Output]:
+    """New state and output after samples (N,), (N, d) of one sensor, which wait for those of the others."""
+    if state.finished:
+        raise ValueError("the filter is finished: start a new one for further samples")
+    merger, merged = config.merger.step(state.merger, sensor, time_s, values)
+    return _with_merged(config, replace(state, merger=merger), merged)
+
+
+def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, Output]:
+    if len(merged.pressure_time_s):
+        state = add_pressure(config, state, merged.pressure_time_s, merged.pressure_hpa)
+    return step(config, state, merged.block) if len(merged.block.time_s) else (state, Output())
 
 
 # Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
@@ -218,8 +241,8 @@ _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
 def notes_of(config: Config, state: State) -> list[Note]:
     """What to keep in mind about the track so far: the same for a whole recording and for an app."""
-    report, seen = state.sensing.conditioner.report, state.seen
-    notes = [Note("samples", text) for text in report.notes()]
+    seen = state.seen
+    notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
     moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
@@ -233,6 +256,12 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if seen.unknown > notable:
         words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
         notes.append(Note("contexts", words + "contexts are unsure there"))
+    for sensor, last_s in config.merger.silent(state.merger):
+        notes.append(Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it"))
+    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
+        if stream.n_late:
+            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
+            notes.append(Note("samples", words + "and were left out"))
     if seen.stairs_unknown > notable:
         words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
         notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
@@ -296,7 +325,10 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     """
     if state.finished:
         return state, Output()
-    state, output = _process(config, state, config.sensing.finish(state.sensing))
+    merger, merged = config.merger.finish(state.merger)
+    state, output = _with_merged(config, replace(state, merger=merger), merged)
+    state, late = _process(config, state, config.sensing.finish(state.sensing))
+    output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last.updates, output)
@@ -324,10 +356,11 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             state = replace(state, height=height.on_window(state.height, event, config.model))
             context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)
-            state = replace(state, seen=state.seen.plus(context))
+            state = replace(state, seen=state.seen.plus(context), window=context)
             tracker, brought = config.tracker.on_window(state.tracker, context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+            state = replace(state, last_update=None)
         else:
             state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
@@ -363,7 +396,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
         output.updates.append(replace(update, **there))
-    return state if known is state.height else replace(state, height=known)
+    return replace(state, height=known, last_update=output.updates[-1]) if updates else state
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
@@ -397,6 +430,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
         state,
+        last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
         n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
     )

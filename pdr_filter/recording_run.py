@@ -49,6 +49,7 @@ from pdr_filter.values import (
     Step,
     Table,
     Windows,
+    check_fix,
     read_only,
     step_table,
     wrap_angle,
@@ -114,6 +115,8 @@ def track(
         the locations of the recording are used. With "magnetic" `fixes` are in a frame whose north is true north, and
         without fixes the track is turned about its start (`Track.frame` is "north").
     """
+    for fix in fixes:
+        check_fix(fix)
     with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
     with_location = with_location and not is_placed

@@ -81,6 +81,7 @@ ROOMS = [
     "recipes",
     "gnss",
     "filtering",
+    "now",
     "serialise",
     "online",
     "report",

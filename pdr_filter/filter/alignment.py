@@ -5,8 +5,9 @@ anything then, and a density over all turns, which the fixes that follow narrow:
 what it leaves between the fixes and the track, whose errors grow as the filter says. Positions are the mean and the
 covariance over that density, so that they are in the frame of the fixes from the first one on. A density that has
 become narrow is a rotation with a standard deviation, in which the filter is linear: the track goes over into the frame
-of the fixes for good (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors",
-Acta Cryst. A32, 1976, in the plane).
+of the fixes (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta
+Cryst. A32, 1976, in the plane). Where the heading is lost later on, in a time without samples, the turn is open again
+from there on, about the place where the track was.
 """
 
 from __future__ import annotations
@@ -83,12 +84,18 @@ class Alignment:
     track_centre_m: FloatArray  # (2,)
     world_centre_m: FloatArray  # (2,)
     centre_var_m2: float
-    n_steps: int  # steps that were reported in the frame of the start
+    n_steps: int  # steps that were reported before
+    since: int = 0  # of these, the first that was reported in the frame that it turns; all are in the world before
+
+    def turns(self, place: Place) -> bool:
+        """Whether a place was reported in the frame that it turns."""
+        return self.since <= place.n_steps < self.n_steps
 
     @property
     def rotation(self) -> FloatArray:
         """R, (2, 2), for columns east, north: headings grow by the angle."""
-        return _rotations(np.array([self.angle_rad]))[0]
+        c, s = math.cos(self.angle_rad), math.sin(self.angle_rad)
+        return np.array([[c, s], [-s, c]])
 
     def positions(self, track_m: FloatArray) -> FloatArray:
         """Positions (..., 2) in the world."""
@@ -177,18 +184,28 @@ class Frame:
     """Whether the track is in the frame of the fixes, and what is known of how to bring it there."""
 
     is_joined: bool
-    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is
+    since: int = 0  # steps before the heading was lost and the frame with it, zero for that of the start
+    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is; where the heading was lost the place there before them
     agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
     turn: OpenTurn | None = None  # from the first of them on, as they show it
     compass: Compass | None = None  # until it is
+    north_var_rad2: float = math.inf  # of the turn before any position fix: infinite if it may be anything
+    north: Alignment | None = None  # how a heading fix had turned the frame of the start before the position fixes
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
-    north: Alignment | None = None  # how a heading fix had turned the frame of the start before
-    moves: tuple[Alignment, ...] = ()  # how fixes moved the track later on, each from its step on (`doubt`)
+    later: tuple[Alignment, ...] = ()  # how frames after a lost heading became it, and how fixes moved the track
 
     @property
-    def north_var_rad2(self) -> float:
-        """Variance of the turn before any position fix: infinite if it may be anything."""
-        return math.inf if self.north is None else self.north.angle_var_rad2
+    def moves(self) -> tuple[Alignment, ...]:
+        """How fixes moved the track, each from its step on (`doubt`)."""
+        return tuple(turn for turn in self.later if turn.since == turn.n_steps)
+
+    @property
+    def turn_var_rad2(self) -> float:
+        """Variance of a turn that is not in the filter's states: of a frame that is joined, none."""
+        if self.is_joined:
+            return 0.0
+        known = self._open
+        return known.angle_var_rad2 if known else 0.0 if self.compass is None else self.compass.std_rad**2
 
     @property
     def is_known(self) -> bool:
@@ -208,11 +225,12 @@ class Frame:
         return None if self.turn is None else self.turn.with_compass(self.compass)
 
     def world(self, place: Place) -> Place:
-        """A place that was reported in the frame of the start, by what is known now."""
-        if self.north is not None and place.n_steps < self.north.n_steps:
-            place = self.north.world(place)
-        if self.alignment is not None:
-            return self.alignment.world(place)
+        """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
+        for turn in (self.north, self.alignment, *self.later):
+            if turn is not None and turn.turns(place):
+                place = turn.world(place)
+        if self.is_joined or place.n_steps < self.since:
+            return place
         if self._open is not None:
             return self._open.world(place)
         if self.compass is None:
@@ -259,12 +277,39 @@ class Frame:
         return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
-        """After a heading fix has turned the frame of the start: what is left of the turn is as unsure as the fix."""
-        return replace(self, north=north, compass=None)._turned()
+        """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
+        known = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
+        known = replace(known, later=(*self.later, north)) if self.since else replace(known, north=north)
+        return known._turned()
 
     def with_compass(self, compass: Compass) -> Frame:
         """With what the magnetic field says by now; a heading fix knows better."""
-        return self if self.is_joined or self.north is not None else replace(self, compass=compass)
+        return replace(self, compass=compass) if self.is_open else self
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing but positions and the magnetic field has settled the turn."""
+        return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+
+    def joined(self, alignment: Alignment) -> Frame:
+        """With the turn settled."""
+        frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
+        if self.since == 0:
+            return replace(frame, alignment=alignment)
+        return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
+
+    def opened(self, pair: PairedPoint, turn_var_rad2: float, n_steps: int) -> Frame:
+        """With the turn open again from the place of a pair on, where the heading was lost."""
+        var = turn_var_rad2 if turn_var_rad2 < MAX_HEADING_VARIANCE else math.inf
+        return replace(self, is_joined=False, since=n_steps, pairs=(pair,), north_var_rad2=var)._turned()
+
+    def most_probable(self, n_steps: int) -> Alignment:
+        """The alignment of a turn that stays open, for what comes after."""
+        turn, of_each = self.drawn().turn, centre_weights(self.agreeing)
+        assert turn is not None and turn.drawn is not None
+        centre_m = of_each @ np.stack([p.track_m for p in self.agreeing])
+        world_m = _ROTATIONS[turn.drawn] @ centre_m + turn.origin_m[turn.drawn]
+        return Alignment(turn.angle_rad, turn.angle_var_rad2, centre_m, world_m, turn.origin_var_m2, n_steps)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
@@ -276,23 +321,24 @@ UNKNOWN_FRAME = Frame(is_joined=False)
 
 
 class _LeastSquares(NamedTuple):
-    """Pairs in the frame of the start, less the shift that fits each turn best."""
+    """Pairs in the frame of the start, less the shift that fits each turn best; both axes are alike."""
 
-    weight: FloatArray  # (2 N, 2 N) inverse covariance of the errors
-    projected: FloatArray  # (2 N, 2 N) the same with the best shift taken off
-    shift_weight: FloatArray  # (2, 2) inverse covariance of the shift
-    track: FloatArray  # (2 N,)
+    projected: FloatArray  # (N, N) inverse covariance of the errors along one axis with the best shift taken off
+    of_each: FloatArray  # (N,) how much each counts in the best shift: one in sum
+    shift_var_m2: float
+    track: FloatArray  # (N, 2)
 
 
 def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
     """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
-    weight = np.kron(np.linalg.inv(_fix_cov(pairs) + shared), np.eye(2))
-    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
-    shift_weight = ones.T @ weight @ ones
-    projected = weight - weight @ ones @ np.linalg.solve(shift_weight, ones.T @ weight)
-    return _LeastSquares(weight, projected, shift_weight, np.concatenate([p.track_m for p in pairs]))
+    weight = np.linalg.inv(_fix_cov(pairs) + shared)
+    of_each = weight.sum(axis=0)
+    information = float(of_each.sum())
+    projected = weight - of_each[:, None] * of_each / information
+    track_m = np.stack([p.track_m for p in pairs])
+    return _LeastSquares(projected, of_each / information, 1.0 / information, track_m)
 
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
@@ -308,8 +354,8 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
 
 def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
     """Sum of squared errors over their covariance for each turn (A,), what is known of the north among them."""
-    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
-    return ((away @ fit.projected) * away).sum(axis=1) + _ANGLES_RAD**2 / north_var_rad2
+    away = _turned_back(pairs, _ROTATIONS) - fit.track
+    return ((fit.projected @ away) * away).sum(axis=(1, 2)) + _ANGLES_RAD**2 / north_var_rad2
 
 
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
@@ -317,11 +363,9 @@ def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) ->
     fit = _least_squares(pairs)
     square = _squares(pairs, fit, north_var_rad2)
     prob = np.exp(-0.5 * (square - square.min()))
-    ones = np.kron(np.ones((len(pairs), 1)), np.eye(2))
-    away = _turned_back(pairs, _ANGLES_RAD) - fit.track
-    shift = np.linalg.solve(fit.shift_weight, ones.T @ fit.weight @ away.T).T
+    shift = fit.of_each @ (_turned_back(pairs, _ROTATIONS) - fit.track)
     origin_m = np.einsum("aij,aj->ai", _ROTATIONS, shift)
-    return OpenTurn(prob / prob.sum(), origin_m, 2.0 / float(np.trace(fit.shift_weight)))
+    return OpenTurn(prob / prob.sum(), origin_m, fit.shift_var_m2)
 
 
 def align(
@@ -340,22 +384,20 @@ def align(
     fit = _least_squares(pairs)
     angle_rad, information = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0
     for _ in range(5):
-        back = _turned_back(pairs, np.array([angle_rad]))[0]
-        slope = np.stack([-back[1::2], back[::2]], axis=1).ravel()
+        back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
+        slope = np.stack([-back[:, 1], back[:, 0]], axis=1)
         of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
-        information = float(slope @ fit.projected @ slope) + 1.0 / north_var_rad2 + of_compass
-        pull = float(slope @ fit.projected @ (back - fit.track)) + angle_rad / north_var_rad2
+        of_fixes = fit.projected @ slope
+        information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
+        pull = float((of_fixes * (back - fit.track)).sum()) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
-    of_each = centre_weights(pairs)
-    track, world = np.stack([p.track_m for p in pairs]), np.stack([p.world_m for p in pairs])
-    centre_var = 2.0 / float(np.trace(fit.shift_weight))
-    return Alignment(angle_rad, 1.0 / information, of_each @ track, of_each @ world, centre_var, n_steps)
+    centre_m, world_m = fit.of_each @ fit.track, fit.of_each @ np.stack([p.world_m for p in pairs])
+    return Alignment(angle_rad, 1.0 / information, centre_m, world_m, fit.shift_var_m2, n_steps)
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
     """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
-    of_each = _least_squares(pairs).weight.reshape(len(pairs), 2, -1)[:, 0, ::2].sum(axis=1)
-    return of_each / of_each.sum()
+    return _least_squares(pairs).of_each
 
 
 def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
@@ -380,11 +422,9 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
     return pairs
 
 
-def _turned_back(pairs: Sequence[PairedPoint], angle_rad: FloatArray) -> FloatArray:
-    """The fixes turned back by each angle, (A, 2 N)."""
-    world = np.stack([p.world_m for p in pairs])
-    R = _ROTATIONS if angle_rad is _ANGLES_RAD else _rotations(angle_rad)
-    return (world @ R).reshape(len(angle_rad), -1)
+def _turned_back(pairs: Sequence[PairedPoint], rotations: FloatArray) -> FloatArray:
+    """The fixes turned back by each rotation, (A, N, 2)."""
+    return np.stack([p.world_m for p in pairs]) @ rotations
 
 
 def walked_var_m2(cov: FloatArray) -> float:

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, PairedPoint, align, walked_var_m2
+from pdr_filter.filter.alignment import Alignment, PairedPoint, align, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
@@ -23,6 +23,7 @@ from pdr_filter.filter.pedestrian import (
     own_place,
     parameters_cov,
     shared_cov,
+    with_open_turn,
 )
 from pdr_filter.values import (
     Fix,
@@ -54,6 +55,7 @@ def use_fix(
         return replace(state, standstills=standstills), "used", np.nan
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
+    state = with_open_turn(state)
     then = _place_at(state, fix.time_s)
     if then is None:
         return state, "rejected", np.inf
@@ -133,7 +135,8 @@ def _on_known_frame(
     doubted = state.doubt.pairs
     known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
     state = in_other_frame(known, alignment)
-    state = replace(state, frame=replace(state.frame, moves=(*state.frame.moves, alignment)))
+    moved = replace(alignment, since=alignment.n_steps)
+    state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), doubted)
     return state, "moved", nis
 
@@ -151,12 +154,15 @@ def _on_heading(
         return state, "nothing to compare", np.nan
     innovation = fix.walking_heading_rad - device_heading_rad - state.mean[:, HEADING_OFFSET]
     innovation = wrap_angle(innovation - offset_rad)
-    if not state.frame.is_joined and state.frame.north is None:
+    frame, var = state.frame, fix.std_rad**2
+    if frame.is_open:
         angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
-        turn = Alignment(angle_rad, fix.std_rad**2, np.zeros(2), np.zeros(2), 0.0, state.n_final)
+        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # of the fix against what is known before
+        about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
+        turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.n_final, frame.since)
         state = in_other_frame(state, turn)
         return replace(state, frame=state.frame.with_north(turn)), "used", np.nan
-    return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, fix.std_rad**2)
+    return _on_state(model, arithmetic, state, HEADING_OFFSET, innovation, var)
 
 
 def _on_speed(model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: SpeedFix) -> _Result:
@@ -221,8 +227,7 @@ def _on_first_positions(
     alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass)
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
-    joined = Frame(is_joined=True, alignment=alignment, north=frame.north)
-    state = replace(in_other_frame(state, alignment), frame=joined)
+    state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment))
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), agreeing)
     return state, "turned", nis
 

@@ -20,6 +20,7 @@ from pdr_filter.filter.pedestrian import (
     shared_cov,
     step_update,
     with_first_heading,
+    with_open_turn,
     with_step,
 )
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
@@ -69,7 +70,7 @@ class ImmTracker:
     def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, TrackerOutput]:
         """New state and the update of this step: mix, predict every mode, weigh by evidence, combine."""
         model, imm = self.model, self.arithmetic
-        pedestrian = with_first_heading(state.pedestrian, step)
+        pedestrian = with_first_heading(with_open_turn(state.pedestrian), step)
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Compass, Frame, Place, moved
+from pdr_filter.filter.alignment import Alignment, Compass, Frame, PairedPoint, Place, moved
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
@@ -21,7 +22,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, PositionFix, Step, read_only, wrap_angle
+from pdr_filter.values import CONTEXTS, FloatArray, PositionFix, Step, as_plain, read_only, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -58,6 +59,12 @@ class StepUpdate:
     height_m: float = 0.0
     height_std_m: float = 0.0
     floor: int = 0
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""
+        named = {f.name: getattr(self, f.name) for f in fields(self)}
+        contexts = dict(zip(CONTEXTS, self.context_prob, strict=True))
+        return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -183,6 +190,41 @@ def with_step(
         gap_s=0.0,
         trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],
         n_final=state.n_final + 1,
+    )
+
+
+# Half a radian: the step along a heading that is off by so much is an eighth shorter than a linear filter believes.
+_LOST_HEADING_VAR_RAD2 = 0.25
+
+
+def with_open_turn(state: PedestrianState) -> PedestrianState:
+    """State in the frame of fixes, whose turn is open again from here on if its heading has been lost.
+
+    Where it is becomes the first of the pairs that will show the turn, what is known of the heading the prior of that.
+    """
+    frame = state.frame
+    if not frame.is_known or float(state.prob @ state.cov[:, HEADING_OFFSET, HEADING_OFFSET]) < _LOST_HEADING_VAR_RAD2:
+        return state
+    if not frame.is_joined:
+        turn = frame.most_probable(state.n_final)
+        state = in_other_frame(state, turn)
+        frame = frame.joined(turn)
+    x, P = imm.combine(state.mean, state.cov, state.prob)
+    var_m2 = 0.5 * float(np.trace(position_cov(P, state)))
+    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else 0.0
+    here = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
+    mean, cov = state.mean.copy(), state.cov.copy()
+    mean[:, :LOG_SCALE] = x[:LOG_SCALE]
+    cov[:, :LOG_SCALE] = cov[:, :, :LOG_SCALE] = 0.0
+    return replace(
+        state,
+        mean=mean,
+        cov=cov,
+        shared_m=np.zeros_like(state.shared_m),
+        frame=frame.opened(here, float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
+        doubt=Doubt(),
+        last_fix=None,
+        gap_since_fix=False,
     )
 
 

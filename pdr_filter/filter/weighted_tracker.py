@@ -25,6 +25,7 @@ from pdr_filter.filter.pedestrian import (
     shared_cov,
     step_update,
     with_first_heading,
+    with_open_turn,
     with_step,
 )
 from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, window_after, window_around, with_window
@@ -122,7 +123,7 @@ class WeightedTracker:
         final = self._prob_of(state, window_after(state.windows, step.time_s)) if is_final else provisional
         weights = 0.5 * (context_weights(provisional, self.threshold) + context_weights(final, self.threshold))
         weights = weights[model.context_index]
-        before = state.pedestrian
+        before = with_open_turn(state.pedestrian)
         if is_known_to_stand(before, step):
             weights = 1.0 - model.moves
         length_m, var_m2, parameter_std_m = model.lengths(step)

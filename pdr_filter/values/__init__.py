@@ -24,12 +24,14 @@ from pdr_filter.values.fixes import (
     PositionFix,
     SpeedFix,
     Standstill,
+    check_fix,
     received_s,
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
+from pdr_filter.values.plain import as_plain
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
@@ -68,9 +70,11 @@ __all__ = [
     "TrackRows",
     "Windows",
     "as_floats",
+    "as_plain",
     "check_columns",
     "check_cov",
     "check_declared",
+    "check_fix",
     "check_numbers",
     "check_transition_prob",
     "check_whole",

@@ -437,6 +437,17 @@ def test_a_fix_from_another_time_is_refused_and_the_filter_goes_on_as_if_nothing
     np.testing.assert_array_equal(online.position_m, other.position_m)
 
 
+def test_a_fix_soon_after_a_gap_of_minutes_is_taken_while_its_samples_wait_to_be_confirmed(walk: Recording) -> None:
+    samples = pdr.merge_streams(walk)
+    online = pdr.OnlineFilter()
+    for part, later_s in ((slice(0, 8000), 0.0), (slice(8000, 8020), 300.0)):
+        online.push(samples.time_s[part] + later_s, samples.specific_force_mps2[part], samples.angular_rate_radps[part])
+    online.add_fix(PositionFix(380.1, np.zeros(2), np.eye(2)))
+    online.add_fix(PositionFix(79.9, np.zeros(2), np.eye(2)))
+    with pytest.raises(ValueError, match="the fix at 250"):
+        online.add_fix(PositionFix(250.0, np.zeros(2), np.eye(2)))
+
+
 def test_a_fix_within_a_minute_of_the_last_sample_is_taken(walk: Recording) -> None:
     samples = pdr.merge_streams(walk)
     now = int(np.searchsorted(samples.time_s, 80.0))

@@ -80,7 +80,8 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequ
         return Hindsight(track, np.zeros((0, 4)), np.zeros((0, 4, 4)))
     alignment = frames[0].alignment
     if alignment is not None:
-        passages = _in_world(passages, alignment)
+        for turn in (alignment, *frames[0].later):
+            passages = _in_world(passages, turn)
     passages = _with_moves(passages, frames[0].moves)
     smoothed = smooth_imm([*(p.before for p in passages), *last], [p.transition for p in passages])
     return _with_hindsight(track, smoothed, passages, alignment is not None)
@@ -116,9 +117,11 @@ def _in_world(passages: Sequence[Passage], alignment: Alignment) -> list[Passage
     found: list[Passage] = []
     n_steps = 0
     for passage in passages:
-        is_first = n_steps < alignment.n_steps
+        # the gap in which the heading was lost comes before the first step in the new frame
+        number = n_steps if passage.is_step or alignment.since == 0 else n_steps - 1
+        is_turned = alignment.since <= number and n_steps < alignment.n_steps
         n_steps += passage.is_step
-        if not is_first:
+        if not is_turned:
             found.append(passage)
             continue
         mean, cov = moved(passage.before.mean, passage.before.cov, alignment)

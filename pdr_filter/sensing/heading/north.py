@@ -102,13 +102,12 @@ class MagneticNorth:
             [state.samples, np.column_stack([block.magnetic_field_ut, attitude.quat, known.astype(float)])]
         )
         size, n_waiting = round(_READING_S * self.rate_hz), len(state.samples)
-        found: list[FloatArray] = []
-        for start in range(0, len(samples) - size + 1, size):
-            rows = samples[start : start + size]
-            if rows[:, _KNOWN].all():
-                found.append(_reading(rows, float(block.time_s[start + size - 1 - n_waiting])))
+        whole = samples[: len(samples) // size * size].reshape(-1, size, _SAMPLE_COLUMNS)
+        ends_s = block.time_s[np.arange(1, len(whole) + 1) * size - 1 - n_waiting]
+        is_known = whole[:, :, _KNOWN].all(axis=1)
+        found = _readings(whole[is_known], ends_s[is_known])
         samples = samples[len(samples) // size * size :]
-        readings = np.concatenate([state.readings, np.array(found).reshape(-1, _READING_COLUMNS)])
+        readings = np.concatenate([state.readings, found])
         state = replace(state, samples=samples, readings=readings)
         state, steps = self.finish(state, steps)
         recent = state.readings[:, _TIME] > block.time_s[-1] - _MAX_LATENCY_S
@@ -173,9 +172,9 @@ class MagneticNorth:
         return state, psi - self.declination_rad, math.sqrt(var)
 
 
-def _reading(rows: FloatArray, time_s: float) -> FloatArray:
-    """Time, mean field in the attitude's frame, and mean rotation, of whole samples."""
-    w, x, y, z = rows[:, _QUAT].T
+def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
+    """Time, mean field in the attitude's frame, and mean rotation (R, 13) of whole samples (R, size, 8)."""
+    w, x, y, z = np.moveaxis(samples[:, :, _QUAT], 2, 0)
     to_frame = np.array(
         [
             [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
@@ -183,5 +182,5 @@ def _reading(rows: FloatArray, time_s: float) -> FloatArray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    field = (to_frame * rows[:, _FIELD].T).sum(axis=1).mean(axis=1)
-    return np.concatenate([[time_s], field, to_frame.mean(axis=2).ravel()])
+    field = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2)
+    return np.column_stack([time_s, field.T, to_frame.mean(axis=3).reshape(9, -1).T])
