@@ -10,6 +10,7 @@ import re
 from datetime import date
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.values import IntArray
 
@@ -20,6 +21,8 @@ _ZONE = r"(?:\s?(Z|UTC|[+-]\d{2}:?\d{2}))?"
 _WITH_DATE = re.compile(rf"{_DATE}[ T_]+{_CLOCK}{_ZONE}")
 _CLOCK_ONLY = re.compile(r"()()()(\d{1,2}):(\d{2}):(\d{2})(?:[.:_,](\d{1,9}))?()")
 _NS_OF_DAY = 86400 * 10**9
+_WIDEST = 40  # signs of a date
+_MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
 
 
 def is_date(text: str) -> bool:
@@ -57,6 +60,70 @@ def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
         if pattern.search(rows[:4096]):
             return pattern.sub(nanoseconds, rows)
     return rows
+
+
+def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | None:
+    """The dates of one column of whole rows, if all are as wide as the first; None if it takes `as_nanoseconds`.
+
+    The same numbers in a tenth of the time, as apps write each date alike.
+    """
+    if not rows.endswith(b"\n") or b'"' in rows:
+        return None
+    signs = np.frombuffer(rows, dtype=np.uint8)
+    ends, between = (np.flatnonzero(signs == sign) for sign in (ord("\n"), separator[0]))
+    n = len(ends)
+    begins = np.concatenate([[0], ends[:-1] + 1])
+    if n == 0 or len(between) % n or len(between) // n < max(place, 1):
+        return None
+    between = between.reshape(n, -1)
+    if not ((between[:, 0] >= begins).all() and (between[:, -1] < ends).all()):
+        return None
+    first = begins if place == 0 else between[:, place - 1] + 1
+    after = between[:, place] if place < between.shape[1] else ends
+    widths = after - first
+    if widths.min() != widths.max() or widths[0] > _WIDEST:
+        return None
+    fields = signs[first[:, None] + np.arange(widths[0])]
+    text = fields[0].tobytes().decode("latin-1")
+    found = _WITH_DATE.fullmatch(text) or _CLOCK_ONLY.fullmatch(text)
+    if found is None or found[8]:
+        return None
+    numbers = [_digits(fields, *found.span(group)) for group in (4, 5, 6, 7) if found[group] is not None]
+    inside = np.zeros(len(text), dtype=bool)
+    for group in range(1, 8):
+        inside[slice(*found.span(group))] = True
+    if any(number is None for number in numbers) or (fields[:, ~inside] != fields[0, ~inside]).any():
+        return None
+    hour, minute, second, *part = (number for number in numbers if number is not None)
+    days = _days(fields[:, found.start(1) : found.end(3)], found)
+    if days is None:
+        return None
+    ns = days + ((hour * 60 + minute) * 60 + second) * 10**9
+    return ns + part[0] * 10 ** (9 - len(found[7])) if part else ns
+
+
+def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
+    """The whole numbers in these places of fields; None if there is anything but digits."""
+    digits = fields[:, begin:end].astype(np.int64) - ord("0")
+    if ((digits < 0) | (digits > 9)).any():
+        return None
+    return digits @ 10 ** np.arange(end - begin - 1, -1, -1)
+
+
+def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
+    """Begin of the day of each field, in nanoseconds; None if there are more days than a block of samples has."""
+    days = np.zeros(len(fields), dtype=np.int64)
+    left = np.ones(len(fields), dtype=bool)
+    at = found.start(1)
+    for _ in range(_MOST_DAYS if fields.shape[1] else 0):
+        if not left.any():
+            break
+        one = fields[int(np.argmax(left))]
+        text = one.tobytes().decode("latin-1")
+        same = (fields == one).all(axis=1)
+        days[same] = _day_ns(*(text[slice(found.start(group) - at, found.end(group) - at)] for group in (1, 2, 3)))
+        left &= ~same
+    return None if fields.shape[1] and left.any() else days
 
 
 def nanoseconds_of(text: str) -> int:

@@ -8,16 +8,16 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
 
 import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
-from pdr_filter.io.dates import as_nanoseconds, is_date, without_midnights
+from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.table import Layout, NumberTable, header_fields, parse_blocks
+from pdr_filter.io.table import Layout, NumberTable, concatenated, header_fields, parse_blocks
 from pdr_filter.values import FloatArray, IntArray
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
@@ -67,13 +67,34 @@ class TextSheet:
         """These columns as floats, and one as whole numbers."""
         names = tuple(self.fields[i] for i in numbers)
         layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
-        found = parse_blocks(self._rows(), layout, self.where, notes, self.n_before + 1)
-        if whole in self.dates:
-            return NumberTable(without_midnights(found.whole), found.values)
-        return found
+        if whole is None or whole not in self.dates:
+            return parse_blocks(self._rows(), layout, self.where, notes, self.n_before + 1)
+        parts: list[NumberTable] = []
+        line = self.n_before + 1
+        for rows in self._rows():
+            parts.append(self._dated(rows, layout, whole, notes, line))
+            line += rows.count(b"\n")
+        if not parts:
+            return NumberTable(np.empty(0, np.int64), np.empty((0, len(numbers))))
+        found = concatenated(parts)
+        return NumberTable(without_midnights(found.whole), found.values)
+
+    def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
+        """Rows of which one column is dates."""
+        try:
+            ns = column_nanoseconds(rows, self.separator.encode(), dates)
+            if ns is not None:
+                found = parse_blocks([rows], replace(layout, whole=None), self.where, notes, line)
+                if len(found) == len(ns):
+                    return NumberTable(ns, found.values)
+            return parse_blocks([as_nanoseconds(rows, self.separator.encode())], layout, self.where, notes, line)
+        except RecordingError:
+            raise
+        except ValueError as error:
+            raise RecordingError(f"{self.where}: {error}") from error
 
     def _rows(self) -> Iterator[bytes]:
-        """Blocks of rows: without the lines before them, single spaces between fields, dates as whole numbers."""
+        """Blocks of rows: without the lines before them, single spaces between fields."""
         left = self.n_before
         for block in self.blocks():
             at = 0
@@ -82,12 +103,7 @@ class TextSheet:
             rows = block[at:]
             if left or not rows:
                 continue
-            if self.separator == " ":
-                rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows))
-            try:
-                yield as_nanoseconds(rows, self.separator.encode()) if self.dates else rows
-            except ValueError as error:
-                raise RecordingError(f"{self.where}: {error}") from error
+            yield re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
 
 
 Sheet = ArraySheet | TextSheet
