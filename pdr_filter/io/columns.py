@@ -45,10 +45,19 @@ _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 
 # Factors to the unit of the stream, by how the apps write units, without spaces and in lower case.
-_ACCELERATIONS = {"m/s^2": 1.0, "m/s2": 1.0, "m/s/s": 1.0, "ms^-2": 1.0, "g": STANDARD_GRAVITY_MPS2}
+_ACCELERATIONS = {
+    **dict.fromkeys(("m/s^2", "m/s2", "m/s/s", "ms^-2"), 1.0),
+    **{"g": STANDARD_GRAVITY_MPS2, "mg": 1e-3 * STANDARD_GRAVITY_MPS2},
+}
 UNITS: dict[str, dict[str, float]] = {
     **dict.fromkeys((ACCELERATION, LINEAR, GRAVITY), _ACCELERATIONS),
-    RATE: {"rad/s": 1.0, "deg/s": math.pi / 180, "\u00b0/s": math.pi / 180, "dps": math.pi / 180},
+    RATE: {
+        "rad/s": 1.0,
+        "deg/s": math.pi / 180,
+        "\u00b0/s": math.pi / 180,
+        "dps": math.pi / 180,
+        "mdps": math.pi / 180e3,
+    },
     FIELD: {"ut": 1.0, "mt": 1000.0, "t": 1e6, "gauss": 100.0, "g": 100.0},
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},

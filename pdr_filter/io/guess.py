@@ -263,7 +263,7 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     if platform is not None:
         result.evidence.append(f"sign: that of {platform}, as given")
         return -1 if platform == "ios" else 1
-    if dialect is None and forces[0].unit == "g":
+    if dialect is None and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
             "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"

@@ -12,10 +12,8 @@ from pdr_filter.io.errors import RecordingError
 
 # For each stream: how many columns, and its units with the factor to the one of `Recording`; "" if none is needed.
 STREAMS: dict[str, tuple[int, dict[str, float]]] = {
-    "accelerometer": (3, {"m/s2": 1.0, "g": UNITS[ACCELERATION]["g"]}),
-    GRAVITY: (3, {"m/s2": 1.0, "g": UNITS[ACCELERATION]["g"]}),
-    LINEAR: (3, {"m/s2": 1.0, "g": UNITS[ACCELERATION]["g"]}),
-    "gyroscope": (3, {"rad/s": 1.0, "deg/s": UNITS[RATE]["deg/s"]}),
+    **dict.fromkeys(("accelerometer", GRAVITY, LINEAR), (3, {u: UNITS[ACCELERATION][u] for u in ("m/s2", "g", "mg")})),
+    "gyroscope": (3, {unit: UNITS[RATE][unit] for unit in ("rad/s", "deg/s", "mdps")}),
     "magnetometer": (3, {"uT": 1.0, "mT": 1000.0, "G": UNITS[FIELD]["gauss"], "T": 1e6}),
     "barometer": (1, {"hPa": 1.0, "mbar": 1.0, "Pa": 0.01, "kPa": 10.0}),
     "light": (1, {"lux": 1.0, "": 1.0}),

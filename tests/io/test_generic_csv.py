@@ -110,8 +110,8 @@ def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
     ("old", "new", "hint"),
     [
         ('"ax"', '"nowhere"', "'nowhere' is in the table 0 times; columns seen: t, ax"),
-        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g"),
-        ('"g"', '["g"]', "known are m/s2, g"),
+        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g, mg"),
+        ('"g"', '["g"]', "known are m/s2, g, mg"),
         ('"ms"', '"fortnight"', "time unit 'fortnight'"),
         ("sign = -1", "sign = 7", "sign must be 1 or -1"),
         ("[gyroscope]", "[giroscope]", "unknown table 'giroscope'"),

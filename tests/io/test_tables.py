@@ -388,3 +388,12 @@ def test_real_files_of_apps_are_read_or_refused_rightly(data_dir: Path) -> None:
     assert there == {known.path for known in FILES}
     wrong = [known.path for known in FILES if not row_of(known, folder, with_steps=False).is_right]
     assert wrong == []
+
+
+def test_thousandths_of_g_and_of_degrees_are_read_once_the_platform_is_said(tmp_path: Path) -> None:
+    force_mg, rate_mdps = 1e3 * FORCE_G, 1e3 * np.degrees(RATE)
+    columns = {"timestamp (us)": TIME_S * 1e6} | axes("acc_% [mg]", force_mg) | axes("gyr_% [mdps]", rate_mdps)
+    (tmp_path / "imu.csv").write_text(table_text(columns))
+    assert "say it with pdr-filter convert FILE --platform" in refusal(tmp_path / "imu.csv")
+    recording = read(tmp_path / "imu.csv", platform="android")
+    assert_same_streams(recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
