@@ -86,12 +86,14 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
 
 def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]:
     """The tables among the files of a recording; RecordingError if there is none."""
+    found: Sequence[Sheet]
     if is_spreadsheet(members):
-        return spreadsheet_sheets(members)
-    if not members.is_container and is_matlab(members.head(members.names[0], 128)):
-        return matlab_sheets(members, members.names[0])
-    texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
-    found = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+        found = spreadsheet_sheets(members)
+    elif not members.is_container and is_matlab(members.head(members.names[0], 128)):
+        found = matlab_sheets(members, members.names[0])
+    else:
+        texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
+        found = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
     if not found:
         listed = ", ".join(members.names[:8])
         raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")

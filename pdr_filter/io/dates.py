@@ -151,6 +151,8 @@ def _day_ns(first: str, middle: str, last: str) -> int:
         month = _MONTHS[middle.lower()] if middle.isalpha() else int(middle)
         numbers = (int(first), month, int(last)) if len(first) == 4 else (int(last), month, int(first))
         year, month, day = numbers if numbers[1] <= 12 else (numbers[0], numbers[2], numbers[1])
+        if not 1900 <= year <= 2200:  # whole nanoseconds of an int64 end in 2262
+            raise ValueError(year)
         return (date(year, month, day) - date(1970, 1, 1)).days * _NS_OF_DAY
     except (ValueError, KeyError) as error:
         raise ValueError(f"{first}-{middle}-{last} is no date that is known; write dates as 2023-03-16") from error

@@ -21,6 +21,7 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sqlite_file import SQLITE, open_database
+from pdr_filter.io.table import finite
 from pdr_filter.values import FloatArray, IntArray
 
 MCAP = b"\x89MCAP0\r\n"
@@ -89,7 +90,7 @@ class _Topic:
 
     @property
     def values(self) -> FloatArray:
-        return np.array(self._rows, dtype=float).reshape(len(self._rows), -1)
+        return finite(np.array(self._rows, dtype=float).reshape(len(self._rows), -1), self.kind, [])
 
 
 def _fill(parsed: Parsed, topics: dict[str, _Topic], seen: dict[str, str]) -> None:

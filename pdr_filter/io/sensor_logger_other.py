@@ -70,7 +70,10 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
         row = [_number(cast("Message", values).get(key), where, sensor) for key in columns[sensor]]
         if (at := _whole(item.get("time"), where, sensor)) is not None:
             rows.setdefault(sensor, []).append((at, row))
-    return {sensor: _table(sorted(found, key=lambda row: row[0]), where) for sensor, found in rows.items()}
+    return {
+        sensor: _table(sorted(found, key=lambda row: row[0]), len(columns[sensor]), where)
+        for sensor, found in rows.items()
+    }
 
 
 def database_tables(
@@ -91,7 +94,7 @@ def database_tables(
                 kept = [(at, row) for at, row in zip(whole, values, strict=True) if at is not None]
                 if len(kept) < len(rows):
                     notes.append(f"{table}: {len(rows) - len(kept)} rows without a time left out")
-                sensors[sensor] = _table(kept, where)
+                sensors[sensor] = _table(kept, len(columns[sensor]), where)
             elif table.lower() == "metadata" and found:
                 for row in database.rows(table, found)[:1]:
                     metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
@@ -102,11 +105,11 @@ def database_tables(
     return sensors, metadata
 
 
-def _table(rows: list[tuple[int, list[float]]], where: str) -> NumberTable:
+def _table(rows: list[tuple[int, list[float]]], n_columns: int, where: str) -> NumberTable:
     whole = np.array([at for at, _ in rows], dtype=np.int64)
     refuse_far_times(whole, where)
     values = np.array([row for _, row in rows], dtype=float)
-    return NumberTable(whole, finite(values.reshape(len(rows), -1), where, []))
+    return NumberTable(whole, finite(values.reshape(len(rows), n_columns), where, []))
 
 
 def _number_of(message: Message) -> float:

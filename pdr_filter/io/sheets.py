@@ -17,7 +17,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
 from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.table import Layout, NumberTable, concatenated, header_fields, parse_blocks
+from pdr_filter.io.table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
 from pdr_filter.values import FloatArray, IntArray
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
@@ -45,7 +45,7 @@ class ArraySheet:
         n = len(self.columns[0])
         ticks = np.zeros(n, np.int64) if whole is None else self.columns[whole].astype(np.int64)
         values = [self.columns[i].astype(np.float64) for i in numbers]
-        return NumberTable(ticks, np.column_stack(values) if values else np.empty((n, 0)))
+        return NumberTable(ticks, finite(np.column_stack(values) if values else np.empty((n, 0)), self.where, notes))
 
 
 @dataclass(frozen=True, slots=True)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
-import datetime
-import io
+import importlib.util
+import json
 import re
+import subprocess
+import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,11 +23,12 @@ from pdr_filter.values import FloatArray, IntArray
 
 _WORKBOOK = "xl/workbook.xml"
 _OLD = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
-_CELL = re.compile(rb'<c [^>]*?r="([A-Z]{1,3})([0-9]{1,7})"')
+_CELL = re.compile(rb"""\br\s{0,9}=\s{0,9}["']([A-Z]{1,9})([0-9]{1,18})["']""")
 # A sheet is read as a rectangle: one cell far off would make it large. Tables of samples are full.
 _LEAST_FILLED = 0.05
 _CELLS_FREELY = 1_000_000
 _ROWS_TRIED = 40
+_MOST_S = 300.0  # a sheet of a million rows takes some ten seconds
 
 
 def is_spreadsheet(members: Members, name: str = "") -> bool:
@@ -37,24 +41,22 @@ def is_spreadsheet(members: Members, name: str = "") -> bool:
 def spreadsheet_sheets(members: Members) -> list[ArraySheet]:
     """The tables in a spreadsheet."""
     path = members.path
-    try:
-        from python_calamine import CalamineWorkbook
-    except ImportError as error:
+    if importlib.util.find_spec("python_calamine") is None:
         raise RecordingError(
             f'{path}: a spreadsheet needs one more package: pip install "pdr_filter[excel]"; or export CSV'
-        ) from error
+        )
     if members.is_container:
         _check_claims(members)
-    content = io.BytesIO(read_small(path, limits.MAX_WHOLE_BYTES))
+    command = [sys.executable, "-P", str(Path(__file__).with_name("spreadsheet_rows.py")), str(limits.MAX_TABLES)]
     try:
-        with CalamineWorkbook.from_filelike(content) as book:
-            names = book.sheet_names[: limits.MAX_TABLES]
-            found = [_sheet(name, book.get_sheet_by_name(name).to_python(), f"{path}: {name}") for name in names]
-    except (MemoryError, KeyboardInterrupt, SystemExit, RecordingError):
-        raise
-    except BaseException as error:  # what it is written in panics, which is no Exception, at what it does not expect
-        raise RecordingError(f"{path}: damaged ({str(error)[:200]}); export the spreadsheet again") from error
-    return [sheet for sheet in found if sheet is not None]
+        content = read_small(path, limits.MAX_WHOLE_BYTES)
+        done = subprocess.run(command, input=content, capture_output=True, timeout=_MOST_S, check=True)
+        sheets = json.loads(done.stdout)
+    except (subprocess.SubprocessError, ValueError) as error:
+        if isinstance(error, RecordingError):
+            raise
+        raise RecordingError(f"{path}: this spreadsheet is damaged or no table; export it again, or as CSV") from error
+    return [sheet for name, rows in sheets if (sheet := _sheet(name, rows, f"{path}: {name}")) is not None]
 
 
 def _check_claims(members: Members) -> None:
@@ -106,7 +108,7 @@ def _is_row(row: list[Any]) -> bool:
 
 
 def _is_date(value: Any) -> bool:
-    return isinstance(value, datetime.datetime | datetime.time) or (isinstance(value, str) and is_date(value))
+    return isinstance(value, str) and is_date(value)
 
 
 def _number(value: Any) -> float:
@@ -121,20 +123,12 @@ def _number(value: Any) -> float:
 
 def _nanoseconds(values: list[Any], where: str) -> IntArray:
     """Dates of cells as whole nanoseconds."""
-    epoch, midnight = datetime.datetime(1970, 1, 1), datetime.timedelta()
     found: list[int] = []
     for value in values:
-        if isinstance(value, datetime.datetime):
-            since = value.replace(tzinfo=None) - epoch
-        elif isinstance(value, datetime.time):
-            since = datetime.datetime.combine(epoch, value.replace(tzinfo=None)) - epoch
-        elif isinstance(value, str) and is_date(value):
-            try:
-                found.append(nanoseconds_of(value))
-            except ValueError as error:
-                raise RecordingError(f"{where}: {error}") from error
-            continue
-        else:
+        if not _is_date(value):
             raise RecordingError(f"{where}: {str(value)[:40]!r} in a column of dates; give every row its time")
-        found.append((since - midnight) // datetime.timedelta(microseconds=1) * 1000)
+        try:
+            found.append(nanoseconds_of(value))
+        except ValueError as error:
+            raise RecordingError(f"{where}: {error}") from error
     return without_midnights(np.array(found, dtype=np.int64))
