@@ -20,6 +20,7 @@ from .offline.smoothing.fixed_lag import FixedLagSmoother as FixedLagSmoother
 from .offline.smoothing.smooth import Smoothed as Smoothed
 from .offline.smoothing.smooth import smooth as smooth
 from .online import OnlineFilter as OnlineFilter
+from .radio.radio_map import RadioMap as RadioMap
 from .recording_run import classify as classify
 from .recording_run import detect_steps as detect_steps
 from .recording_run import track as track
@@ -34,6 +35,7 @@ from .values.fixes import Standstill as Standstill
 from .values.origin import Origin as Origin
 from .values.samples import Samples as Samples
 from .values.step import Step as Step
+from .values.wifi import Wifi as Wifi
 from .values.windows import Windows as Windows
 
 __version__: str

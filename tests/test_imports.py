@@ -93,6 +93,7 @@ ROOMS = [
     "datasets",
     "evaluate",
     "offline",
+    "radio",
     "training",
     "batch",
     "",  # the package itself: the public names

@@ -14,6 +14,7 @@ from pdr_filter.cli.compare import compare
 from pdr_filter.cli.convert import convert
 from pdr_filter.cli.info import info
 from pdr_filter.cli.options import in_groups
+from pdr_filter.cli.radio import radio
 from pdr_filter.cli.simulate import demo, simulate
 from pdr_filter.cli.track import track
 from pdr_filter.cli.train import train
@@ -26,7 +27,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, convert, train, compare, calibrate, smooth, simulate, demo):
+for command in (track, info, convert, train, compare, calibrate, smooth, radio, simulate, demo):
     app.command()(in_groups(command))
 
 

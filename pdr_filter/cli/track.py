@@ -23,6 +23,7 @@ from pdr_filter.cli.options import (
     Heading,
     North,
     Origin,
+    RadioFile,
     Scheduler,
     heading_rad,
     origin_deg,
@@ -64,6 +65,7 @@ class Method:
     north: North = None
     origin: Origin = None
     heading: Heading = None
+    radio: RadioFile = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -213,6 +215,7 @@ def track(
                 "--north": method.north,
                 "--origin": method.origin,
                 "--heading": method.heading,
+                "--radio": method.radio,
                 "--export": output.export,
                 "--report": output.report,
                 "--json": as_json,
@@ -229,6 +232,7 @@ def track(
             output = replace(output, report=True)
         output.check()
         changes = method.changes()
+        radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
     written: set[str] = set()
     replaced: list[Path] = []
     listed: dict[str, Track] = {}
@@ -236,6 +240,8 @@ def track(
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
+        if radio is not None:
+            config = config.in_world_frame()
         device, person = (
             path if path is not None and path.exists() else None for path in (method.device, method.person)
         )
@@ -243,6 +249,7 @@ def track(
             recording,
             config,
             method.weighting_name,
+            fixes=() if radio is None else radio.fixes(recording),
             progress=progress,
             calibration=method.calibration,
             device=device,

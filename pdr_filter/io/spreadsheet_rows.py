@@ -1,7 +1,7 @@
 """The cells of a spreadsheet as JSON, in a process of its own: `python spreadsheet_rows.py < walk.xlsx`.
 
-What reads them makes a rectangle of all rows and columns that a file claims, and ends its process if the memory for that
-is not there. Imports nothing of the package.
+What reads them makes a rectangle of all rows and columns that a file claims, and ends its process if the memory for
+that is not there. Imports nothing of the package.
 """
 
 from __future__ import annotations

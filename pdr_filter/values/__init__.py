@@ -36,6 +36,7 @@ from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
+from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import Windows
 
 __all__ = [
@@ -68,7 +69,10 @@ __all__ = [
     "Step",
     "Table",
     "TrackRows",
+    "Wifi",
+    "WifiScan",
     "Windows",
+    "address_text",
     "as_floats",
     "as_plain",
     "check_columns",
@@ -80,6 +84,7 @@ __all__ = [
     "check_whole",
     "circular_mean",
     "heading_from_yaw",
+    "loudness",
     "read_only",
     "received_s",
     "step_table",

@@ -261,7 +261,7 @@ def test_what_a_spreadsheet_claims_cannot_end_this_process(tmp_path: Path) -> No
     pytest.importorskip("python_calamine")
     files = xlsx_files(phyphox_sheets(WALK))
     sheet = "xl/worksheets/sheet1.xml"
-    # one in twenty cells of a rectangle that no memory holds: the check of its corners alone would let it pass
+    # the cell of the last row and column, written so that a look at the text does not find it
     files[sheet] = files[sheet].replace('r="B3"', 'r="&#88;FD1048576"', 1)
     path = write_zip(tmp_path / "walk.xlsx", files)
     try:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Literal
 
 import numpy as np
 
@@ -30,6 +31,7 @@ from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading,
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.tracks import Track
@@ -90,7 +92,7 @@ def smooth(
     calibration: Calibration | None = None,
     *,
     config: Config | None = None,
-    loop_closures: Sequence[LoopClosure] = (),
+    loop_closures: Sequence[LoopClosure] | Literal["wifi"] = (),
     known_headings: Sequence[KnownHeading] = (),
     floor_changes: Sequence[FloorChange] = (),
     start_heading_std_rad: float | None = None,
@@ -113,7 +115,10 @@ def smooth(
         Step lengths of the person of the recording (its subject); those of the recipe if not given.
     config : Config, optional
         A recipe; the default recipe if not given.
-    loop_closures, known_headings, floor_changes : sequences
+    loop_closures : sequence of LoopClosure, or "wifi"
+        Times at which the walk was at one place. "wifi": those at which the recording heard the same access points
+        equally loud (`wifi_loop_closures`); MissingSensorError if it has no Wi-Fi.
+    known_headings, floor_changes : sequences
         What else is known.
     start_heading_std_rad : float, optional
         How well the phone's first heading is the walking heading in the frame of the fixes. If not given: not at all
@@ -122,6 +127,8 @@ def smooth(
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
     """
     recording, fixes = one_clock(recording, fixes)
+    if isinstance(loop_closures, str):
+        loop_closures = wifi_loop_closures(recording)
     config = config or default_config(recording)
     if calibration is not None:
         config = calibration.config(config, recording.subject)
