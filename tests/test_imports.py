@@ -91,6 +91,7 @@ ROOMS = [
     "aligned",
     "recording_run",
     "simulate",
+    "datasets",
     "evaluate",
     "offline",
     "radio",
