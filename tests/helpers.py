@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import pairwise
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,6 +18,7 @@ from pdr_filter.filter.tracker import TrackerOutput
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
@@ -215,3 +218,22 @@ def from_hand_to_pocket() -> Recording:
         Leg("stationary", duration_s=5.0),
     ]
     return simulate(legs, Gait(height_m=1.86), name="from_hand_to_pocket")
+
+
+def a_plan(folder: Path) -> FloorPlan:
+    """A square of 60 m with a room and a wall."""
+
+    def feature(kind: str, shape: str, corners: Any) -> dict[str, Any]:
+        return {"type": "Feature", "properties": {"type": kind}, "geometry": {"type": shape, "coordinates": corners}}
+
+    def square(low: float, high: float) -> list[list[list[float]]]:
+        return [[[low, low], [high, low], [high, high], [low, high], [low, low]]]
+
+    features = [
+        feature("wall", "LineString", [[0.0, 0.0], [5.0, 0.0]]),
+        feature("room", "Polygon", square(2.0, 8.0)),
+        feature("floor", "Polygon", square(-10.0, 50.0)),
+    ]
+    path = folder / "plan.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return FloorPlan.read(path)

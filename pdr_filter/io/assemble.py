@@ -15,6 +15,7 @@ from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import TIME_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.wifi import wifi_of
 from pdr_filter.values import FloatArray, Samples, table
 
 
@@ -25,10 +26,12 @@ class Parsed:
     path: Path
     source: str  # app or format, as the report names it
     streams: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict[str, tuple[FloatArray, FloatArray]])
+    wifi: tuple[FloatArray, FloatArray] | None = None  # times (N,); address, dBm and MHz (N, 3)
     truth: dict[str, dict[str, FloatArray]] = field(default_factory=dict[str, dict[str, FloatArray]])
     meta: dict[str, Any] = field(default_factory=dict[str, Any])
     found: list[str] = field(default_factory=list[str])  # signs and units
     clock: str = "seconds from the first accelerometer sample"
+    is_unit_of_time_declared: bool = False  # by the file itself
     requested_hz: dict[str, float] = field(default_factory=dict[str, float])
     notes: list[str] = field(default_factory=list[str])
 
@@ -44,7 +47,7 @@ class Parsed:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
         time_s = self.streams["accelerometer"][0]
         zero_s = float(next(iter(time_s[np.abs(time_s) <= limits.LARGEST_VALUE]), 0.0))
-        streams = checked_streams(self.streams, zero_s, "", where, self.notes)
+        streams = checked_streams(self.streams, zero_s, "", where, self.notes, self.is_unit_of_time_declared)
         self._check_up(streams, where)
         truth = {
             name: table({key: column - zero_s if key in TIME_COLUMNS else column for key, column in columns.items()})
@@ -55,6 +58,7 @@ class Parsed:
         return Recording(
             name=own_name if own_name.isprintable() and own_name.strip(". ") else "recording",
             **streams,
+            wifi=None if self.wifi is None else wifi_of(self.wifi[0] - zero_s, self.wifi[1], "wifi", self.notes),
             truth=Truth(**truth),
             meta={**self.meta, READING_KEY: reading},
             source=where,

@@ -13,10 +13,11 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, json_object, open_members
 from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS
+from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS, WIFI_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.io.table import TextTable
-from pdr_filter.values import CONTEXTS, FloatArray, Table, table
+from pdr_filter.io.wifi import wifi_of, with_whole_addresses
+from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, table
 
 REQUIRED = "accelerometer.csv"
 
@@ -44,6 +45,8 @@ def read_recording(path: str | Path) -> Recording:
             for name, columns in TRUTH_COLUMNS.items()
             if f"{folder}truth_{name}.csv" in members.names
         }
+        has_wifi = f"{folder}wifi.csv" in members.names
+        wifi = _read_wifi(members, f"{folder}wifi.csv", notes) if has_wifi else None
     streams = checked_streams(found, 0.0, ".csv", str(path), notes)
     first_s = streams["accelerometer"].time_s.min()
     if abs(first_s) > 1.0:
@@ -51,6 +54,7 @@ def read_recording(path: str | Path) -> Recording:
     return Recording(
         name=_name(path, meta, notes),
         **streams,
+        wifi=wifi,
         truth=Truth(**truth),
         meta=meta,
         source=str(path),
@@ -66,15 +70,21 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 def _folder(members: Members) -> str:
     """The folder of the recording inside a zip, with its slash; empty if its files are in none."""
     path = members.path
+    if not members.is_container and path.name == REQUIRED:
+        raise RecordingError(
+            f"{path}: one sensor of a recording; give the folder that holds {REQUIRED}, or its zip file"
+        )
     if not members.is_container:
         raise RecordingError(
-            f"{path}: not a zip file, or a damaged one; give an intact zip file, or the folder that holds {REQUIRED}"
+            f"{path}: no format that is known by its content; give a zip file or the folder of a recording, or a table "
+            "of samples as text, with a line of names above it"
         )
     folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
     if not folders:
         listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
         raise RecordingError(
-            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}); add that file"
+            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}), nor a table of an "
+            "accelerometer of any app; add that file"
         )
     if len(folders) > 1:
         names = ", ".join(folder.rstrip("/") or "." for folder in folders[:3])
@@ -126,6 +136,15 @@ def _read_stream(
         return np.empty(0), np.empty((0, len(columns)))
     numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
     return numbers[:, 0], numbers[:, 1:]
+
+
+def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
+    """Access points that were heard; None of an empty file."""
+    rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), lambda _: ",")
+    if rows.is_empty:
+        return None
+    numbers = rows.parse(rows.places(("time_s", *WIFI_COLUMNS)), notes).values
+    return wifi_of(numbers[:, 0], numbers[:, 1:], PurePosixPath(name).name, notes)
 
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:

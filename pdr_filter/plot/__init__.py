@@ -10,6 +10,8 @@ from pdr_filter.plot.figures import save as save
 from pdr_filter.plot.people import calibration as calibration
 from pdr_filter.plot.people import people as people
 from pdr_filter.plot.people import residuals as residuals
+from pdr_filter.plot.plans import draw_storey as draw_storey
+from pdr_filter.plot.plans import plan as plan
 from pdr_filter.plot.walks import contexts as contexts
 from pdr_filter.plot.walks import heights as heights
 from pdr_filter.plot.walks import step_lengths as step_lengths

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import textwrap
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,9 +13,18 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.plot.figures import given_or_new, lined, new_figure, save
+from pdr_filter.plot.plans import draw_storey
 from pdr_filter.report import palette
-from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
+from pdr_filter.report.geometry import (
+    MIN_EXTENT_M,
+    ellipse_axes,
+    ellipse_extent,
+    ellipse_rows,
+    storeys_of,
+    window_starts,
+)
 from pdr_filter.report.palette import FAINT, INK, context_colours, floor_colours
 from pdr_filter.values import FloatArray, TrackRows, Windows
 
@@ -56,16 +64,16 @@ def way(
     track: TrackRows,
     ax: Axes | None = None,
     reference_m: FloatArray | None = None,
-    plan: Sequence[FloatArray] = (),
+    plan: FloorPlan | None = None,
 ) -> Axes:
     """Draw the way from the start through all steps with 95 % ellipses, east to the right and north up, in metres.
 
-    `reference_m` (N, 2) is the true way, and `plan` are polygons (N, 2) of a floor plan below it, all in the frame of
-    the track.
+    `reference_m` (N, 2) is the true way, and `plan` lies below it, that of the track if none is given; both are in the
+    frame of the track.
     """
     axes = given_or_new(ax, (5.6, 5.0))
-    for ring in plan:
-        axes.fill(*np.asarray(ring).T, facecolor=(FAINT, 0.12), edgecolor=FAINT, linewidth=0.8, zorder=0.5)
+    for storey in storeys_of(plan or track.plan, track.floor):
+        draw_storey(axes, storey)
     way_m = np.vstack([track.start_position_m, track.position_m])
     if reference_m is not None:
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)

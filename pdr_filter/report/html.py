@@ -23,9 +23,10 @@ from markupsafe import Markup
 from pdr_filter.io.describe import ReadingReport, reading_report
 from pdr_filter.io.files import write_text
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette, trust
 from pdr_filter.report.page_data import track_data
-from pdr_filter.values import FloatArray, TrackRows
+from pdr_filter.values import TrackRows
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01
@@ -38,14 +39,14 @@ def write_report(
     tracks: TrackRows | Sequence[TrackRows],
     path: str | Path,
     recording: Recording | None = None,
-    plan: Sequence[FloatArray] = (),
+    plan: FloorPlan | None = None,
 ) -> Path:
     """Write the page of `html_report` and return its path; folders are created."""
     return write_text(path, html_report(tracks, recording, plan))
 
 
 def html_report(
-    tracks: TrackRows | Sequence[TrackRows], recording: Recording | None = None, plan: Sequence[FloatArray] = ()
+    tracks: TrackRows | Sequence[TrackRows], recording: Recording | None = None, plan: FloorPlan | None = None
 ) -> str:
     """The page: way with 95 % ellipses, where not to trust it, contexts, speed, step lengths, how it was read.
 
@@ -57,17 +58,16 @@ def html_report(
         One, or several in one frame, such as those of several recipes: one of them at a time is shown in full.
     recording : Recording, optional
         What they were made from: the page shows its truth, its locations, and how it was read.
-    plan : sequence of (N, 2) arrays
-        Polygons that are drawn below the way: corners in m, east and north in the frame of the tracks.
+    plan : FloorPlan, optional
+        What is drawn below the way, in the frame of the tracks; of each track its own if not given.
     """
     every = [tracks] if isinstance(tracks, TrackRows) else list(tracks)
     if not every:
         raise ValueError("tracks of a report must be one or more, got none; give a track")
     names = _names(every)
     colours = [_TRACK_COLOURS[i % len(_TRACK_COLOURS)] for i in range(len(every))]
-    rings = [np.round(np.asarray(ring, dtype=float), 2).tolist() for ring in plan]
     data = [
-        track_data(track, recording, len(every)) | {"colour": colour, "plan": rings}
+        track_data(track, recording, plan or track.plan, len(every)) | {"colour": colour}
         for track, colour in zip(every, colours, strict=True)
     ]
     scripts = [_asset(name) for name in _SCRIPTS]

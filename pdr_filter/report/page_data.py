@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette
-from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, window_starts
+from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, storeys_of, window_starts
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
 
 # Half width of the 95 % interval in standard deviations.
@@ -25,7 +26,7 @@ _MAX_STEPS, _MAX_WINDOWS, _MAX_POINTS = 8000, 4000, 2000
 _FARTHEST_M = 4e7
 
 
-def track_data(track: TrackRows, recording: Recording | None, n_tracks: int) -> dict[str, Any]:
+def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | None, n_tracks: int) -> dict[str, Any]:
     """One of so many tracks."""
     shown = _shown_rows(track, _MAX_STEPS // n_tracks)
     position_m = track.position_m[shown]
@@ -53,6 +54,7 @@ def track_data(track: TrackRows, recording: Recording | None, n_tracks: int) -> 
         "context_colours": list(palette.context_colours(track.contexts).values()),
         "groups": _groups(track, shown),
         "windows": _windows(track, _MAX_WINDOWS // n_tracks),
+        "plan": _plan(plan, track),
     }
     if not track.is_level:
         data["height"] = _column(track.height_m[shown], 2)
@@ -135,6 +137,21 @@ def _windows(track: TrackRows, most: int) -> dict[str, Any]:
         start_s, end_s = start_s[first], end_s[first + count - 1]
         prob = np.add.reduceat(prob, first, axis=0) / count[:, np.newaxis]
     return {"start": _column(start_s, 2), "end": _column(end_s, 2), "prob": _percent(prob)}
+
+
+def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:
+    """Shapes of the storeys that the track was on, those that lie below first."""
+    return [
+        {
+            "fill": colour if feature.is_area else None,
+            "edge": palette.WALL if feature.is_area or kind == "wall" else colour,
+            "rings": [np.round(ring, 2).tolist() for ring in feature.lines],
+        }
+        for storey in storeys_of(plan, track.floor)
+        for kind, colour in palette.PLAN_COLOURS.items()
+        for feature in storey.features
+        if feature.kind == kind
+    ]
 
 
 def _truth(track: TrackRows, recording: Recording, shown: IntArray) -> dict[str, Any]:

@@ -56,14 +56,17 @@ class Walk:
         for start in range(0, len(time_s), 100):
             part = slice(start, start + 100)
             values = (block.specific_force_mps2[part], block.angular_rate_radps[part], block.magnetic_field_ut[part])
-            n_steps += len(online.push(time_s[part], *values))
+            try:
+                n_steps += len(online.push(time_s[part], *values))
+            except ValueError as error:
+                return ["-", "-", f"refused: {said([str(error)], ())}"]
         return [n_steps + len(online.finish()), "-", said(online.notes, self.track.notes)]
 
 
 def said(notes: Sequence[str], without: Sequence[str]) -> str:
     """The first note of each kind that the undisturbed track does not have, shortened."""
     new = [note for note in notes if note not in without]
-    return "; ".join(note[:70] + ("..." if len(note) > 70 else "") for note in new[:2]) or "nothing"
+    return "; ".join(note[:110] + ("..." if len(note) > 110 else "") for note in new[:2]) or "nothing"
 
 
 def set_back(time_s: FloatArray, by_s: float) -> FloatArray:

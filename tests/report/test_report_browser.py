@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import a_plan
 from page_browser import BROWSER, Browser
 
 import pdr_filter as pdr
@@ -204,8 +205,7 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     browser: Browser, track: Track, recording: Recording, tmp_path: Path
 ) -> None:
     other = replace(track, name="other", notes=("only the other has this",), position_m=track.position_m * 1.2)
-    square = 10 * np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0]])
-    browser.open(write_report([track, other], tmp_path / "page.html", recording, [square]))
+    browser.open(write_report([track, other], tmp_path / "page.html", recording, a_plan(tmp_path)))
     assert browser.complaints == []
     assert "Only the other has this" not in browser.words("body")
     assert palette.ORANGE.upper() in colours_of(browser, "#map")  # the other beside it

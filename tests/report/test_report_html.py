@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from helpers import a_plan
 
 import pdr_filter as pdr
 from pdr_filter.io.describe import reading_report
@@ -188,9 +189,15 @@ def test_several_tracks_are_told_apart_by_name_weighting_or_number(track: Track)
         html_report([])
 
 
-def test_a_floor_plan_is_given_as_polygons(track: Track) -> None:
-    square = np.array([[0.0, 0.0], [10.0, 0.0], [10.0, 10.0]])
-    assert given(html_report(track, plan=[square]))[0]["plan"] == [square.tolist()]
+def test_a_floor_plan_is_given_as_shapes_those_below_first(track: Track, tmp_path: Path) -> None:
+    plan = a_plan(tmp_path)
+    for page in (html_report(track, plan=plan), html_report(replace(track, plan=plan))):
+        floor, room, wall = given(page)[0]["plan"]
+        assert [len(floor["rings"]), floor["fill"]] == [1, palette.PLAN_COLOURS["floor"]]
+        np.testing.assert_allclose(np.ptp(floor["rings"][0], axis=0), [60.0, 60.0])
+        assert room["fill"] == palette.PLAN_COLOURS["room"]
+        assert (wall["fill"], wall["edge"]) == (None, palette.WALL)
+    assert given(html_report(track))[0]["plan"] == []
 
 
 def test_doubts_and_notes_are_all_there(recording: Recording) -> None:

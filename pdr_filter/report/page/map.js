@@ -166,18 +166,20 @@ class WayMap {
 
   paintPlan() {
     const pen = this.pen;
-    for (const ring of this.track.plan) {
+    pen.globalAlpha = Number(this.colour("--plan")); // its colours are made for white paper
+    for (const { fill, edge, rings } of this.track.plan) {
       pen.beginPath();
-      ring.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...this.at(...place)));
-      pen.closePath();
-      pen.globalAlpha = 0.12;
-      pen.fillStyle = this.colour("--faint");
-      pen.fill();
-      pen.globalAlpha = 1;
-      pen.strokeStyle = this.colour("--faint");
+      for (const ring of rings) {
+        ring.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...this.at(...place)));
+        if (fill) pen.closePath();
+      }
+      pen.fillStyle = fill;
+      if (fill) pen.fill("evenodd");
+      pen.strokeStyle = edge;
       pen.lineWidth = 1.2;
       pen.stroke();
     }
+    pen.globalAlpha = 1;
   }
 
   paintGrid(width, height) {
