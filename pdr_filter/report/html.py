@@ -72,7 +72,7 @@ def html_report(
     ]
     scripts = [_asset(name) for name in _SCRIPTS]
     return _template().render(
-        title=every[0].name or "track",
+        title=_title(every, recording),
         tracks=[
             _words(track) | {"name": name, "colour": colour}
             for track, name, colour in zip(every, names, colours, strict=True)
@@ -118,6 +118,13 @@ def _printable(value: Any) -> Any:
 
 
 # --- words -----------------------------------------------------------------------------------------------------------
+
+
+def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
+    """The name of what was recorded, or of the only track."""
+    if recording is not None and recording.name:
+        return recording.name
+    return tracks[0].name or "track" if len(tracks) == 1 else f"{len(tracks)} tracks"
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:

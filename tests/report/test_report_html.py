@@ -182,6 +182,7 @@ def test_locations_are_given_in_the_frame_of_a_track_that_knows_north(track: Tra
 def test_several_tracks_are_told_apart_by_name_weighting_or_number(track: Track) -> None:
     other = replace(track, weighting="hc")
     words = Seen(html_report([track, other])).words
+    assert words.strip().startswith("2 tracks")
     assert f"{track.name}, imm" in words
     assert f"{track.name}, hc" in words
     assert f"2: {track.name}, imm" in Seen(html_report([track, track])).words
