@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -21,7 +21,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, PositionFix, Step, read_only, wrap_angle
+from pdr_filter.values import FloatArray, PositionFix, Step, read_only, replace, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -32,7 +32,7 @@ TRAIL_POSITION = slice(1, 3)
 _ALONG, _ACROSS, _PARAMETERS = 0, 1, slice(2, None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepUpdate:
     """The track after one step.
 
@@ -60,7 +60,7 @@ class StepUpdate:
     floor: int = 0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PedestrianState:
     """Estimates of F filters (one for each mode with `imm`, one alone with `hc` and `wc`) and what goes with them."""
 

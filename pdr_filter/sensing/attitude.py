@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from vqf import VQF
 
 from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers, replace
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
@@ -44,7 +44,7 @@ class AttitudeBlock:
     quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (N, 4) wxyz, sensor to the attitude's frame
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AttitudeState:
     """The state of vqf as plain values, the heading turned so far, and the bias of the gyroscope."""
 

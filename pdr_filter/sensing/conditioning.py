@@ -7,14 +7,14 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
 from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, replace
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
@@ -46,7 +46,7 @@ class UniformBlock:
     gap_before_s: float  # 0 if it continues the block before; inf for the very first
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class IntakeReport:
     """What the conditioner did to the samples it received."""
 
@@ -123,7 +123,7 @@ class IntakeReport:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ConditionerState:
     """Rows not yet used up, where the uniform grid is, and the report so far."""
 

@@ -8,12 +8,12 @@ a phone pauses. Figures: docs/methods/steps.md.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers
+from pdr_filter.values import FloatArray, Step, check_numbers, replace
 
 _JITTER_HZ = 50.0
 # The first steps of a bout become known up to 4 s after their contacts, and a contact ends a step of a second.
@@ -22,7 +22,7 @@ _WAIT_S = 5
 _STEP_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RattleState:
     """The seconds whose steps may still come, the run of rattling ones, and the sums."""
 

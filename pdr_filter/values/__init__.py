@@ -30,6 +30,7 @@ from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
+from pdr_filter.values.replace import replace
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
@@ -78,6 +79,7 @@ __all__ = [
     "heading_from_yaw",
     "read_only",
     "received_s",
+    "replace",
     "step_table",
     "steps_of",
     "table",

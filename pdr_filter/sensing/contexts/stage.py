@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Generic, Protocol, TypeVar
 
@@ -18,7 +18,7 @@ from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irre
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
 from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only, replace
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -30,7 +30,7 @@ _POCKET = CARRYING_MODES.index("pocket")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WindowContext:
     """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
 
@@ -88,7 +88,7 @@ class ContextStage(Protocol):
 M = TypeVar("M")  # what lasts from window to window
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WindowStageState(Generic[W, M]):
     """Samples of open windows, and what lasts from window to window."""
 

@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -40,7 +40,16 @@ from pdr_filter.sensing.heading.strides import (
     power,
 )
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, check_numbers, wrap_angle
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    HeadingDrift,
+    Step,
+    check_numbers,
+    replace,
+    wrap_angle,
+)
 
 _TEXTING = CARRYING_MODES.index("texting")
 _HELD = (_TEXTING, CARRYING_MODES.index("calling"))
@@ -84,7 +93,7 @@ class Former:
     direction: FloatArray  # (3,) of walking, across it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WalkingHeadingState:
     """Signals of the last seconds, the last contacts, and what was learnt."""
 

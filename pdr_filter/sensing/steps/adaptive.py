@@ -19,7 +19,7 @@ Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +33,7 @@ from pdr_filter.sensing.steps.detector import (
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
@@ -47,7 +47,7 @@ class Rhythm:
     n_intervals: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AdaptiveDetectorState(ResponseState):
     """The last |f| less gravity, the last values of transform, R and frequency, and the last intervals."""
 

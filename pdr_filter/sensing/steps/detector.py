@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from math import exp, log
 from typing import Generic, TypeVar
@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step, check_numbers
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step, check_numbers, replace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ def unknown_contexts(n_samples: int) -> ContextBlock:
     return ContextBlock(unknown, unknown)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepLogState:
     """The signals of the last seconds, and the last contact."""
 
@@ -159,7 +159,7 @@ def _with_turn(step: Step, before: tuple[float, float]) -> Step:
     return replace(step, turn_rate_radps=rate)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class DetectorState:
     """What every detector remembers; each adds its own."""
 
@@ -254,7 +254,7 @@ class StepDetector(ABC, Generic[S]):
         return replace(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ResponseState(DetectorState):
     """Its last signals, and the last values of the response."""
 

@@ -21,14 +21,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from itertools import pairwise
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, read_only
+from pdr_filter.values import FloatArray, Step, check_numbers, read_only, replace
 
 # Rate at which the evidence looks at the force: steps are below 5 Hz.
 _EVIDENCE_HZ = 25.0
@@ -88,7 +88,7 @@ class JudgedStep:
     slowness: float  # of the steps up to it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepGateState:
     """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
 
