@@ -39,7 +39,7 @@ _STEPS_PER_M = 4.0
 _ESCALATOR_MPS = 0.45
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Level:
     """Where one storey is."""
 
