@@ -155,10 +155,11 @@ class AttitudeEstimator:
         up = _up_in_sensor_frame(quat)
         state, heading_rad = _follow_heading(state, quat, up, known, -_dot(rate[:1], up[:1])[0] / self.rate_hz)
         bias_std = np.sqrt(_variance_along(up, state.bias.bias_cov_radps2))
-        flags = np.column_stack([known, block.magnetic_field_known[piece]]).astype(float)
-        rows = np.column_stack(
-            [block.angular_rate_radps[piece], force, up, block.magnetic_field_ut[piece], quat, heading_rad, flags]
-        )
+        rows = np.empty((len(up), _NO_SAMPLES.shape[1]))
+        rows[:, _RATE], rows[:, _FORCE], rows[:, _UP] = block.angular_rate_radps[piece], force, up
+        rows[:, _FIELD], rows[:, _QUAT] = block.magnetic_field_ut[piece], quat
+        rows[:, _HEADING], rows[:, _RATE_KNOWN] = heading_rad, known
+        rows[:, _FIELD_KNOWN] = block.magnetic_field_known[piece]
         window = np.concatenate([state.window, rows]) if len(state.window) else rows
         errors = np.full(len(up), state.bias.heading_error_rad), np.full(len(up), state.bias.heading_error_var_rad2)
         found = (quat, up, heading_rad, bias_std, *errors)

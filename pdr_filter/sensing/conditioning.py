@@ -289,6 +289,9 @@ class Conditioner:
 
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values with missing rows replaced by the last finite one, the age of each (0 if measured), and the new last."""
+    if np.isfinite(values).all():
+        newest = np.concatenate([time_s[-1:], values[-1]]) if len(values) else last
+        return values, np.zeros(len(values)), newest
     stack = np.vstack([last, np.column_stack([time_s, values])])
     finite = np.isfinite(stack[:, 1:]).all(axis=1)
     index = np.maximum.accumulate(np.where(finite, np.arange(len(stack)), 0))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -99,7 +100,7 @@ class Sensing:
         if len(rates) > 1:
             raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
 
-    @property
+    @cached_property
     def _rattle(self) -> Rattle:
         return Rattle(self.conditioner.rate_hz)
 

@@ -159,7 +159,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         frequency_hz = np.maximum(frequency_hz, self._sine_hz(line[0]))
         return np.stack([self._transform(line[0], frequency_hz), rms, frequency_hz])
 
-    @property
+    @cached_property
     def _box(self) -> FloatArray:
         n = round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
         return np.full(n, 1.0 / n)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from math import exp, log
 from typing import Generic, TypeVar
 
@@ -363,7 +363,13 @@ def describe_step(
 
 def amplitude_of_one_period(values: FloatArray) -> float:
     """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
-    n = len(values)
-    phase = 2 * np.pi * np.arange(n) / n
+    cosine, sine = _one_period(len(values))
     centred = values - values.mean()
-    return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))
+    return 2 / len(values) * float(np.hypot((centred * cosine).sum(), (centred * sine).sum()))
+
+
+@lru_cache(maxsize=512)
+def _one_period(n: int) -> tuple[FloatArray, FloatArray]:
+    """Cosine and sine (n,) of one period in n samples."""
+    phase = 2 * np.pi * np.arange(n) / n
+    return np.cos(phase), np.sin(phase)

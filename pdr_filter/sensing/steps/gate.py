@@ -22,6 +22,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
@@ -162,19 +163,19 @@ class StepGate:
         if self.rate_hz % _EVIDENCE_HZ:
             raise ValueError(f"rate_hz must be a multiple of {_EVIDENCE_HZ:g}, got {self.rate_hz}")
 
-    @property
+    @cached_property
     def _samples_per_row(self) -> int:
         return round(self.rate_hz / _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_before(self) -> int:
         return round(self.before_s * _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_after(self) -> int:
         return round(self.after_s * _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_rows_kept(self) -> int:
         return round(_MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
 
@@ -353,14 +354,14 @@ def evidence_features(force_mps2: FloatArray, intervals_s: Sequence[float]) -> t
     bounce_mps2 = (float(magnitude.std()) + 0.02) * stretch
     n_box = min(2 * round(9 * stretch) + 1, len(x) - 1)
     box = np.full(n_box, 1.0 / n_box)
-    slow = sum(float(np.convolve(np.ascontiguousarray(c), box, mode="valid").var()) for c in (x, y, z))
+    slow = np.array([np.convolve(c, box, mode="valid") for c in np.ascontiguousarray(force_mps2.T)])
     # fewer than three intervals keep no rhythm: as uneven as handling
     unevenness = float(np.std(np.log(intervals_s))) if len(intervals_s) > 2 else 0.5
     max_lag_s = max(_MAX_LAG_S, _MAX_LAG_STEPS * _USUAL_INTERVAL_S * stretch)
     return (
         repetition(force_mps2, max_lag_s),
         unevenness,
-        math.log((math.sqrt(slow) + 0.05) / bounce_mps2),
+        math.log((math.sqrt(sum(slow.var(axis=1).tolist())) + 0.05) / bounce_mps2),
         repetition(magnitude[:, None], max_lag_s),
     )
 
