@@ -127,6 +127,9 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
     highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
     is_finite = np.isfinite(highest)
+    if is_finite.all():
+        relative = np.exp(log_posterior - highest)
+        return relative / relative.sum(axis=-1, keepdims=True)
     if not is_finite.any():
         return predicted_mode_prob
     above = log_posterior - np.where(is_finite, highest, 0.0)

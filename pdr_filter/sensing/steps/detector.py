@@ -342,16 +342,19 @@ def describe_step(
 ) -> Step:
     """The step that ends at a contact, from its samples (6, n), rows as in `StepLogState.signals`."""
     _, magnitude, vertical, heading, _, bias_std = signals
+    (_, magnitude_max, vertical_max), (_, magnitude_min, vertical_min) = (
+        extreme.reduce(signals[:3], axis=1).tolist() for extreme in (np.maximum, np.minimum)
+    )
     return Step(
         time_s=contact_s,
         detected_time_s=detected_s,
         duration_s=duration_s,
         frequency_hz=1.0 / duration_s,
-        variance=float(np.var(magnitude)),
-        vertical_max_mps2=float(vertical.max()),
-        vertical_min_mps2=float(vertical.min()),
-        magnitude_max_mps2=float(magnitude.max()),
-        magnitude_min_mps2=float(magnitude.min()),
+        variance=float(magnitude.var()),
+        vertical_max_mps2=vertical_max,
+        vertical_min_mps2=vertical_min,
+        magnitude_max_mps2=magnitude_max,
+        magnitude_min_mps2=magnitude_min,
         mean_abs_mps2=float(np.abs(magnitude - STANDARD_GRAVITY_MPS2).mean()),
         heading_change_rad=float(heading[-1] - heading[0]),
         device_heading_rad=float(heading.mean()),
