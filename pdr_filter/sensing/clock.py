@@ -64,7 +64,7 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     """As many of the next rows as follow each other, of a clock that is in doubt about nothing."""
     moved = rows.copy()
     moved[:, 0] += clock.offset_s
-    steps_s = np.diff(moved[:, 0], prepend=clock.last_s)
+    steps_s = moved[:, 0] - np.concatenate([[clock.last_s], moved[:-1, 0]])
     # the very first sample has nothing to be far ahead of
     stops = np.flatnonzero(~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s))))
     moved = moved[: stops[0]] if len(stops) else moved

@@ -200,16 +200,18 @@ class Conditioner:
             )
             wild_field = (np.abs(raw[:, _FIELD]) > MAX_FIELD_UT).any(axis=1)
         raw[wild_field, _FIELD] = np.nan
-        usable = raw[finite & ~wild]
+        is_usable = finite & ~wild
+        usable = raw if is_usable.all() else raw[is_usable]
         clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
         watched, motion = watch(state.watchdog, followed[:, 0], followed[:, _MOTION])
         is_dead = np.isnan(motion[:, 0])
         n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
-        kept = np.column_stack([followed[:, 0], motion, followed[:, _FIELD]])[~is_dead]
-        rows = np.empty((len(kept), _N_COLUMNS))
-        rows[:, :4] = kept[:, :4]
-        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
-        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], kept[:, _FIELD], state.last_field)
+        if is_dead.any():
+            followed, motion = followed[~is_dead], motion[~is_dead]
+        rows = np.empty((len(motion), _N_COLUMNS))
+        rows[:, 0], rows[:, _FORCE] = followed[:, 0], motion[:, :3]
+        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], followed[:, _FIELD], state.last_field)
         size = np.sqrt((usable[:, _FORCE] ** 2).sum(axis=1))
         old = state.report
         report = replace(
@@ -308,13 +310,16 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     # All knots inside the grid in order: grid points go in before the first sample at or after them.
     inside = slice(int(np.searchsorted(time_s, grid_s[0])), int(np.searchsorted(time_s, grid_s[-1])))
     position = np.searchsorted(time_s[inside], grid_s)
-    knots_s = np.insert(time_s[inside], position, grid_s)
-    knots = np.insert(values[inside], position, at_grid, axis=0)
-    width = np.diff(knots_s)[:, None]
-    areas = 0.5 * (knots[1:] + knots[:-1]) * width
+    of_grid = position + np.arange(len(grid_s))
+    is_sample = np.ones(inside.stop - inside.start + len(grid_s), dtype=bool)
+    is_sample[of_grid] = False
+    knots_s, knots = np.empty(len(is_sample)), np.empty((len(is_sample), values.shape[1]))
+    knots_s[of_grid], knots_s[is_sample] = grid_s, time_s[inside]
+    knots[of_grid], knots[is_sample] = at_grid, values[inside]
+    areas = 0.5 * (knots[1:] + knots[:-1]) * (knots_s[1:] - knots_s[:-1])[:, None]
     first = position[:-1] + np.arange(len(grid_s) - 1)
     # reduceat adds row by row within each interval: the same numbers in the same order however blocks were cut
-    return np.add.reduceat(areas, first, axis=0) / np.diff(grid_s)[:, None]
+    return np.add.reduceat(areas, first, axis=0) / (grid_s[1:] - grid_s[:-1])[:, None]
 
 
 def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:

@@ -145,6 +145,8 @@ class WindowStage(ABC, Generic[W, X, M]):
     ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
         """New state and the windows that became known, each with the number of its last sample."""
         windows, found = self.windows.step(state.windows, block, attitude)
+        if not found:
+            return WindowStageState(windows, state.memory), []
         memory, contexts = self.assess_all(state.memory, [window for _, window in found])
         return WindowStageState(windows, memory), [
             (last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s))

@@ -59,9 +59,18 @@ class AttitudeFreeFeatures:
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
-        signals = windows[:, N_MAGNITUDES:]
-        parts = invariant.invariant_features, carrying.carrying_features, stride.stride_features
-        return np.hstack([part(signals, rate_hz) for part in parts])
+        return invariant.in_groups(_of_group, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
+
+
+def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+    swing = invariant.swing_lines(windows)
+    return np.hstack(
+        [
+            invariant.features_of(windows, swing, rate_hz),
+            carrying.features_of(windows, rate_hz),
+            stride.features_of(windows, swing, rate_hz),
+        ]
+    )
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
