@@ -56,7 +56,8 @@ def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple
     low, high = np.minimum.reduceat(motion, begins), np.maximum.reduceat(motion, begins)
     low[0], high[0] = np.minimum(low[0], state.low), np.maximum(high[0], state.high)
     n_whole, n_rows = divmod(state.n_rows + len(motion), _WINDOW_ROWS)
-    constant, moving = high - low <= _CONSTANT, high - low > _MOVING
+    change = high - low
+    constant, moving = np.asarray(change <= _CONSTANT), np.asarray(change > _MOVING)
     is_constant, result, ends = constant.any(axis=1).tolist(), motion, [*begins[1:].tolist(), len(motion)]
     since_s, moved, dead, start_s = state.still_since_s, state.moved, state.dead, state.start_s
     for k, begin in enumerate(begins.tolist()):

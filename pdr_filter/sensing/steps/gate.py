@@ -377,9 +377,9 @@ def repetition(signal: FloatArray, max_lag_s: float = _MAX_LAG_S) -> float:
     n_lags = min(round(max_lag_s * _EVIDENCE_HZ) + 1, n - 11)
     columns = [np.ascontiguousarray(c) for c in centred.T]
     product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
-    energy = np.concatenate([[0.0], np.cumsum((centred * centred).sum(axis=1))])
-    lag = np.arange(n_lags)
-    correlation = product / np.sqrt(energy[n - lag] * (energy[n] - energy[lag]) + 1e-6)
+    energy = np.concatenate([[0.0], np.add.accumulate((centred * centred).sum(axis=1))])
+    # of the samples up to each lag before the end, and from each lag on
+    correlation = product / np.sqrt(energy[: n - n_lags : -1] * (energy[n] - energy[:n_lags]) + 1e-6)
     negative = np.flatnonzero(correlation < 0)
     return max(0.0, float(correlation[negative[0] :].max())) if len(negative) else 0.0
 
