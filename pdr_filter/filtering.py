@@ -11,15 +11,17 @@ from operator import attrgetter
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.filter import height
+from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
+from pdr_filter.maps.particles import ParticleState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
+from pdr_filter.sensing.merging import SENSORS, Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.values import (
     CONTEXTS,
     HARDLY_AGREE,
@@ -29,6 +31,7 @@ from pdr_filter.values import (
     FloorPassage,
     ImuBlock,
     Note,
+    OnPlan,
     PositionFix,
     SpeedFix,
     Standstill,
@@ -43,6 +46,8 @@ MAX_FIX_AGE_S = 60.0
 # A fix of the moment at which the sensors were switched on is one of their first sample.
 FIX_TOLERANCE_S = 1.0
 
+# Results of fixes that an app can still ask for.
+_N_LAST_FIXES = 16
 _STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 
 
@@ -100,6 +105,11 @@ class State:
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
+    particles: ParticleState = field(default_factory=ParticleState)  # on the floor plan, if there is one
+    merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
+    window: WindowContext | None = None  # the last one
+    last_fixes: tuple[FixResult, ...] = ()  # what became of them
+    last_update: StepUpdate | None = None  # of this segment
     finished: bool = False
 
     @property
@@ -126,7 +136,14 @@ class Output:
 
 def init(config: Config) -> State:
     """State of a filter before its first sample."""
-    return State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
+    state = State(config.sensing.init(), config.tracker.init(), config.climb_rate.init())
+    on_plan = config.on_plan
+    if on_plan is None:
+        return state
+    if on_plan.start is not None:
+        state = replace(state, height=height.with_floor(state.height, on_plan.start.floor))
+    # locations are then in the frame of the plan
+    return replace(state, locations=LocationState(origin=on_plan.plan.origin), particles=on_plan.init())
 
 
 def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
@@ -142,6 +159,22 @@ def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
         state, output = _process(config, replace(state, sensing=sensing), events)
         whole.extend(output)
     return state, whole
+
+
+def arrive(
+    config: Config, state: State, sensor: Sensor, time_s: FloatArray, values: FloatArray
+) -> tuple[State, Output]:
+    """New state and output after samples (N,), (N, d) of one sensor, which wait for those of the others."""
+    if state.finished:
+        raise ValueError("the filter is finished: start a new one for further samples")
+    merger, merged = config.merger.step(state.merger, sensor, time_s, values)
+    return _with_merged(config, replace(state, merger=merger), merged)
+
+
+def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, Output]:
+    if len(merged.pressure_time_s):
+        state = add_pressure(config, state, merged.pressure_time_s, merged.pressure_hpa)
+    return step(config, state, merged.block) if len(merged.block.time_s) else (state, Output())
 
 
 # Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
@@ -203,6 +236,14 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
     return replace(state, waiting_fixes=tuple(waiting))
 
 
+def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
+    """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
+    place = None if config.on_plan is None else config.on_plan.place(state.particles)
+    if place is not None:
+        return place.position_m, place.position_cov_m2
+    return pedestrian.present_position(state.tracker.pedestrian)
+
+
 def person_of(config: Config, state: State) -> Person | None:
     """What is known of the person in the end: of walks before, and of the fixes of this one; None if nothing is."""
     session = session_of(config.model, state.tracker.pedestrian, state.n_length_fixes)
@@ -219,8 +260,8 @@ _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 
 def notes_of(config: Config, state: State) -> list[Note]:
     """What to keep in mind about the track so far: the same for a whole recording and for an app."""
-    report, seen = state.sensing.conditioner.report, state.seen
-    notes = [Note("samples", text) for text in report.notes()]
+    seen = state.seen
+    notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
     moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
@@ -234,6 +275,12 @@ def notes_of(config: Config, state: State) -> list[Note]:
     if seen.unknown > notable:
         words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
         notes.append(Note("contexts", words + "contexts are unsure there"))
+    for sensor, last_s in config.merger.silent(state.merger):
+        notes.append(Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it"))
+    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
+        if stream.n_late:
+            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
+            notes.append(Note("samples", words + "and were left out"))
     if seen.stairs_unknown > notable:
         words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
         notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
@@ -252,6 +299,8 @@ def notes_of(config: Config, state: State) -> list[Note]:
         words += "as in a bag: the turn of the phone alone leads there"
         notes.append(Note("heading", words))
     notes += [*config.notes, *height.notes(state.height)]
+    if config.on_plan is not None:
+        notes += config.on_plan.notes(state.particles)
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
         words = (
@@ -297,7 +346,10 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     """
     if state.finished:
         return state, Output()
-    state, output = _process(config, state, config.sensing.finish(state.sensing))
+    merger, merged = config.merger.finish(state.merger)
+    state, output = _with_merged(config, replace(state, merger=merger), merged)
+    state, late = _process(config, state, config.sensing.finish(state.sensing))
+    output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
     end_s = state.sensing.processed_s
     state = _with_steps(config, state, end_s, last.updates, output)
@@ -325,10 +377,14 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             state = replace(state, height=height.on_window(state.height, event, config.model))
             context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)
-            state = replace(state, seen=state.seen.plus(context))
+            state = replace(state, seen=state.seen.plus(context), window=context)
             tracker, brought = config.tracker.on_window(state.tracker, context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+            if config.on_plan is not None:
+                particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
+                state = replace(state, particles=particles)
+            state = replace(state, last_update=None)
         else:
             state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
@@ -363,8 +419,27 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         else:
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
-        output.updates.append(replace(update, **there))
-    return state if known is state.height else replace(state, height=known)
+        update = replace(update, **there)
+        if config.on_plan is not None and update.is_final:
+            known_now = state.tracker.pedestrian
+            state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
+            update = _on_plan(update, config.on_plan.place(state.particles))
+        output.updates.append(update)
+    return replace(state, height=known, last_update=output.updates[-1]) if updates else state
+
+
+def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
+    """A step where the particles on a plan are, if there are some."""
+    if place is None:
+        return update
+    return replace(
+        update,
+        on_plan=place,
+        position_m=place.position_m,
+        position_cov_m2=place.position_cov_m2,
+        walking_heading_rad=place.walking_heading_rad,
+        of_start=None,
+    )
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
@@ -393,11 +468,16 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
+        if config.on_plan is not None:
+            floor = state.height.known.floors.floor
+            particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
+            state = replace(state, particles=particles)
     if isinstance(fix, PositionFix) and fix.floor is not None and outcome != "rejected":
         state = replace(state, height=height.with_floor(state.height, fix.floor))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
         state,
+        last_fixes=(*state.last_fixes, result)[-_N_LAST_FIXES:],
         n_rejected_fixes=state.n_rejected_fixes + (outcome == "rejected"),
         n_length_fixes=state.n_length_fixes + (result.accepted and isinstance(fix, PositionFix | SpeedFix)),
     )

@@ -87,13 +87,15 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     return tuple(found)
 
 
-def fixes_of(location: Samples) -> tuple[Origin | None, tuple[PositionFix, ...]]:
+def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
     """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
+
+    The zero is the first usable location, if no other is given.
 
     `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
     """
     latitude_deg, longitude_deg, _, accuracy_m = location.values.T
-    state, fixes = position_fixes(LocationState(), location.time_s, latitude_deg, longitude_deg, accuracy_m)
+    state, fixes = position_fixes(LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m)
     return state.origin, fixes
 
 

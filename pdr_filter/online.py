@@ -3,38 +3,50 @@
 from __future__ import annotations
 
 import warnings
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
-from pdr_filter.config import Config
-from pdr_filter.filter.pedestrian import StepUpdate, present_position
+from pdr_filter.config import Config, on_plan
+from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
+    Output,
     State,
     add_fixes,
     add_location,
     add_pressure,
+    arrive,
     finish,
     init,
     notes_of,
     person_of,
+    present_position,
     step,
     untimely,
 )
+from pdr_filter.io.limits import MIN_SAMPLES
 from pdr_filter.io.recording import Subject
+from pdr_filter.io.units import unit_of_rate, wrong_rate, wrong_time
+from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.features.barometric import checked_pressure
+from pdr_filter.sensing.merging import Sensor
 from pdr_filter.values import (
     STANDARD_GRAVITY_MPS2,
     Fix,
     FloatArray,
     ImuBlock,
+    OnPlan,
     Origin,
     PositionFix,
     as_floats,
     check_cov,
+    check_fix,
 )
 
 
@@ -49,6 +61,10 @@ class OnlineFilter:
         A recipe; the default recipe if not given.
     height_m : float, optional
         Of the person, for the default recipe: what `pdr_filter.track` takes from a recording that says it.
+    plan : FloorPlan, optional
+        Keeps the track where people can walk; positions are then in its frame. See `Config.with_plan`.
+    start : PositionFix or str, optional
+        Where on the plan the walk begins: a place, the name of an area, or "anywhere".
 
     Examples
     --------
@@ -66,7 +82,13 @@ class OnlineFilter:
     True
     """
 
-    def __init__(self, config: Config | None = None, height_m: float | None = None) -> None:
+    def __init__(
+        self,
+        config: Config | None = None,
+        height_m: float | None = None,
+        plan: FloorPlan | None = None,
+        start: PositionFix | str | None = None,
+    ) -> None:
         if config is None:
             from pdr_filter import recipes
 
@@ -75,8 +97,8 @@ class OnlineFilter:
             raise ValueError(
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
-        self.config = config
-        self.state = init(config)
+        self.config = on_plan(config, plan, start)
+        self.state = init(self.config)
 
     def push(
         self,
@@ -96,22 +118,67 @@ class OnlineFilter:
         angular_rate_radps, magnetic_field_ut : (N, 3), optional
             At the same times; NaN rows, or nothing, where there is no measurement.
         """
+        if self.state.merger.is_used:
+            raise ValueError(
+                "push takes samples that are merged, and this filter takes sensors apart: use one of the two"
+            )
         block = imu_block(time_s, specific_force_mps2, angular_rate_radps, magnetic_field_ut)
-        self.state, output = step(self.config, self.state, block)
-        return output.updates
+        _check_times(block.time_s, np.empty(0), self.state)
+        return self._took(*step(self.config, self.state, block))
 
-    def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> None:
+    def push_accelerometer(self, time_s: ArrayLike, specific_force_mps2: ArrayLike) -> list[StepUpdate]:
+        """Updates of the steps that became known, after samples of the accelerometer: one row (3,) or a block (N, 3).
+
+        For sensors that arrive apart, out of step and late by some seconds (`pdr_filter.sensing.merging`); `push` takes
+        samples that are merged already. The track is that of `merge_streams` on all of them.
+        """
+        return self._arrive("accelerometer", time_s, specific_force_mps2, "specific_force_mps2")
+
+    def push_gyroscope(self, time_s: ArrayLike, angular_rate_radps: ArrayLike) -> list[StepUpdate]:
+        """The same of a gyroscope."""
+        return self._arrive("gyroscope", time_s, angular_rate_radps, "angular_rate_radps")
+
+    def push_magnetometer(self, time_s: ArrayLike, magnetic_field_ut: ArrayLike) -> list[StepUpdate]:
+        """The same of a magnetometer."""
+        return self._arrive("magnetometer", time_s, magnetic_field_ut, "magnetic_field_ut")
+
+    def push_pressure(self, time_s: ArrayLike, pressure_hpa: ArrayLike) -> list[StepUpdate]:
         """Take samples of a barometer, (N,) each: the height follows it, and its climb rate distinguishes stairs.
 
-        Push the pressure before the other samples of the same time. Raises ValueError for pressures in Pa or kPa.
+        With `push`, give the pressure before the other samples of the same time; with `push_accelerometer` it may be
+        late as they may. Raises ValueError for pressures in Pa or kPa.
         """
         columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
         time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
-        self.state = add_pressure(self.config, self.state, time, pressure)
+        time, pressure = checked_pressure(time, pressure)
+        if not self.state.merger.is_used:
+            self.state = add_pressure(self.config, self.state, time, pressure)
+            return []
+        return self._took(*arrive(self.config, self.state, "barometer", time, pressure[:, None]))
+
+    def _arrive(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
+        time, rows = np.atleast_1d(as_floats(time_s, "time_s")), as_floats(values, name)
+        rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
+        if time.ndim != 1 or rows.shape != (len(time), 3):
+            raise ValueError(f"{name} must be ({time.size}, 3), one row for each time_s, got {rows.shape}")
+        recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
+        _check_times(time, recent_s, self.state)
+        return self._took(*arrive(self.config, self.state, sensor, time, rows))
+
+    def _took(self, state: State, output: Output) -> list[StepUpdate]:
+        """The updates, with the new state; ValueError, once, if no specific force yet was in the right unit."""
+        before, units = self.state.sensing.conditioner, state.sensing.conditioner.units
+        if units.is_wrong and not before.units.n:
+            # the note stays, and nothing of the block
+            sensing = replace(self.state.sensing, conditioner=replace(before, units=units))
+            self.state = replace(self.state, sensing=sensing)
+            raise ValueError(f"{units.wrong_force}; start a new filter with such samples")
+        self.state = state
+        return output.updates
 
     def push_location(
         self, time_s: ArrayLike, latitude_deg: ArrayLike, longitude_deg: ArrayLike, accuracy_m: ArrayLike
-    ) -> None:
+    ) -> list[StepUpdate]:
         """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
 
         For a configuration in the world frame, `config.in_world_frame()`, or `config.with_magnetic_north(...)` with the
@@ -139,6 +206,7 @@ class OnlineFilter:
                 f"{time.shape}, {latitude.shape}, {longitude.shape} and {accuracy.shape}"
             )
         self.state = add_location(self.config, self.state, time, latitude, longitude, accuracy)
+        return []
 
     def finish(self) -> list[StepUpdate]:
         """Updates of the last steps, when no further sample will come."""
@@ -155,6 +223,7 @@ class OnlineFilter:
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
+        check_fix(fix)
         fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
         # after a gap of over a minute samples wait until those that follow confirm them
@@ -164,15 +233,24 @@ class OnlineFilter:
             raise ValueError(wrong[0])
         self.state = add_fixes(self.config, self.state, (fix,))
 
+    def now(self) -> Now:
+        """What is known at this moment, with the steps that are not accepted yet; changes nothing."""
+        return now(self.config, self.state)
+
     @property
     def position_m(self) -> FloatArray:
         """East and north of the last final step, shape (2,)."""
-        return present_position(self.state.tracker.pedestrian)[0]
+        return present_position(self.config, self.state)[0]
 
     @property
     def position_cov_m2(self) -> FloatArray:
         """Covariance of `position_m`, shape (2, 2)."""
-        return present_position(self.state.tracker.pedestrian)[1]
+        return present_position(self.config, self.state)[1]
+
+    @property
+    def on_plan(self) -> OnPlan | None:
+        """Where the particles on the floor plan are, in one place or several; None before there are some."""
+        return None if self.config.on_plan is None else self.config.on_plan.place(self.state.particles)
 
     @property
     def height_m(self) -> float:
@@ -192,6 +270,8 @@ class OnlineFilter:
     @property
     def origin(self) -> Origin | None:
         """Where on Earth `position_m` is zero; None before a location has placed the track."""
+        if self.config.on_plan is not None:
+            return None if self.on_plan is None else self.config.on_plan.plan.origin
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
         return frame.origin(place) if place is not None and frame.is_known else None
 
@@ -247,7 +327,9 @@ def _try(online: OnlineFilter) -> None:
             if not state.finished:
                 copy.push_pressure(time_s[::10], np.full(len(time_s[::10]), 1000.0))
                 copy.add_fix(PositionFix(time_s[0], np.zeros(2), 1e6 * np.eye(2)))
-                updates += copy.push(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
+                block = imu_block(time_s, _TRIAL_FORCE_MPS2, _TRIAL_RATE_RADPS, _TRIAL_FIELD_UT)
+                copy.state, output = step(copy.config, copy.state, block)
+                updates += output.updates
                 updates += copy.finish()
             _ = copy.notes, copy.device
         numbers = [copy.position_m, *(u.position_m for u in updates), *(u.mode_prob for u in updates)]
@@ -264,6 +346,20 @@ _PHASE = 2 * np.pi * 2.0 * _TRIAL_S
 _TRIAL_FORCE_MPS2 = np.column_stack([np.cos(_PHASE / 2), np.cos(_PHASE), STANDARD_GRAVITY_MPS2 + 3 * np.sin(_PHASE)])
 _TRIAL_RATE_RADPS = 0.3 * np.column_stack([np.sin(_PHASE / 2), np.cos(_PHASE), np.cos(_PHASE / 2)])
 _TRIAL_FIELD_UT = np.tile([0.0, 20.0, -40.0], (len(_TRIAL_S), 1))
+
+
+def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
+    """ValueError for times that cannot be seconds: too large, or from the first on as far apart as of another unit."""
+    finite_s = time_s[np.isfinite(time_s)]
+    wrong = wrong_time(float(np.median(finite_s))) if len(finite_s) else ""
+    if not wrong and state.sensing.conditioner.report.n_emitted == 0:
+        known_s = np.concatenate([before_s, time_s])
+        intervals_s = np.diff(known_s)
+        forward_s = intervals_s[intervals_s > 0]
+        rate_hz = 1.0 / float(np.median(forward_s)) if len(forward_s) >= MIN_SAMPLES else np.inf
+        wrong = wrong_rate(rate_hz) if unit_of_rate(rate_hz) else ""
+    if wrong:
+        raise ValueError(wrong)
 
 
 def imu_block(

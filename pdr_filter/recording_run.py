@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Literal, get_args
 import numpy as np
 
 from pdr_filter.aligned import aligned
-from pdr_filter.config import Config
+from pdr_filter.config import Config, on_plan
 from pdr_filter.filter.alignment import Frame, Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
@@ -29,6 +29,7 @@ from pdr_filter.filtering import (
 )
 from pdr_filter.gnss import fixes_of
 from pdr_filter.io.recording import MissingSensorError, Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -49,6 +50,7 @@ from pdr_filter.values import (
     Step,
     Table,
     Windows,
+    check_fix,
     read_only,
     step_table,
     wrap_angle,
@@ -74,6 +76,8 @@ def track(
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
     north: Literal["magnetic", "off"] | None = None,
+    plan: FloorPlan | None = None,
+    start: PositionFix | str | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
 
@@ -113,10 +117,20 @@ def track(
         Whether the magnetometer says where true north is, until fixes have settled it: "magnetic" if not given, where
         the locations of the recording are used. With "magnetic" `fixes` are in a frame whose north is true north, and
         without fixes the track is turned about its start (`Track.frame` is "north").
+    plan : FloorPlan, optional
+        Keeps the track where people can walk. `fixes` are in its frame, and so is the track then (`Track.frame` is
+        "plan"); `Track.clusters` says in how many places the walk may be. The recording's own locations are used
+        where the plan was in degrees.
+    start : PositionFix or str, optional
+        Where on the plan the walk begins: a place, the name of an area, or "anywhere". If not given, where the fixes
+        put the track, or at the plan's zero and to its north.
     """
+    for fix in fixes:
+        check_fix(fix)
     with_location = _with_location(recording, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    with_location = with_location and not is_placed
+    # a plan in metres has a frame of its own
+    with_location = with_location and not is_placed and (plan is None or plan.origin is not None)
     recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if calibration is not None:
@@ -133,6 +147,7 @@ def track(
     if with_location:
         config = config.in_world_frame()
     config = _with_north(config, recording, origin, heading_rad, with_location, gnss, north)
+    config = on_plan(config, plan, start)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
     if is_placed and recording.location is not None and gnss is None:
@@ -281,12 +296,16 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         origin = frame.origin(origin)
     updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
+    is_on_plan = any(update.on_plan is not None for update in updates)
+    if config.on_plan is not None:
+        track = _on_plan(track, config.on_plan.plan, updates)
+        origin = config.on_plan.plan.origin if is_on_plan else None
     start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
     return replace(
         track,
         start_time_s=start_s,
         start_position_m=read_only(start.position_m),
-        frame=frame.name,
+        frame="plan" if is_on_plan else frame.name,
         origin=origin,
         duration_s=duration_s,
         fixes=(*whole.fixes, *late),
@@ -389,6 +408,16 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
         start_time_s=0.0,
         duration_s=0.0,
         weighting=config.tracker.weighting,
+    )
+
+
+def _on_plan(track: Track, plan: FloorPlan, updates: Sequence[StepUpdate]) -> Track:
+    places = [u.on_plan for u in updates]
+    return replace(
+        track,
+        plan=plan,
+        clusters=tuple(() if place is None else place.clusters for place in places),
+        effective_sample_size=read_only(np.array([0.0 if p is None else p.effective_sample_size for p in places])),
     )
 
 

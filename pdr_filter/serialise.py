@@ -26,7 +26,7 @@ _FORMAT = 2
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
 # What a filter is made of. Other rooms may have more in their values, but nothing here imports them.
-_ROOMS = ("values", "classifiers", "sensing", "filter", "config", "papers", "gnss", "filtering")
+_ROOMS = ("values", "classifiers", "sensing", "filter", "maps", "config", "papers", "gnss", "filtering")
 
 
 def to_bytes(value: object) -> bytes:

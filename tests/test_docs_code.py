@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import inspect
+import json
 import os
 import re
 import subprocess
@@ -17,6 +18,7 @@ import numpy as np
 import pymap3d
 import pytest
 import typer.main
+from heard import heard_along
 from helpers import cut_randomly
 
 import pdr_filter as pdr
@@ -38,10 +40,20 @@ NOT_RUN = {"docs/methods/batch.md", "docs/methods/rvm.md", "docs/methods/smoothi
 CODE = re.compile(r"^```python\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 WITH_CODE = [name for name, text in PAGES.items() if CODE.search(text) and name not in NOT_RUN | {"docs/index.md"}]
 
+_RING = [[-60.0, -60.0], [60.0, -60.0], [60.0, 60.0], [-60.0, 60.0], [-60.0, -60.0]]
+BUILDING = [
+    {
+        "type": "Feature",
+        "properties": {"type": kind, "name": name},
+        "geometry": {"type": "Polygon", "coordinates": [_RING]},
+    }
+    for kind, name in (("floor", "entrance hall"),)
+]
+
 
 @pytest.fixture(scope="module")
 def recording() -> pdr.Recording:
-    """A short walk of known length, with positions of a GNSS receiver every four seconds, 3 m off."""
+    """A short walk of known length, with positions of a GNSS receiver every four seconds, 3 m off, and Wi-Fi."""
     legs = [Leg("stationary", duration_s=3.0), *(Leg("walking", distance_m=d, turn_rad=1.5) for d in (25.0, 20.0))]
     walk = simulate(legs, Gait(height_m=1.75), seed=1, name="walk")
     truth, rng = walk.truth.position, np.random.default_rng(1)
@@ -50,7 +62,9 @@ def recording() -> pdr.Recording:
     lat_deg, lon_deg, _ = pymap3d.enu2geodetic(*place_m, 0.0, 51.4779, -0.0015, 0.0)
     values = np.column_stack([lat_deg, lon_deg, np.zeros(len(time_s)), np.full(len(time_s), 3.0)])
     subject = {**walk.meta["subject"], "id": "s1"}
-    return replace(walk, location=Samples(time_s, values), meta={**walk.meta, "subject": subject})
+    at_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
+    wifi = heard_along(time_s, at_m, seed=1)
+    return replace(walk, location=Samples(time_s, values), wifi=wifi, meta={**walk.meta, "subject": subject})
 
 
 @pytest.mark.parametrize("page", WITH_CODE)
@@ -59,6 +73,7 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(
 ) -> None:
     monkeypatch.chdir(tmp_path)
     path = recording.save("walk.zip")
+    Path("building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
     # What pages take for granted: the reader's recording, and the samples of an app.
     names: dict[str, Any] = {
         "pdr": pdr,
@@ -94,9 +109,11 @@ WITH_COMMANDS = [name for name, text in PAGES.items() if any("[" not in b for b 
 def test_the_commands_of_a_page_run_as_they_are_typed(page: str, recording: pdr.Recording, tmp_path: Path) -> None:
     mine = replace(recording, truth=Truth())  # of which a reader's phone knows nothing
     mine.save(tmp_path / "walk.zip")
+    recording.save(tmp_path / "surveyed" / "walk.zip")
     replace(mine, location=None, name="indoors").save(tmp_path / "indoors.zip")
     (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n4,0,0\n20,1,20\n30,10,25\n", encoding="utf-8")
     (tmp_path / "loops.csv").write_text("first_s,second_s,std_m\n3.0,6.0,10\n", encoding="utf-8")
+    (tmp_path / "building.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": BUILDING}), "utf-8")
     command = tmp_path / "bin" / "pdr-filter"
     command.parent.mkdir()
     command.write_text(f'#!/bin/sh\nexec "{sys.executable}" -c "from pdr_filter.cli.app import main; main()" "$@"\n')

@@ -13,6 +13,8 @@ from pdr_filter.cli.calibrate import calibrate, smooth
 from pdr_filter.cli.compare import compare
 from pdr_filter.cli.info import info
 from pdr_filter.cli.options import in_groups
+from pdr_filter.cli.plan import plan
+from pdr_filter.cli.radio import radio
 from pdr_filter.cli.simulate import demo, simulate
 from pdr_filter.cli.track import track
 from pdr_filter.cli.train import train
@@ -25,7 +27,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, train, compare, calibrate, smooth, simulate, demo):
+for command in (track, info, plan, train, compare, calibrate, smooth, radio, simulate, demo):
     app.command()(in_groups(command))
 
 

@@ -10,7 +10,17 @@ import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
-from pdr_filter.cli.options import CalibrationFile, Files, Folder, Format, Scheduler
+from pdr_filter.cli.options import (
+    CalibrationFile,
+    Files,
+    Folder,
+    Format,
+    PlanFile,
+    RadioFile,
+    Scheduler,
+    Start,
+    on_plan,
+)
 from pdr_filter.io.texts import file_name, printable_lines
 
 
@@ -85,11 +95,17 @@ def smooth(
         Path | None,
         typer.Option(help="CSV of two times at one place, first_s,second_s and perhaps std_m; with --fixes or alone."),
     ] = None,
+    wifi_loops: Annotated[
+        bool, typer.Option("--wifi-loops", help="Close loops where the recording's own Wi-Fi is alike.")
+    ] = False,
+    radio: RadioFile = None,
     calibration: CalibrationFile = None,
+    plan: PlanFile = None,
+    start: Start = None,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against fixes and loop closures of files, or else its own waypoints or locations.
+    """Smooth a whole recording against fixes and loop closures, or else its own waypoints or locations.
 
     Times in the files are seconds of the recording.
     """
@@ -97,19 +113,25 @@ def smooth(
     from pdr_filter.calibration import load_calibration
     from pdr_filter.gnss import fixes_of
     from pdr_filter.offline.smoothing.observations import fixes_of_file, loop_closures_of_file, waypoint_fixes
+    from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
         known = None if calibration is None else load_calibration(calibration)
         closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
-        origin, known_places = None, ()
-        if fixes is not None:
-            known_places = fixes_of_file(fixes, fix_std_m)
-        elif not closed and recording.truth.waypoints is None and recording.location is not None:
-            origin, known_places = fixes_of(recording.location)
-        elif not closed:
+        closed += wifi_loop_closures(recording) if wifi_loops else []
+        known_places = [] if fixes is None else fixes_of_file(fixes, fix_std_m)
+        known_places += [] if radio is None else pdr.RadioMap.load(radio).fixes(recording)
+        where = on_plan(plan, start)
+        origin, nothing_given = (
+            None,
+            start is None and fixes is None and loop_closures is None and radio is None and not wifi_loops,
+        )
+        if nothing_given and recording.truth.waypoints is None and recording.location is not None:
+            origin, known_places = fixes_of(recording.location, where["plan"].origin if where else None)
+        elif nothing_given:
             known_places = waypoint_fixes(recording, fix_std_m)
-        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed)
+        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed, **where)
         track = result.track if origin is None else result.track.placed(origin)
         if out is not None:
             name = file_name(track.name)

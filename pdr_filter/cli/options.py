@@ -18,6 +18,9 @@ Format = Annotated[
 ]
 AsJson = Annotated[bool, typer.Option("--json", help="One JSON object a line for each file, nothing else on stdout.")]
 CalibrationFile = Annotated[Path | None, typer.Option(help="Of pdr-filter calibrate: this person's steps.")]
+RadioFile = Annotated[
+    Path | None, typer.Option("--radio", help="Of pdr-filter radio: a map of this building's Wi-Fi, for fixes.")
+]
 Folder = Annotated[Path | None, typer.Option(help="Folder for NAME.csv and NAME.png.")]
 
 
@@ -54,7 +57,36 @@ Heading = Annotated[
     str | None,
     typer.Option(metavar="DEG", help="True heading in which the person first walks, clockwise from north: 90 is east."),
 ]
+PlanFile = Annotated[
+    Path | None, typer.Option("--plan", help="Floor plan (GeoJSON) that keeps the track where people can walk.")
+]
+Start = Annotated[
+    str | None,
+    typer.Option(
+        metavar="PLACE", help="Where on the plan it begins: EAST,NORTH in m, the name of an area, or anywhere."
+    ),
+]
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
+
+
+def on_plan(plan: Path | None, start: str | None) -> dict[str, Any]:
+    """The arguments `plan` and `start` of `pdr_filter.track` and `pdr_filter.smooth`."""
+    import numpy as np
+
+    from pdr_filter.maps.floor_plan import FloorPlan
+    from pdr_filter.values import PositionFix
+
+    if plan is None and start is not None:
+        raise ValueError(f"--start is a place on a floor plan, got {start!r} without --plan: give one")
+    if plan is None:
+        return {}
+    place: Any = start
+    try:
+        east_m, north_m = (float(part) for part in (start or "").split(","))
+        place = PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
+    except ValueError:  # a name
+        pass
+    return {"plan": FloorPlan.read(plan), "start": place}
 
 
 def origin_deg(text: str | None) -> tuple[float, float] | None:

@@ -21,8 +21,12 @@ from pdr_filter.cli.options import (
     Heading,
     North,
     Origin,
+    PlanFile,
+    RadioFile,
     Scheduler,
+    Start,
     heading_rad,
+    on_plan,
     origin_deg,
 )
 from pdr_filter.io.texts import file_name
@@ -62,6 +66,9 @@ class Method:
     north: North = None
     origin: Origin = None
     heading: Heading = None
+    plan: PlanFile = None
+    start: Start = None
+    radio: RadioFile = None
 
     @property
     def weighting_name(self) -> str | None:
@@ -208,6 +215,9 @@ def track(
                 "--north": method.north,
                 "--origin": method.origin,
                 "--heading": method.heading,
+                "--plan": method.plan,
+                "--start": method.start,
+                "--radio": method.radio,
                 "--export": output.export,
                 "--report": output.report,
                 "--json": as_json,
@@ -221,11 +231,15 @@ def track(
             return
         output.check()
         changes = method.changes()
+        where = on_plan(method.plan, method.start)
+        radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
     written: set[str] = set()
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
         config = changes(pdr.recipes.for_recording(method.recipe, recording))
+        if radio is not None:
+            config = config.in_world_frame()
         device, person = (
             path if path is not None and path.exists() else None for path in (method.device, method.person)
         )
@@ -233,6 +247,7 @@ def track(
             recording,
             config,
             method.weighting_name,
+            fixes=() if radio is None else radio.fixes(recording),
             progress=progress,
             calibration=method.calibration,
             device=device,
@@ -241,6 +256,7 @@ def track(
             north=None if method.north is None else method.north.value,
             origin=origin_deg(method.origin),
             heading_rad=heading_rad(method.heading),
+            **where,
         )
         if method.device is not None and result.device is not None:
             result.device.save(method.device)

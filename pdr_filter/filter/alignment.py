@@ -199,6 +199,14 @@ class Frame:
         return tuple(turn for turn in self.later if turn.since == turn.n_steps)
 
     @property
+    def turn_var_rad2(self) -> float:
+        """Variance of a turn that is not in the filter's states: of a frame that is joined, none."""
+        if self.is_joined:
+            return 0.0
+        known = self._open
+        return known.angle_var_rad2 if known else 0.0 if self.compass is None else self.compass.std_rad**2
+
+    @property
     def is_known(self) -> bool:
         """Whether positions are in the frame of fixes, be the turn settled or not."""
         return self.turn is not None or self.alignment is not None

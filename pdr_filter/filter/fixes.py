@@ -109,7 +109,9 @@ def _without_error_of_last(
     if before is None:
         # the way since then is forgotten, or has a gap: as many such fixes would say together
         return fix.position_m, H, (1 + left) / (1 - left) * fix.cov_m2
-    a = left * min(1.0, float(np.sqrt(fix.var_m2 / last.var_m2)))
+    # no more than is left of R_2 in any direction: a^2 R_1 < R_2, whatever the shapes of the two
+    most = float(np.linalg.eigvals(np.linalg.solve(fix.cov_m2, last.cov_m2)).real.max())
+    a = left * min(1.0, 1 / float(np.sqrt(most)))
     d = then_m - before[:2]
     z = (fix.position_m - a * (last.position_m + d)) / (1 - a)
     H[:, HEADING_OFFSET] = a / (1 - a) * np.array([d[1], -d[0]])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import FloatArray, PositionFix, Step, read_only, replace, wrap_angle
+from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, replace, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -58,6 +59,14 @@ class StepUpdate:
     height_m: float = 0.0
     height_std_m: float = 0.0
     floor: int = 0
+    # Where particles on a floor plan are; with it position, covariance and heading are theirs. None without a plan.
+    on_plan: OnPlan | None = None
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""
+        named = {f.name: getattr(self, f.name) for f in fields(self)}
+        contexts = dict(zip(CONTEXTS, self.context_prob, strict=True))
+        return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
 @dataclass(frozen=True, eq=False)

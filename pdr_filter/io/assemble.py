@@ -15,6 +15,7 @@ from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import TIME_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.wifi import wifi_of
 from pdr_filter.values import FloatArray, Samples, table
 
 
@@ -25,6 +26,7 @@ class Parsed:
     path: Path
     source: str  # app or format, as the report names it
     streams: dict[str, tuple[FloatArray, FloatArray]] = field(default_factory=dict[str, tuple[FloatArray, FloatArray]])
+    wifi: tuple[FloatArray, FloatArray] | None = None  # times (N,); address, dBm and MHz (N, 3)
     truth: dict[str, dict[str, FloatArray]] = field(default_factory=dict[str, dict[str, FloatArray]])
     meta: dict[str, Any] = field(default_factory=dict[str, Any])
     found: list[str] = field(default_factory=list[str])  # signs and units
@@ -55,6 +57,7 @@ class Parsed:
         return Recording(
             name=own_name if own_name.isprintable() and own_name.strip(". ") else "recording",
             **streams,
+            wifi=None if self.wifi is None else wifi_of(self.wifi[0] - zero_s, self.wifi[1], "wifi", self.notes),
             truth=Truth(**truth),
             meta={**self.meta, READING_KEY: reading},
             source=where,

@@ -11,9 +11,8 @@ from pdr_filter.io import limits
 from pdr_filter.io.describe import describe_stream, median_norm
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.table import finite
+from pdr_filter.io.units import wrong_angular_rate, wrong_rate, wrong_specific_force
 from pdr_filter.values import BoolArray, FloatArray, Samples
-
-TIME_UNITS = {"milliseconds": 1e3, "microseconds": 1e6, "nanoseconds": 1e9}
 
 
 def checked_streams(
@@ -33,13 +32,13 @@ def checked_streams(
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
             _check_times(samples, f"{where}: {label}")
-            _check_specific_force(median_norm(samples.values), f"{where}: {label}")
+            _refuse(wrong_specific_force(median_norm(samples.values)), f"{where}: {label}")
         elif np.isnan(samples.values).all():  # also true of no rows
             notes.append(f"{label}: no values, left out")
             continue
         streams[name] = samples
     if "gyroscope" in streams:
-        _check_angular_rate(median_norm(streams["gyroscope"].values), f"{where}: gyroscope{suffix}")
+        _refuse(wrong_angular_rate(median_norm(streams["gyroscope"].values)), f"{where}: gyroscope{suffix}")
     notes += _time_notes(streams, suffix)
     return streams
 
@@ -110,34 +109,9 @@ def _check_times(samples: Samples, where: str) -> None:
             f"{where}: time_s does not increase in {n_still} of {len(samples) - 1} rows; "
             "sort the rows by time and give each its own time"
         )
-    rate_hz = found.rate_hz or math.inf
-    low, high = limits.RATE_RANGE_HZ
-    if rate_hz < low:
-        fits = [unit for unit, factor in TIME_UNITS.items() if low <= rate_hz * factor <= high]
-        remedy = f"they look like {fits[0]}, convert them to seconds" if fits else f"record at {low:g} Hz or more"
-        raise RecordingError(f"{where}: time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}")
-    if rate_hz > high:
-        raise RecordingError(
-            f"{where}: time_s gives a rate of {rate_hz:.4g} Hz (median interval), more than {high:g} Hz; "
-            "give the times in seconds"
-        )
+    _refuse(wrong_rate(found.rate_hz or math.inf), where)
 
 
-def _check_specific_force(median_mps2: float, where: str) -> None:
-    low, high = limits.SPECIFIC_FORCE_RANGE_MPS2
-    if low <= median_mps2 <= high:
-        return
-    remedy = "columns x, y, z must be specific force in m/s2, about 9.81 at rest"
-    if limits.G_RANGE[0] <= median_mps2 <= limits.G_RANGE[1]:
-        remedy = "this looks like g units; multiply by 9.80665 (if gravity was removed, record without that)"
-    elif median_mps2 < low:
-        remedy += "; if gravity was removed, record the accelerometer itself"
-    raise RecordingError(f"{where}: median |a| is {median_mps2:.4g}; {remedy}")
-
-
-def _check_angular_rate(median_radps: float, where: str) -> None:
-    if median_radps > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS:
-        raise RecordingError(
-            f"{where}: median angular rate is {median_radps:.4g}; this looks like deg/s, "
-            "multiply x, y and z by pi/180 to get rad/s"
-        )
+def _refuse(wrong: str, where: str) -> None:
+    if wrong:
+        raise RecordingError(f"{where}: {wrong}")

@@ -196,6 +196,8 @@ def _unit_sentences(recording: Recording) -> tuple[str, ...]:
         if not np.isnan(median):
             verdict = "plausible" if low <= median <= high else f"not plausible, expected {low:g} to {high:g}"
             sentences.append(f"{name}: median {quantity} {median:.4g} {unit}".rstrip() + f", {verdict}")
+    if (wifi := recording.wifi) is not None:
+        sentences.append(f"wifi: {wifi.n_access_points} access points in {len(wifi.scans())} scans, {len(wifi)} rows")
     return tuple(sentences)
 
 

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 import math
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,6 +27,7 @@ from pdr_filter.io.files import beside
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout, NumberTable
 from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
+from pdr_filter.io.wifi import heard_s, lines_of_log
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # First the time of the app and of the sensor, then the values.
@@ -35,7 +37,10 @@ LAYOUTS = {
     "AHRS": Layout((1, 2, 6, 7, 8), separator=";"),
     "GNSS": Layout((1, 2, 3, 4, 5, 7), separator=";"),
     "POSI": Layout((1, 3, 4, 5, 6), separator=";"),
+    "WIFI": Layout((0, 1, 2, 3, 4), separator=";"),  # as rewritten: time of the app and sensor, address, dBm, MHz
 }
+# WIFI;AppTimestamp(s);SensorTimestamp(s);Name_SSID;MAC_BSSID;RSS(dBm), and in newer logs the frequency.
+_WIFI = rb"^WIFI;([-+.\d]{1,30});([-+.\d]{1,30});.*;(ADDRESS);(-?\d{1,4})(?:;(\d{1,6}))?;?\r?$"
 STREAM = {
     "ACCE": "accelerometer",
     "GYRO": "gyroscope",
@@ -68,7 +73,7 @@ def read_get_sensor_data(path: str | Path) -> Recording:
         log = TaggedLog(members, "%")
         where = log.where
         _check_columns(log.header, where)
-        tables, _ = log.tables(LAYOUTS, 0, parsed.notes)
+        tables, _ = log.tables(LAYOUTS, 0, parsed.notes, {"WIFI": partial(lines_of_log, _WIFI, b";")})
     if "ACCE" not in tables:
         raise RecordingError(f"{where}: no ACCE lines (found: {', '.join(tables) or 'none'}); log the accelerometer")
     about = log.header_values()
@@ -84,6 +89,9 @@ def read_get_sensor_data(path: str | Path) -> Recording:
     _check_unit(parsed, where)
     if "GNSS" in tables:  # its sensor time is that of the satellites
         parsed.streams["location"] = (tables["GNSS"].values[:, 0], tables["GNSS"].values[:, 2:])
+    if "WIFI" in tables:
+        app_s, sensor_s, *_ = tables["WIFI"].values.T
+        parsed.wifi = (heard_s(app_s, sensor_s + offset_s, parsed.notes), tables["WIFI"].values[:, 2:])
     if "POSI" in tables:
         _read_positions(tables["POSI"].values, parsed)
     parsed.clock = (

@@ -2,12 +2,14 @@
 
 Layout after github.com/location-competition/indoor-location-competition-20: `unix time in ms`, `TYPE_...`, values in
 Android's units and sign; comment lines (`#`) name site, floor and phone. `TYPE_WAYPOINT` is a point of the floor map in
-metres, marked by the surveyor. Other types (Wi-Fi, beacons, uncalibrated values) are ignored.
+metres, marked by the surveyor; `TYPE_WIFI` has name, address, dBm, MHz and when it was last heard. Other types
+(beacons, uncalibrated values) are ignored.
 """
 
 from __future__ import annotations
 
 import re
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -18,6 +20,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import Layout
 from pdr_filter.io.tagged import TaggedLog, rotation_vector_quaternion
+from pdr_filter.io.wifi import heard_s, lines_of_log
 
 STREAM = {
     "TYPE_ACCELEROMETER": "accelerometer",
@@ -25,7 +28,12 @@ STREAM = {
     "TYPE_MAGNETIC_FIELD": "magnetometer",
     "TYPE_ROTATION_VECTOR": "attitude",
 }
-LAYOUTS = {**dict.fromkeys(STREAM, Layout((2, 3, 4), 0, "\t")), "TYPE_WAYPOINT": Layout((2, 3), 0, "\t")}
+LAYOUTS = {
+    **dict.fromkeys(STREAM, Layout((2, 3, 4), 0, "\t")),
+    "TYPE_WAYPOINT": Layout((2, 3), 0, "\t"),
+    "TYPE_WIFI": Layout((1, 2, 3, 4), 0, "\t"),  # as rewritten: reported, address, dBm, MHz, heard
+}
+_WIFI = rb"^(\d{10,16})\tTYPE_WIFI\t.*\t(ADDRESS)\t(-?\d{1,4})\t(\d{1,6})\t(\d{1,16})\r?$"
 
 
 def looks_like(head: bytes) -> bool:
@@ -39,7 +47,7 @@ def read_indoor_location(path: str | Path) -> Recording:
     parsed = Parsed(path, "indoor-location-competition 2.0")
     with open_members(path) as members:
         log = TaggedLog(members, "#")
-        tables, n_others = log.tables(LAYOUTS, 1, parsed.notes)
+        tables, n_others = log.tables(LAYOUTS, 1, parsed.notes, {"TYPE_WIFI": partial(lines_of_log, _WIFI, b"\t")})
     force = tables.get("TYPE_ACCELEROMETER")
     if force is None or len(force) == 0:
         found = ", ".join(tables) or "none"
@@ -61,6 +69,10 @@ def read_indoor_location(path: str | Path) -> Recording:
             "floor": np.full(len(points_m), _floor_number(header.get("FloorName", ""))),
         }
         parsed.meta["truth"] = "points of the floor map that the surveyor marked; its north is not known"
+    if "TYPE_WIFI" in tables:
+        wifi = tables["TYPE_WIFI"].values
+        times_s = heard_s(time_s["TYPE_WIFI"], (wifi[:, 3] - zero_ms) * 1e-3, parsed.notes)
+        parsed.wifi = (times_s, wifi[:, :3])
     parsed.set_device(header.get("Brand"), header.get("Model"))
     parsed.meta |= {key: header[key] for key in ("SiteID", "SiteName", "FloorName") if key in header}
     parsed.meta["epoch_ms"] = zero_ms

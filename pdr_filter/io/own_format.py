@@ -13,10 +13,11 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, json_object, open_members
 from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS
+from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS, WIFI_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.io.table import TextTable
-from pdr_filter.values import CONTEXTS, FloatArray, Table, table
+from pdr_filter.io.wifi import wifi_of, with_whole_addresses
+from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, table
 
 REQUIRED = "accelerometer.csv"
 
@@ -44,6 +45,8 @@ def read_recording(path: str | Path) -> Recording:
             for name, columns in TRUTH_COLUMNS.items()
             if f"{folder}truth_{name}.csv" in members.names
         }
+        has_wifi = f"{folder}wifi.csv" in members.names
+        wifi = _read_wifi(members, f"{folder}wifi.csv", notes) if has_wifi else None
     streams = checked_streams(found, 0.0, ".csv", str(path), notes)
     first_s = streams["accelerometer"].time_s.min()
     if abs(first_s) > 1.0:
@@ -51,6 +54,7 @@ def read_recording(path: str | Path) -> Recording:
     return Recording(
         name=_name(path, meta, notes),
         **streams,
+        wifi=wifi,
         truth=Truth(**truth),
         meta=meta,
         source=str(path),
@@ -126,6 +130,15 @@ def _read_stream(
         return np.empty(0), np.empty((0, len(columns)))
     numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
     return numbers[:, 0], numbers[:, 1:]
+
+
+def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
+    """Access points that were heard; None of an empty file."""
+    rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), lambda _: ",")
+    if rows.is_empty:
+        return None
+    numbers = rows.parse(rows.places(("time_s", *WIFI_COLUMNS)), notes).values
+    return wifi_of(numbers[:, 0], numbers[:, 1:], PurePosixPath(name).name, notes)
 
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:

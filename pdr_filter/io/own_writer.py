@@ -14,7 +14,7 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.io.files import whole_file, write_files
-from pdr_filter.values import FloatArray, Samples, Table
+from pdr_filter.values import FloatArray, Samples, Table, Wifi, address_text
 
 STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("accelerometer", "gyroscope", "magnetometer"), ("x", "y", "z")),
@@ -24,6 +24,7 @@ STREAM_COLUMNS: dict[str, tuple[str, ...]] = {
     "attitude": ("qw", "qx", "qy", "qz"),
     "location": ("latitude_deg", "longitude_deg", "altitude_m", "horizontal_accuracy_m"),
 }
+WIFI_COLUMNS = ("bssid", "rssi_dbm", "frequency_mhz")
 TRUTH_COLUMNS: dict[str, tuple[str, ...]] = {
     "position": ("time_s", "east_m", "north_m", "up_m"),
     "waypoints": ("time_s", "east_m", "north_m", "floor"),
@@ -32,21 +33,32 @@ TRUTH_COLUMNS: dict[str, tuple[str, ...]] = {
     "segments": ("start_s", "end_s", "distance_m", "n_steps"),
     "labels": ("start_s", "end_s", "context", "carrying_mode"),
 }
-FILES = ("meta.json", *(f"{name}.csv" for name in STREAM_COLUMNS), *(f"truth_{name}.csv" for name in TRUTH_COLUMNS))
+FILES = (
+    "meta.json",
+    "wifi.csv",
+    *(f"{name}.csv" for name in STREAM_COLUMNS),
+    *(f"truth_{name}.csv" for name in TRUTH_COLUMNS),
+)
 TIME_COLUMNS = ("time_s", "start_s", "end_s")
 TEXT_COLUMNS = ("context", "carrying_mode")
 
 
 def write_own_format(
-    path: str | Path, streams: Mapping[str, Samples], truth: Mapping[str, Table], meta: Mapping[str, Any]
+    path: str | Path,
+    streams: Mapping[str, Samples],
+    truth: Mapping[str, Table],
+    meta: Mapping[str, Any],
+    wifi: Wifi | None = None,
 ) -> Path:
-    """Write streams and truth tables by name, and the meta data, as `Recording.save` describes."""
+    """Write streams and truth tables by name, Wi-Fi, and the meta data, as `Recording.save` describes."""
     path = Path(path)
     files = {
         f"{name}.csv": _numbers_csv(("time_s", *STREAM_COLUMNS[name]), [samples.time_s, *samples.values.T])
         for name, samples in streams.items()
     }
     files |= {f"truth_{name}.csv": _table_csv(rows, TRUTH_COLUMNS[name], name) for name, rows in truth.items()}
+    if wifi is not None:
+        files["wifi.csv"] = _wifi_csv(wifi)
     files["meta.json"] = json.dumps(dict(meta), indent=1, default=_plain) + "\n"
     if not path.suffix:
         write_files({path / name: text.encode() for name, text in files.items()})
@@ -65,6 +77,14 @@ def _numbers_csv(columns: Sequence[str], arrays: Sequence[FloatArray]) -> str:
     row = ",".join(map(_number_format, columns)) + "\n"
     body = (row * len(arrays[0])) % tuple(np.column_stack(arrays).ravel().tolist())
     return ",".join(columns) + "\n" + body.replace("nan", "")
+
+
+def _wifi_csv(wifi: Wifi) -> str:
+    rows = zip(
+        wifi.time_s.tolist(), wifi.bssid.tolist(), wifi.rssi_dbm.tolist(), wifi.frequency_mhz.tolist(), strict=True
+    )
+    body = "".join(f"{t:.6f},{address_text(b)},{rssi:.7g},{mhz:.7g}\n" for t, b, rssi, mhz in rows)
+    return ",".join(("time_s", *WIFI_COLUMNS)) + "\n" + body.replace("nan", "")
 
 
 def _table_csv(rows: Table, columns: Sequence[str], name: str) -> str:

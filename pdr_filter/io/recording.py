@@ -10,7 +10,7 @@ from typing import Any
 from pdr_filter.io import limits
 from pdr_filter.io.own_writer import write_own_format
 from pdr_filter.io.texts import printable
-from pdr_filter.values import Samples, Table
+from pdr_filter.values import Samples, Table, Wifi
 
 
 @dataclass(frozen=True, slots=True)
@@ -57,6 +57,7 @@ class Recording:
     proximity: Samples | None = None  # distance, cm, (N, 1)
     attitude: Samples | None = None  # sensor-to-world quaternion wxyz computed by the phone, (N, 4)
     location: Samples | None = None  # latitude and longitude deg, altitude m, horizontal accuracy m, (N, 4)
+    wifi: Wifi | None = None  # which access points were heard, when and how loud
     truth: Truth = Truth()
     meta: Mapping[str, Any] = field(default_factory=dict[str, Any])
     source: str = ""  # path it was read from
@@ -67,7 +68,8 @@ class Recording:
         object.__setattr__(self, "notes", tuple(map(printable, self.notes)))  # they quote files
 
     def __repr__(self) -> str:
-        return f"Recording({self.name!r}, {self.duration_s:.1f} s, {', '.join(self.streams)})"
+        heard = () if self.wifi is None else ("wifi",)
+        return f"Recording({self.name!r}, {self.duration_s:.1f} s, {', '.join((*self.streams, *heard))})"
 
     @property
     def subject(self) -> Subject:
@@ -87,7 +89,7 @@ class Recording:
         the same bytes. Notes of the reader are not written. A recording that is already there is replaced.
         """
         truth = {name: getattr(self.truth, name) for name in self.truth.present()}
-        return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name})
+        return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name}, self.wifi)
 
     @property
     def epoch_s(self) -> float | None:

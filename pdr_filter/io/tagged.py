@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,12 +35,16 @@ class TaggedLog:
         return values
 
     def tables(
-        self, layouts: Mapping[str, Layout], tag_field: int, notes: list[str]
+        self,
+        layouts: Mapping[str, Layout],
+        tag_field: int,
+        notes: list[str],
+        rewritten: Mapping[str, Callable[[bytes], bytes]] | None = None,
     ) -> tuple[dict[str, NumberTable], int]:
         """Tables by type of line, and how many lines have another type; what was repaired is added to the notes.
 
         Layouts, by type, count columns from the begin of the line and have the same separator. `tag_field` (0 or 1)
-        is the field of a line that holds its type.
+        is the field of a line that holds its type. Lines of a type in `rewritten` are parsed as this makes them.
         """
         separator = next(iter(layouts.values())).separator.encode()
         parts: dict[str, list[NumberTable]] = {tag: [] for tag in layouts}
@@ -66,6 +70,8 @@ class TaggedLog:
                 is_other &= ~chosen
                 if chosen.any():
                     lines = bytes_[np.repeat(chosen, ends - starts)].tobytes()
+                    if rewritten is not None and tag in rewritten:
+                        lines = rewritten[tag](lines)
                     where = f"{self.where}, {tag} lines"
                     parts[tag].append(parse_blocks([lines], layout, where, notes, first_line=n_seen[tag] + 1))
                     n_seen[tag] += int(chosen.sum())

@@ -16,6 +16,7 @@ import numpy as np
 from pdr_filter.io.describe import ReadingReport, reading_report
 from pdr_filter.io.files import write_text
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette, svg, trust
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.svg import Axis, across, line, picture, pixel, points, polyline, text, titled, upward
@@ -228,7 +229,8 @@ def _map(track: TrackRows) -> str:
     seen = np.vstack([way, track.position_m[rows] - reach_m, track.position_m[rows] + reach_m])
     x, y, m_per_pixel = _map_axes(seen)
     unit_m, unit = (1000.0, "km") if max(x.high - x.low, y.high - y.low) > _KM_ABOVE_M else (1.0, "m")
-    parts = [_ellipse(track, row, x, y, m_per_pixel) for row in rows]
+    parts = [] if track.plan is None else [_plan(track.plan, track.floor, x, y)]
+    parts += [_ellipse(track, row, x, y, m_per_pixel) for row in rows]
     group, colours = _groups(track)
     parts += _way(group[usable], list(colours.values()), x.at(way[:, 0]), y.at(way[:, 1]))
     return picture(
@@ -239,6 +241,25 @@ def _map(track: TrackRows) -> str:
         *parts,
         y_ticks=max(2, round((y.start - y.end) / 70)),
     )
+
+
+def _plan(plan: FloorPlan, floors: IntArray, x: Axis, y: Axis) -> str:
+    """The storeys that the track was on, cut off where the picture ends."""
+    west, east, top, bottom = x.start, x.end, min(y.start, y.end), max(y.start, y.end)
+    box = f"<rect x='{pixel(west)}' y='{pixel(top)}' width='{pixel(east - west)}' height='{pixel(bottom - top)}'/>"
+    shapes: list[str] = []
+    for storey in plan.storeys:
+        if len(plan.storeys) > 1 and storey.floor not in floors:
+            continue
+        for kind, colour in palette.PLAN_COLOURS.items():
+            for feature in (f for f in storey.features if f.kind == kind):
+                rings = [np.column_stack([x.at(ring[:, 0]), y.at(ring[:, 1])]) for ring in feature.lines]
+                ends = "Z" if feature.is_area else ""
+                path = "".join("M" + "L".join(f"{pixel(a)} {pixel(b)}" for a, b in ring) + ends for ring in rings)
+                fill = colour if feature.is_area else "none"
+                line = colour if kind == "door" else palette.WALL
+                shapes.append(f"<path d='{path}' fill='{fill}' fill-rule='evenodd' stroke='{line}' stroke-width='1'/>")
+    return f"<clipPath id='inside'>{box}</clipPath><g clip-path='url(#inside)'>{''.join(shapes)}</g>"
 
 
 def _map_axes(seen_m: FloatArray) -> tuple[Axis, Axis, float]:

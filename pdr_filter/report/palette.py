@@ -16,6 +16,16 @@ FAINT = "#777777"  # remarks, what others are compared with
 GRID = "#E6E6E6"
 WRONG = "#AA0000"  # what was rejected, what is odd
 ELLIPSE = "#556677"  # outline and fill, with these opacities
+# Of floor plans: pale, so that a track is seen on them.
+WALL = "#8A8478"
+PLAN_COLOURS = {
+    "floor": "#FBFAF6",
+    "room": "#E4DFD3",
+    "stairs": "#D3E0EC",
+    "lift": "#E8D8E4",
+    "wall": "#B7B0A2",
+    "door": "#9BC29B",
+}
 ELLIPSE_EDGE_ALPHA, ELLIPSE_FILL_ALPHA = 0.6, 0.09
 
 

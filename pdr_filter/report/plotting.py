@@ -16,9 +16,11 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
 from pdr_filter.io.files import whole_file
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
 from pdr_filter.report.palette import FAINT, GRID, INK, context_colours, floor_colours
+from pdr_filter.report.plans import draw_storey, storeys_of
 from pdr_filter.values import FloatArray, TrackRows, Windows
 
 _SIZE_IN = (8.0, 9.0)
@@ -61,9 +63,34 @@ def save(figure: Figure, path: str | Path) -> None:
         figure.savefig(file, dpi=120, format=ending)
 
 
+def plot_plan(plan: FloorPlan, path: str | Path | None = None) -> Figure:
+    """Figure of all storeys of a plan, with the names of its areas; saved if a path is given."""
+    figure = Figure(figsize=(_SIZE_IN[0], 0.75 * _SIZE_IN[0] * len(plan.storeys)), layout="constrained")
+    FigureCanvasAgg(figure)
+    for axes, storey in zip(np.atleast_1d(figure.subplots(len(plan.storeys), 1)), plan.storeys, strict=True):
+        draw_storey(axes, storey)
+        points = np.concatenate([ring for f in storey.features for ring in f.lines])
+        axes.update_datalim(points)
+        axes.autoscale_view()
+        for feature in storey.features:
+            if feature.name and feature.kind != "floor":
+                middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
+                axes.annotate(feature.name[:20], middle, ha="center", va="center", fontsize=6, color=INK, clip_on=True)
+        axes.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
+        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK)
+        kinds = [kind for kind in palette.PLAN_COLOURS if any(f.kind == kind for f in storey.features)]
+        handles = [Patch(facecolor=palette.PLAN_COLOURS[kind], edgecolor=palette.WALL, label=kind) for kind in kinds]
+        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
 def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:
     """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
     way = np.vstack([track.start_position_m, track.position_m])
+    for storey in storeys_of(track.plan, track.floor) if track.plan is not None else ():
+        draw_storey(axes, storey)
     if reference_m is not None:
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:

@@ -3,7 +3,8 @@
 Three kinds of measurement enter a Kalman filter, each weak, each with a variance of its own, and each perhaps wrong, so
 that an outlier hardly moves the estimate (docs/methods/attitude.md):
 
-1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn.
+1. Still windows. The mean angular rate of a window in which nothing moves is the bias, or an even turn, as in a train:
+   that is about the vertical, a bias about any axis. As long as a turn is more probable nothing is learnt there.
 2. Straight walking. Somebody who walks from corner to corner turned little in between. A long curve counts as one walk,
    or the bias would follow it.
 3. The magnetic field should not turn in the attitude's frame. Only its drift counts, never where it points; how far it
@@ -118,7 +119,10 @@ class GyroBias:
         Standard deviation of the mean of a still window: a constant and a share of that within it. On people who stand
         with a phone in hand or pocket the means of 1 s scatter by 0.45 to 0.6 of it; 0.8 for their correlation in time.
     still_outlier_prob, turning_radps : float
-        How often a still phone turns evenly, and how fast.
+        How often a still window has another mean, and how far off.
+    even_turn_prob : float
+        How often what is still turns evenly about the vertical, as fast as `turning_radps`: in a vehicle, on a
+        turntable. All windows of it do, so that they are no witnesses against each other.
     walking_acc_mps2 : float
         Above this standard deviation somebody walks.
     corner_rad, tilted_rad : float
@@ -163,6 +167,7 @@ class GyroBias:
     still_std_share: float = 0.8
     still_outlier_prob: float = 0.2
     turning_radps: float = 0.3
+    even_turn_prob: float = 0.01
     walking_acc_mps2: float = 1.0
     corner_rad: float = 0.17
     tilted_rad: float = 0.35
@@ -239,7 +244,7 @@ class GyroBias:
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
             seen = (error_rad - state.mean[:, _ERROR])[:, None]
-            bank, _ = _update(bank, np.eye(1, _N_STATES, _ERROR), seen, error_var_rad2, 1e-9, 0.0)
+            bank, _ = _update(bank, np.eye(1, _N_STATES, _ERROR), seen, np.eye(1) * error_var_rad2, 1e-9, 0.0)
         return Device(*_mixture(*bank))
 
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
@@ -254,8 +259,13 @@ class GyroBias:
             std = self.still_std_radps + self.still_std_share * window.angular_rate_std_radps
             rate = window.angular_rate_radps
             rows = np.eye(3, _N_STATES)
+            innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
+            turn = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
+            odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
+            if _likelihood(bank, rows, innovation, noise) < odds * _likelihood(bank, rows, innovation, turn):
+                noise = turn
             otherwise = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
-            bank, _ = _update(bank, rows, rate - bank[0][:, _BIAS], std**2, self.still_outlier_prob, otherwise)
+            bank, _ = _update(bank, rows, innovation, noise, self.still_outlier_prob, otherwise)
         return bank, n_still + 1
 
     def _see_walk(
@@ -294,7 +304,7 @@ class GyroBias:
         rows = np.array([[*up, 0.0, 0.0]])
         otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
         seen = (rate_radps - _along(bank[0], up))[:, None]
-        return _update(bank, rows, seen, variance, self.straight_outlier_prob, otherwise)[0]
+        return _update(bank, rows, seen, np.eye(1) * variance, self.straight_outlier_prob, otherwise)[0]
 
     def _see_field(self, bank: _Bank, state: GyroBiasState, window: BiasWindow) -> tuple[_Bank, GyroBiasState]:
         if not window.magnetic_field_known:
@@ -317,7 +327,7 @@ class GyroBias:
         if state.field_tracked and abs(change_rad) < jump_rad:
             seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)[:, None]
             rows, otherwise = np.eye(1, _N_STATES, _FIELD), _uniform_log_density(2 * math.pi)
-            bank, inlier_prob = _update(bank, rows, seen, variance, self.field_outlier_prob, otherwise)
+            bank, inlier_prob = _update(bank, rows, seen, np.eye(1) * variance, self.field_outlier_prob, otherwise)
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, replace(state, n_field_outliers=n_outliers)
@@ -357,16 +367,18 @@ def _update(
     bank: _Bank,
     rows: FloatArray,
     innovation: FloatArray,
-    variance: float,
+    noise: FloatArray,
     outlier_prob: float,
     outlier_log_density: float,
 ) -> tuple[_Bank, float]:
-    """The bank after a measurement, H = `rows` (k, 5), innovations (M, k); the probability that it is no outlier."""
+    """The bank after a measurement, and the probability that it is no outlier.
+
+    H = `rows` (k, 5), innovations (M, k), R = `noise` (k, k).
+    """
     mean, cov, log_weight = bank
     hp = rows @ cov
-    inverse = np.asarray(np.linalg.inv(hp @ rows.T + variance * np.eye(len(rows))), dtype=np.float64)
-    square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
-    log_in = math.log1p(-outlier_prob) + 0.5 * (np.log(np.linalg.det(inverse)) - square)
+    inverse, log_density = _predicted(hp, rows, innovation, noise)
+    log_in = math.log1p(-outlier_prob) + log_density
     log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
     inlier = np.exp(log_in - log_both)
     gain = np.swapaxes(hp, 1, 2) @ inverse
@@ -379,6 +391,22 @@ def _update(
     log_weight = np.maximum(log_weight - log_weight.max(), _MIN_LOG_WEIGHT)
     weight = np.exp(log_weight)
     return (mean, cov, log_weight), float((weight * inlier).sum() / weight.sum())
+
+
+def _predicted(
+    hp: FloatArray, rows: FloatArray, innovation: FloatArray, noise: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Inverse of the covariance (M, k, k) of innovations, and their log densities (M,) but for a constant."""
+    inverse = np.asarray(np.linalg.inv(hp @ rows.T + noise), dtype=np.float64)
+    square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
+    return inverse, 0.5 * (np.log(np.linalg.det(inverse)) - square)
+
+
+def _likelihood(bank: _Bank, rows: FloatArray, innovation: FloatArray, noise: FloatArray) -> float:
+    """Density of a measurement over the bank, but for a constant."""
+    _, cov, log_weight = bank
+    _, log_density = _predicted(rows @ cov, rows, innovation, noise)
+    return float(np.exp(log_weight + log_density).sum())
 
 
 def _restarted(bank: _Bank, index: int, start: float, variance: float) -> _Bank:

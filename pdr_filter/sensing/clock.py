@@ -148,7 +148,10 @@ def one_clock(recording: Recording, fixes: Sequence[AnyFix] = ()) -> tuple[Recor
     of_fixes = offsets_s[_stretch(np.array([fix.time_s for fix in fixes]), set_backs)]
     words = (f"the clock was set back by {s.before_s - s.after_s:.1f} s after {s.before_s:.1f} s" for s in set_backs)
     notes = (*recording.notes, *(f"{text}: times go on from there" for text in words))
-    on_one = replace(recording, **streams, notes=notes)
+    wifi = recording.wifi
+    if wifi is not None:
+        wifi = replace(wifi, time_s=wifi.time_s + offsets_s[_stretch(wifi.time_s, set_backs)])
+    on_one = replace(recording, **streams, wifi=wifi, notes=notes)
     return on_one, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, of_fixes, strict=True))
 
 

@@ -13,6 +13,7 @@ import numpy as np
 
 from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
+from pdr_filter.sensing.units import UnitsState, look, units
 from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
 from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, replace
 
@@ -58,7 +59,6 @@ class IntakeReport:
     n_dead_force: int = 0  # rows in which the accelerometer stood still while the phone moved: left out
     n_dead_rate: int = 0  # the same of the gyroscope: without angular rate
     n_wild_field: int = 0  # rows with a magnetic field beyond what any phone measures: without field
-    n_like_gravity: int = 0  # rows whose |specific force| is between 7 and 13 m/s2
     n_gaps: int = 0
     longest_gap_s: float = 0.0
     lost_s: float = 0.0  # time inside gaps
@@ -92,10 +92,6 @@ class IntakeReport:
             found.append(f"{self.n_wild_field} samples had a magnetic field beyond {MAX_FIELD_UT:g} uT: taken as none")
         if self.n_clock_jumps:
             found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
-        if self.n_emitted > 500 and self.n_like_gravity < 0.05 * self.n_received:
-            found.append(
-                "the specific force is hardly ever near 9.8 m/s2: it must be in m/s2 with gravity, not in g or without"
-            )
         if self.n_not_increasing:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
@@ -135,7 +131,12 @@ class ConditionerState:
     last_field: FloatArray  # (4,)
     clock: ClockState
     watchdog: WatchdogState
+    units: UnitsState
     report: IntakeReport
+
+    def notes(self) -> tuple[str, ...]:
+        """What is odd about the samples, in plain words."""
+        return (*self.units.notes(), *self.report.notes())
 
 
 @dataclass(frozen=True)
@@ -165,7 +166,7 @@ class Conditioner:
         nothing = np.array([-np.inf, 0.0, 0.0, 0.0])
         report = IntakeReport(rate_hz=self.rate_hz)
         return ConditionerState(
-            np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), report
+            np.empty((0, _N_COLUMNS)), np.nan, 0, np.inf, nothing, nothing, ClockState(), watchdog(), units(), report
         )
 
     def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
@@ -212,7 +213,6 @@ class Conditioner:
         rows[:, 0], rows[:, _FORCE] = followed[:, 0], motion[:, :3]
         rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
         rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], followed[:, _FIELD], state.last_field)
-        size = np.sqrt((usable[:, _FORCE] ** 2).sum(axis=1))
         old = state.report
         report = replace(
             old,
@@ -221,7 +221,6 @@ class Conditioner:
             n_implausible=old.n_implausible + int(wild.sum()),
             n_not_increasing=old.n_not_increasing + n_dropped,
             n_clock_jumps=old.n_clock_jumps + n_jumps,
-            n_like_gravity=old.n_like_gravity + int(((size > 7) & (size < 13)).sum()),
             n_deaf=clock.n_deaf,
             n_dead_force=old.n_dead_force + int(is_dead.sum()),
             n_dead_rate=old.n_dead_rate + n_dead_rate,
@@ -230,8 +229,9 @@ class Conditioner:
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
             report = replace(report, first_time_s=float(first), last_time_s=float(rows[-1, 0]))
-        state = replace(state, last_rate=last_rate, last_field=last_field, clock=clock, watchdog=watched, report=report)
-        return state, rows
+        seen = look(state.units, followed[:, 0], followed[:, _MOTION])
+        kept_state = {"clock": clock, "watchdog": watched, "units": seen, "report": report}
+        return replace(state, last_rate=last_rate, last_field=last_field, **kept_state), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
         # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
@@ -333,19 +333,26 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
     return ImuBlock(
         time_s=time_s,
         specific_force_mps2=recording.accelerometer.values,
-        angular_rate_radps=_at_times(recording.gyroscope, time_s, max_gap_s),
-        magnetic_field_ut=_at_times(recording.magnetometer, time_s, max_gap_s),
+        angular_rate_radps=_of_stream(recording.gyroscope, time_s, max_gap_s),
+        magnetic_field_ut=_of_stream(recording.magnetometer, time_s, max_gap_s),
     )
 
 
-def _at_times(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
-    result = np.full((len(at_s), 3), np.nan)
+def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
     if stream is None:
-        return result
+        return np.full((len(at_s), 3), np.nan)
     good = np.isfinite(stream.time_s) & np.isfinite(stream.values).all(axis=1)
     time_s, first = np.unique(stream.time_s[good], return_index=True)
-    values = stream.values[good][first]
-    if len(time_s) < 2:
+    return at_times(time_s, stream.values[good][first], at_s, max_gap_s)
+
+
+def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
+    """Values (N, 3) of increasing times (N,) between them, as `merge_streams` has them, at some times (M,).
+
+    Of the samples only the two around each time enter, and the last two where there is none after it.
+    """
+    result = np.full((len(at_s), 3), np.nan)
+    if len(time_s) < 2 or not len(at_s):
         return result
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left = right - 1

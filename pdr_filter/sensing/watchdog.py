@@ -58,7 +58,7 @@ def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple
     n_whole, n_rows = divmod(state.n_rows + len(motion), _WINDOW_ROWS)
     change = high - low
     constant, moving = np.asarray(change <= _CONSTANT), np.asarray(change > _MOVING)
-    is_constant, result, ends = constant.any(axis=1).tolist(), motion, [*begins[1:].tolist(), len(motion)]
+    is_constant, result, ends = constant.any(axis=1), motion, [*begins[1:].tolist(), len(motion)]
     since_s, moved, dead, start_s = state.still_since_s, state.moved, state.dead, state.start_s
     for k, begin in enumerate(begins.tolist()):
         if any(dead):

@@ -24,17 +24,21 @@ from pdr_filter.values.fixes import (
     PositionFix,
     SpeedFix,
     Standstill,
+    check_fix,
     received_s,
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
 from pdr_filter.values.notes import Note, NoteSubject
+from pdr_filter.values.on_plan import Cluster, OnPlan
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
+from pdr_filter.values.plain import as_plain
 from pdr_filter.values.replace import replace
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
+from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import Windows
 
 __all__ = [
@@ -47,6 +51,7 @@ __all__ = [
     "STANDARD_GRAVITY_MPS2",
     "TRUSTED",
     "BoolArray",
+    "Cluster",
     "Fix",
     "FixOutcome",
     "FixResult",
@@ -59,6 +64,7 @@ __all__ = [
     "IntArray",
     "Note",
     "NoteSubject",
+    "OnPlan",
     "Origin",
     "PositionFix",
     "Samples",
@@ -67,16 +73,22 @@ __all__ = [
     "Step",
     "Table",
     "TrackRows",
+    "Wifi",
+    "WifiScan",
     "Windows",
+    "address_text",
     "as_floats",
+    "as_plain",
     "check_columns",
     "check_cov",
     "check_declared",
+    "check_fix",
     "check_numbers",
     "check_transition_prob",
     "check_whole",
     "circular_mean",
     "heading_from_yaw",
+    "loudness",
     "read_only",
     "received_s",
     "replace",

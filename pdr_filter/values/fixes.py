@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.origin import Origin, check_place
+from pdr_filter.values.plain import as_plain
 from pdr_filter.values.uncertainty import RADIUS_68
 
 # A standard deviation beyond this says nothing, and its square must stay a number.
@@ -140,6 +141,15 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 Fix = PositionFix | HeadingFix | SpeedFix | Standstill
 
 
+def check_fix(fix: object) -> None:
+    """ValueError unless it is a fix."""
+    if not isinstance(fix, PositionFix | HeadingFix | SpeedFix | Standstill):
+        raise ValueError(
+            f"a fix must be a PositionFix, HeadingFix, SpeedFix or Standstill, got {fix!r}; a position is "
+            "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
+        )
+
+
 def received_s(fix: Fix) -> float:
     """When a fix became known: when it was received, or at once."""
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
@@ -173,3 +183,7 @@ class FixResult:
     def accepted(self) -> bool:
         """Whether the filter used it."""
         return self.outcome in ("used", "placed", "turned", "moved")
+
+    def to_dict(self) -> dict[str, Any]:
+        """The fields as JSON has them, None for what is not finite."""
+        return {**as_plain(self), "accepted": self.accepted}

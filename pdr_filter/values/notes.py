@@ -6,7 +6,17 @@ from dataclasses import dataclass
 from typing import Literal
 
 NoteSubject = Literal[
-    "samples", "sensors", "contexts", "steps", "heading", "placement", "height", "step lengths", "fixes", "recipe"
+    "samples",
+    "sensors",
+    "contexts",
+    "steps",
+    "heading",
+    "placement",
+    "height",
+    "step lengths",
+    "fixes",
+    "recipe",
+    "plan",
 ]
 
 

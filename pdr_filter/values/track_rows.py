@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
 from math import cos, degrees, sin
-from typing import Any, Self
+from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -13,10 +13,14 @@ from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
+from pdr_filter.values.on_plan import Cluster
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.uncertainty import uncertainty_95_m
 from pdr_filter.values.windows import Windows
+
+if TYPE_CHECKING:
+    from pdr_filter.maps.floor_plan import FloorPlan
 
 _WINDOW_S = 2.0  # of the context windows
 _ABOUT_STEPS = 21  # ten seconds
@@ -66,8 +70,12 @@ class TrackRows:
     fixes: tuple[FixResult, ...] = field(default=())
     floor_passages: tuple[FloorPassage, ...] = field(default=())  # see `floor_changes`
     start_position_m: FloatArray = field(default_factory=lambda: read_only(np.zeros(2)))  # (2,) before the first step
-    frame: str = "start"  # of positions and headings: "start", "north" or "fixes"
+    frame: str = "start"  # of positions and headings: "start", "north", "fixes" or "plan"
     origin: Origin | None = None  # where on Earth its zero is, if the recording's own locations or somebody said it
+    plan: FloorPlan | None = None  # that kept it where people can walk
+    # (K,) with a plan: where the walk may be after each step, the most probable place first; none before its start
+    clusters: tuple[tuple[Cluster, ...], ...] = ()
+    effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,) of its particles
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"
@@ -122,7 +130,7 @@ class TrackRows:
     @property
     def knows_north(self) -> bool:
         """Whether its north is true north, as locations or somebody said it."""
-        return self.frame == "north" or (self.frame == "fixes" and self.origin is not None)
+        return self.frame == "north" or (self.frame in ("fixes", "plan") and self.origin is not None)
 
     def turned(self, turn_rad: float, std_rad: float | None = None) -> Self:
         """The same turned clockwise about its zero, so that its north is true north.
@@ -154,7 +162,7 @@ class TrackRows:
         by what the origin says of its standard deviations. One in the frame of fixes stays as it is.
         """
         here = Origin.of(origin)
-        if self.frame == "fixes":
+        if self.frame in ("fixes", "plan"):
             return replace(self, origin=here)
         turned = self
         if here.turn_rad is not None and self.frame == "start":
@@ -172,6 +180,8 @@ class TrackRows:
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
             return f"East and north are metres from {zero}{at}; north is true north as it was given or measured{sure}."
+        if self.frame == "plan":
+            return f"East and north are metres in the frame of the floor plan{at and f', whose zero is{at}'}."
         if self.frame == "fixes" and sure:
             return f"East and north are metres from the first location{at}; locations turned it to true north{sure}."
         if self.frame == "fixes":

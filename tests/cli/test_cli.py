@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from heard import round_a_block, walk_with_wifi
 from typer.testing import CliRunner, Result
 
 import pdr_filter as pdr
@@ -18,6 +19,7 @@ from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
+from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 from pdr_filter.training import run as training
 
@@ -540,3 +542,42 @@ def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path)
     assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
     [page] = tmp_path.glob("*.html")
     assert "<svg" in page.read_text(encoding="utf-8")
+
+
+# --- Wi-Fi -----------------------------------------------------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def mapped(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder with a walk to be located, and in `known` those of the map."""
+    folder = tmp_path_factory.mktemp("radio")
+    (folder / "known").mkdir()
+    for seed in (1, 2):
+        walk_with_wifi(round_a_block(), seed).save(folder / "known" / f"walk{seed}.zip")
+    walk_with_wifi(round_a_block(turns=4), 3).save(folder / "walk3.zip")
+    return folder
+
+
+def test_a_radio_map_is_fitted_on_a_folder_and_used_by_track_and_smooth(mapped: Path, tmp_path: Path) -> None:
+    result = run("radio", mapped / "known", "--out", tmp_path / "map")
+    assert result.exit_code == 0
+    assert "100 access points, 1 storeys) of 2 walks in 2 recordings" in result.stdout
+    radio, recording = pdr.RadioMap.load(tmp_path / "map.json"), pdr.read(mapped / "walk3.zip")
+    fixes = radio.fixes(recording)
+    assert run("track", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--out", tmp_path).exit_code == 0
+    config = pdr.recipes.default(recording.subject).in_world_frame()
+    pdr.track(recording, config, fixes=fixes).to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "walk3.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    smoothed = run("smooth", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--wifi-loops")
+    n = len(fixes) + len(wifi_loop_closures(recording))
+    assert f"{n} observations" in smoothed.stdout
+
+
+def test_a_radio_map_that_cannot_be_used_is_refused_before_a_file_is_read(mapped: Path, tmp_path: Path) -> None:
+    missing = run("track", mapped / "walk3.zip", "--radio", tmp_path / "none.json")
+    assert (missing.exit_code, "none.json: no such file" in one_line(missing.stderr)) == (2, True)
+    many = run("track", mapped / "known", "--radio", tmp_path / "none.json")
+    assert (many.exit_code, "without --radio" in one_line(many.stderr)) == (2, True)
+    without = run("radio", write_recording(pdr.simulate.demo_walk(), tmp_path / "w.zip"), "--out", tmp_path / "m")
+    assert (without.exit_code, "no walk has Wi-Fi scans" in one_line(without.stderr)) == (2, True)
+    assert not (tmp_path / "m.json").exists()

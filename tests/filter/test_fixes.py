@@ -243,6 +243,20 @@ def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_o
     np.testing.assert_allclose(cov_m2, np.eye(2) / precision, atol=1e-9)
 
 
+def test_correlated_fixes_of_crossed_ellipses_stay_measurements() -> None:
+    """Long in one direction, then in the other, as along two corridors: a^2 R_1 must stay below R_2 in each."""
+    tracker, state = somebody_who_stands(8.0)
+    covs = (np.diag([400.0, 9.0]), np.diag([9.0, 400.0]))
+    for k in range(8):
+        fix = PositionFix(4.0 * k, np.zeros(2), covs[k % 2], correlation_s=30.0)
+        before = present_position(state.pedestrian)[1]
+        state, outcome, nis = tracker.on_fix(state, fix)
+        assert outcome == "used"
+        assert nis >= 0
+        gained = before - present_position(state.pedestrian)[1]
+        assert np.linalg.eigvalsh(gained).min() > -1e-9
+
+
 def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> None:
     """Somebody goes 40 m while there are no samples: the fix that follows shows where, and teaches no heading."""
     tracker, state = somebody_who_stands(2.0)

@@ -152,6 +152,7 @@ def test_the_report_says_what_it_was_and_how_fast(tmp_path: Path, form: str) -> 
 
 OWN, FUZZ = "test_own_format.py", "test_fuzz_readers.py"
 LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sensor_data.py"
+WIFI = "test_wifi_files.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
 GENERIC, HOSTILE = "test_generic_csv.py", "test_hostile_files.py"
 
@@ -258,6 +259,11 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (INDOOR, "test_uncalibrated_values_and_unknown_types_are_ignored")
     ],
     ("indoor-location", "times in whole milliseconds"): [(INDOOR, "test_a_walk_comes_back_to_the_millisecond")],
+    ("indoor-location", "Wi-Fi is reported seconds after it was heard, names of networks hold separators and quotes"): [
+        (WIFI, "test_indoor_location_says_when_it_was_heard_and_names_may_be_anything"),
+        (WIFI, "test_times_of_another_clock_are_replaced_by_those_of_the_reports"),
+        (WIFI, "test_get_sensor_data_moves_the_time_of_hearing_to_the_clock_of_the_app"),
+    ],
     ("CoreMotion", "g, and Apple's sign"): [
         (MOTION, "test_a_phone_lying_face_up_reads_plus_one_g_on_z"),
         (MOTION, "test_gravity_in_mps2_is_refused"),

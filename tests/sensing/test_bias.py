@@ -152,6 +152,24 @@ def test_a_still_phone_that_turns_evenly_for_seconds_is_hardly_believed() -> Non
     assert abs(phone.about_up_radps) < 0.002
 
 
+@pytest.mark.parametrize("turn_radps", [0.05, -0.1])
+def test_a_turntable_is_no_bias_and_teaches_the_bias_about_the_other_axes(turn_radps: float) -> None:
+    rng = np.random.default_rng(6)
+    bias = np.array([0.004, 0.0, 0.0])
+    phone = Phone.of(bias)
+    phone.rest(60, std=0.003, noise=turn_radps * READING + rng.normal(scale=0.0005, size=(60, 3)))
+    assert abs(phone.about_up_radps) < 0.002
+    assert np.sqrt(READING @ phone.state.bias_cov_radps2 @ READING) > 0.003
+    assert abs(phone.state.bias_radps[0] - 0.004) < 0.001
+
+
+@pytest.mark.parametrize("turn_radps", [0.003, 0.02])
+def test_what_turns_as_slowly_as_phones_drift_is_a_bias(turn_radps: float) -> None:
+    phone = Phone.of(turn_radps * READING)
+    phone.rest(20, std=0.003)
+    np.testing.assert_allclose(phone.state.bias_radps, turn_radps * READING, atol=0.001)
+
+
 @pytest.mark.parametrize("bias", [-0.1, -0.03, 0.03, 0.1])
 def test_straight_legs_between_corners_find_a_bad_phone(bias: float) -> None:
     rng = np.random.default_rng(5)

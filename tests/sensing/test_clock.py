@@ -15,7 +15,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import CLOCK_RESET_SAMPLES, ClockState, follow, one_clock
 from pdr_filter.sensing.conditioning import Conditioner
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import HeadingFix, ImuBlock, PositionFix, Samples, Standstill
+from pdr_filter.values import HeadingFix, ImuBlock, PositionFix, Samples, Standstill, Wifi
 
 YEAR_S = 3.2e7
 
@@ -146,6 +146,16 @@ def test_a_recording_whose_clock_was_set_back_gives_the_same_track_and_a_note(wa
     np.testing.assert_allclose(broken.time_s, plain.time_s, atol=1e-3)
     assert any(f"set back by {by_s:.1f} s after 20.0 s" in note for note in broken.notes)
     assert not any("set back" in note for note in plain.notes)
+
+
+def test_wifi_goes_on_with_the_clock_of_the_samples(walk: Recording) -> None:
+    time_s = np.arange(1.0, 30.0, 2.0)
+    n = len(time_s)
+    heard = replace(walk, wifi=Wifi(time_s, np.arange(n), np.full(n, -60.0), np.full(n, 2412.0)))
+    broken = set_back(replace(heard, wifi=replace(heard.wifi, time_s=back(time_s, 20.0, 3600.0))), 20.0, 3600.0)
+    followed, _ = one_clock(broken)
+    assert followed.wifi is not None
+    np.testing.assert_allclose(followed.wifi.time_s, time_s, atol=0.02)
 
 
 def test_streams_that_were_sorted_or_begin_later_go_with_the_clock_of_their_times(walk: Recording) -> None:

@@ -379,4 +379,4 @@ def assert_same_shape_and_near(found: dict[str, np.ndarray], expected: dict[str,
 def test_specific_force_in_g_is_said_to_be_wrong() -> None:
     force = np.tile([0.0, 0.0, 1.0], (1000, 1))
     state, _ = condition(Conditioner(), [imu(np.arange(1000) / 100, force)])
-    assert any("not in g" in note for note in state.report.notes())
+    assert any("this looks like g units" in note for note in state.notes())

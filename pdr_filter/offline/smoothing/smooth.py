@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from typing import Literal
 
 import numpy as np
 
 from pdr_filter.calibration import Calibration
-from pdr_filter.config import Config
+from pdr_filter.config import Config, on_plan
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import (
     HEADING_OFFSET,
@@ -25,11 +26,15 @@ from pdr_filter.filter.motion import (
 )
 from pdr_filter.gnss import independent
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight, knowing_the_device
 from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
+from pdr_filter.offline.smoothing.on_plan import Hindsight as OnPlanHindsight
+from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recording_run import collected, default_config, outputs
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.tracks import Track
@@ -90,11 +95,13 @@ def smooth(
     calibration: Calibration | None = None,
     *,
     config: Config | None = None,
-    loop_closures: Sequence[LoopClosure] = (),
+    loop_closures: Sequence[LoopClosure] | Literal["wifi"] = (),
     known_headings: Sequence[KnownHeading] = (),
     floor_changes: Sequence[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 10.0,
+    plan: FloorPlan | None = None,
+    start: PositionFix | str | None = None,
 ) -> Smoothed:
     """The walk of a recording as everything that is known of it says, with a covariance at every step.
 
@@ -113,20 +120,40 @@ def smooth(
         Step lengths of the person of the recording (its subject); those of the recipe if not given.
     config : Config, optional
         A recipe; the default recipe if not given.
-    loop_closures, known_headings, floor_changes : sequences
+    loop_closures : sequence of LoopClosure, or "wifi"
+        Times at which the walk was at one place. "wifi": those at which the recording heard the same access points
+        equally loud (`wifi_loop_closures`); MissingSensorError if it has no Wi-Fi.
+    known_headings, floor_changes : sequences
         What else is known.
     start_heading_std_rad : float, optional
         How well the phone's first heading is the walking heading in the frame of the fixes. If not given: not at all
         where there are fixes or known headings, else what the recipe says.
     anchor_interval_s : float
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
+    plan : FloorPlan, optional
+        The walk is on this floor plan, and `fixes` are in its frame; then fixes are all that may be known besides, and
+        they are used when they came, as online. Needs no fix if there is a `start`.
+    start : PositionFix or str, optional
+        Where on the plan the walk begins: a place, the name of an area, or "anywhere".
     """
+    if plan is not None and (loop_closures or known_headings or floor_changes or start_heading_std_rad is not None):
+        raise ValueError(
+            "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
+            "start_heading_std_rad beside plan: leave them out"
+        )
     recording, fixes = one_clock(recording, fixes)
+    if isinstance(loop_closures, str):
+        loop_closures = wifi_loop_closures(recording)
     config = config or default_config(recording)
     if calibration is not None:
         config = calibration.config(config, recording.subject)
     config = knowing_the_device(recording, config)
+    if plan is not None and fixes:
+        config = config.in_world_frame()
+    config = on_plan(config, plan, start)
     observed = Observations(independent(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    if config.on_plan is not None:
+        return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
         return _from_hindsight(in_hindsight(recording, config), observed)
     config = config.in_hindsight()
@@ -140,6 +167,28 @@ def smooth(
         fits = [replace(m.step_length, theta_cov=np.zeros_like(m.step_length.theta_cov)) for m in modes]
         modes = tuple(replace(m, step_length=fit) for m, fit in zip(modes, fits, strict=True))
     return smooth_track(track, modes, config.model.noise, observed, start_heading_std_rad, anchor_interval_s)
+
+
+def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
+    """What a floor plan shows."""
+    results = {result.time_s: result for result in found.track.fixes}
+    each = [results.get(fix.time_s) for fix in observed.fixes]
+    observations = _table(observed, np.zeros(len(each), dtype=bool)).copy()
+    observations.nis = [np.nan if result is None else result.nis for result in each]
+    observations.weight = [float(result is not None and result.accepted) for result in each]
+    observations.flags.writeable = False
+    return Smoothed(
+        track=found.track,
+        heading_offset_rad=read_only(wrap_angle(found.heading_offset_rad)),
+        heading_offset_std_rad=found.heading_offset_std_rad,
+        log_scale=found.log_scale,
+        log_scale_std=found.log_scale_std,
+        start_position_m=found.track.start_position_m,
+        start_position_cov_m2=read_only(found.track.position_cov_m2[0]),
+        observations=observations,
+        floor=_floors(found.track, ()),
+        notes=found.track.notes,
+    )
 
 
 def _from_hindsight(found: Hindsight, observed: Observations) -> Smoothed:

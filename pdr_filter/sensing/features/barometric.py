@@ -103,7 +103,7 @@ class ClimbRate:
 
     def step(self, state: ClimbState, time_s: FloatArray, pressure_hpa: FloatArray) -> tuple[ClimbState, list[Climb]]:
         """New state and the windows that became complete, from samples (N,), N >= 0; ValueError for Pa or kPa."""
-        samples = _checked(time_s, pressure_hpa)
+        samples = checked_pressure(time_s, pressure_hpa)
         kept: list[tuple[float, float]] = [(t, p) for t, p in state.samples.T.tolist()]
         due_s, behind_s, n_behind, quantum_hpa = state.due_s, state.behind_s, state.n_behind, state.quantum_hpa
         climbs: list[Climb] = []
@@ -157,7 +157,7 @@ class ClimbRate:
         )
 
 
-def _checked(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
+def checked_pressure(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
     """Time and pressure (2, N) without what cannot be used."""
     if time_s.ndim != 1 or time_s.shape != pressure_hpa.shape:
         raise ValueError(

@@ -1,0 +1,52 @@
+"""`pdr-filter plan`: what a floor plan was understood to be."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from pdr_filter.cli import console
+from pdr_filter.cli.options import AsJson, Folder
+from pdr_filter.io.texts import file_name, printable
+
+if TYPE_CHECKING:
+    from pdr_filter.maps.floor_plan import FloorPlan
+
+
+def plan(
+    file: Annotated[Path, typer.Argument(metavar="FILE", help="A floor plan: GeoJSON, in metres or degrees.")],
+    out: Folder = None,
+    as_json: AsJson = False,
+) -> None:
+    """Say what a floor plan was understood to be, and draw it as NAME.png into the folder of --out."""
+    import pdr_filter as pdr
+    from pdr_filter.report.plotting import plot_plan
+
+    with console.one_line_errors():
+        read = pdr.FloorPlan.read(file)
+        if out is not None:
+            plot_plan(read, out / f"{file_name(read.name)}.png")
+    if as_json:
+        console.print_json(read.summary())
+    else:
+        _print(read)
+    console.say_written(out)
+
+
+def _print(plan: FloorPlan) -> None:
+    typer.echo(printable(f"{plan.name}: {len(plan.storeys)} storeys"))
+    table = console.new_table("floor", "east-west", "north-south", "outline", "to walk on", "features")
+    for storey in (s.summary() for s in plan.storeys):
+        table.add_row(
+            str(storey["floor"]),
+            f"{storey['width_m']:.1f} m",
+            f"{storey['height_m']:.1f} m",
+            "drawn" if storey["has_outline"] else "about the walls",
+            f"{storey['walkable_m2']:.0f} m2",
+            ", ".join(f"{n} {kind}" for kind, n in storey["features"].items()),
+        )
+    console.print_table(table)
+    for note in plan.notes:
+        typer.echo(printable(f"note: {note}"))

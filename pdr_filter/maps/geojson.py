@@ -1,0 +1,249 @@
+"""Floor plans from GeoJSON, in metres or degrees; what does not fit is refused with its feature and the remedy."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from pdr_filter.maps.storey import (
+    CELL_M,
+    FREE,
+    LIFT,
+    MARGIN_M,
+    OUTSIDE,
+    ROOM,
+    STAIRS,
+    WALL,
+    Feature,
+    Storey,
+)
+from pdr_filter.values import FloatArray, Origin, read_only
+
+# Words for the kinds of features, in property "type".
+_KINDS = {
+    "floor": ("floor", "outline", "storey", "level", "corridor"),
+    "wall": ("wall",),
+    "room": ("room", "shop", "closed", "toilet", "void", "rest", "obstacle", "parking"),
+    "door": ("door", "opening"),
+    "stairs": ("stairs", "staircase", "escalator", "ramp"),
+    "lift": ("lift", "elevator"),
+}
+_KIND_OF = {word: kind for kind, words in _KINDS.items() for word in words}
+_AREAS = ("floor", "room", "stairs", "lift")
+# Buildings: fewer metres across is a drawing in other units, and so is more.
+_LEAST_M, _MOST_M = 2.0, 3000.0
+# Degrees: 0.05 are 5.6 km. Metres of a building span more.
+_MOST_DEG = 0.05
+# Of the walls' hull, which is the outline where none is drawn.
+_BESIDE_M = 1.0
+# A door leads to what is this near: drawings do not meet exactly.
+_NEAR_M = 0.3
+
+
+@dataclass(frozen=True, slots=True)
+class _Drawn:
+    """A feature as it was read."""
+
+    number: int
+    kind: str
+    name: str
+    floor: int
+    shape: Any  # of shapely
+
+    def __str__(self) -> str:
+        return f"feature {self.number}" + (f" ({self.name!r})" if self.name else "")
+
+
+def read_plan(
+    path: str | Path, origin: Origin | tuple[float, float] | None = None
+) -> tuple[str, tuple[Storey, ...], Origin | None, tuple[str, ...]]:
+    """Name, storeys, place on Earth and notes of a GeoJSON FeatureCollection: the fields of a `FloorPlan`.
+
+    Each feature has a property "type", and may have "floor" and "name".
+    Coordinates are metres east and north, or longitude and latitude. The latter become metres from `origin`, or from
+    the middle of the plan.
+    """
+    path = Path(path)
+    try:
+        content = json.loads(path.read_text(encoding="utf-8"))
+        if content["type"] != "FeatureCollection":
+            raise ValueError(f"type {content['type']}")
+        features, properties = list(content["features"]), dict(content.get("properties") or {})
+    except (OSError, KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
+        if isinstance(error, FileNotFoundError):
+            raise
+        raise ValueError(f"{path}: no GeoJSON FeatureCollection ({error}); export one from QGIS") from None
+    notes: list[str] = []
+    try:
+        drawn = [_drawn(i, f, properties.get("floor", 0), notes) for i, f in enumerate(features)]
+        if not drawn:
+            raise ValueError("no features; draw the outline of the floor, or walls")
+        drawn, here = _in_metres(drawn, None if origin is None else Origin.of(origin))
+        for d in drawn:
+            _check_shape(d)
+        floors = sorted({d.floor for d in drawn})
+        storeys = tuple(_storey(floor, [d for d in drawn if d.floor == floor]) for floor in floors)
+    except ValueError as error:
+        raise ValueError(f"{path}: {error}") from None
+    name = str(content.get("name") or path.stem)
+    return name, storeys, here, tuple(dict.fromkeys(notes))
+
+
+def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
+    try:
+        import shapely.geometry
+    except ImportError:
+        raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"') from None
+    properties = cast(dict[str, Any], feature.get("properties") or {})
+    name, word = str(properties.get("name") or ""), str(properties.get("type") or "").lower()
+    which = f"feature {number}" + (f" ({name!r})" if name else "")
+    if not word:
+        raise ValueError(f'{which} has no property "type"; give it one of {", ".join(_KINDS)}')
+    kind = _KIND_OF.get(word)
+    try:
+        shape = shapely.geometry.shape(feature["geometry"])
+    except Exception as error:  # whatever a damaged geometry provokes
+        raise ValueError(f"{which} has no geometry that can be read ({error}); draw it again, or delete it") from None
+    is_area = shape.geom_type in ("Polygon", "MultiPolygon")
+    if kind is None:
+        if not is_area:
+            raise ValueError(f"{which} is a {word!r}, got a {shape.geom_type}; use one of {', '.join(_KIND_OF)}")
+        kind = "room"
+        notes.append(f"features of type {word!r} are taken for rooms, which nobody enters")
+    if kind in _AREAS and not is_area:
+        raise ValueError(f"{which} is a {kind} and a {shape.geom_type}; draw it as a polygon")
+    if shape.geom_type not in ("Polygon", "MultiPolygon", "LineString", "MultiLineString"):
+        raise ValueError(f"{which} is a {shape.geom_type}; draw it as a line or a polygon")
+    try:
+        storey = int(properties.get("floor", floor))
+    except (TypeError, ValueError):
+        raise ValueError(
+            f"{which} has floor {properties.get('floor')!r}; give a whole number, 0 at the ground"
+        ) from None
+    return _Drawn(number, kind, name, storey, shape)
+
+
+def _in_metres(drawn: Sequence[_Drawn], origin: Origin | None) -> tuple[list[_Drawn], Origin | None]:
+    import shapely
+
+    for d in drawn:
+        if d.shape.is_empty or not np.isfinite(shapely.get_coordinates(d.shape)).all():
+            raise ValueError(f"{d} has no coordinates, or such that are no numbers; draw it again, or delete it")
+    points = np.concatenate([shapely.get_coordinates(d.shape) for d in drawn])
+    low, high = points.min(axis=0), points.max(axis=0)
+    span = float((high - low).max())
+    if span <= _MOST_DEG and (np.abs(points) <= [180.0, 180.0]).all():
+        if np.abs(points[:, 1]).max() > 90:
+            raise ValueError(f"{drawn[0]} has a latitude of {points[0, 1]}; longitude comes first: exchange the two")
+        middle = Origin(float(0.5 * (low[1] + high[1])), float(0.5 * (low[0] + high[0])))
+        if origin is not None and np.linalg.norm(origin.east_north_m(middle.latitude_deg, middle.longitude_deg)) > 1e4:
+            raise ValueError(
+                f"the plan is about latitude {middle.latitude_deg:.4f}, longitude {middle.longitude_deg:.4f}, more "
+                "than 10 km from the origin; longitude comes first in GeoJSON: are the two exchanged?"
+            )
+        here = origin or middle
+
+        def metres(coordinates: FloatArray) -> FloatArray:
+            return here.east_north_m(coordinates[:, 1], coordinates[:, 0])
+
+        return [_Drawn(d.number, d.kind, d.name, d.floor, shapely.transform(d.shape, metres)) for d in drawn], here
+    if not _LEAST_M <= span <= _MOST_M:
+        raise ValueError(
+            f"the plan spans {span:g}, and buildings {_LEAST_M:g} to {_MOST_M:g} m; give metres, or longitude and "
+            "latitude in degrees, not millimetres, feet or pixels"
+        )
+    return list(drawn), origin
+
+
+def _check_shape(drawn: _Drawn) -> None:
+    from shapely.validation import explain_validity
+
+    if not drawn.shape.is_valid:
+        raise ValueError(
+            f"{drawn} is no proper {drawn.kind} ({explain_validity(drawn.shape)}); draw it again without crossing "
+            "lines, or repair it with Fix geometries in QGIS"
+        )
+
+
+def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
+    import shapely
+
+    points = np.concatenate([shapely.get_coordinates(d.shape) for d in drawn])
+    of_kind = {kind: [d for d in drawn if d.kind == kind] for kind in _KINDS}
+    if not of_kind["floor"] and not of_kind["wall"]:
+        raise ValueError(
+            f'floor {floor} has neither an outline nor walls; draw a polygon of type "floor" about what people walk on'
+        )
+    south_west = points.min(axis=0) - MARGIN_M
+    n_columns, n_rows = np.ceil((points.max(axis=0) + MARGIN_M - south_west) / CELL_M).astype(int)
+    east = south_west[0] + CELL_M * (np.arange(n_columns) + 0.5)
+    north = south_west[1] + CELL_M * (np.arange(n_rows) + 0.5)
+    cells = np.full((n_rows, n_columns), OUTSIDE, dtype=np.uint8)
+
+    def fill(shape: Any, kind: int) -> None:
+        """Cells whose middle is inside of an area."""
+        shapely.prepare(shape)
+        (x0, y0), (x1, y1) = np.reshape(shape.bounds, (2, 2))
+        columns = slice(*np.searchsorted(east, [x0, x1]))
+        rows = slice(*np.searchsorted(north, [y0, y1]))
+        x, y = np.meshgrid(east[columns], north[rows])
+        part = cells[rows, columns]
+        part[shapely.contains_xy(shape, x, y)] = kind
+
+    doors = [d.shape for d in of_kind["door"]]
+    near = shapely.unary_union(doors).buffer(_NEAR_M) if doors else shapely.Polygon()
+    # without an outline the floor is what the walls are about
+    outlines = [d.shape for d in of_kind["floor"]] or [shapely.MultiPoint(points).convex_hull.buffer(_BESIDE_M)]
+    for outline in outlines:
+        fill(outline, FREE)
+    walls: list[Any] = [
+        d.shape if d.shape.geom_type.endswith("LineString") else d.shape.boundary for d in of_kind["wall"]
+    ]
+    for d in of_kind["room"]:
+        if doors and d.shape.boundary.intersects(near):
+            fill(d.shape, FREE)
+            walls.append(d.shape.boundary)
+        else:
+            fill(d.shape, ROOM)
+    for d in of_kind["wall"]:
+        if d.shape.geom_type.endswith("Polygon"):
+            fill(d.shape, WALL)
+    for d in of_kind["stairs"]:
+        fill(d.shape, STAIRS)
+    for d in of_kind["lift"]:
+        fill(d.shape, LIFT)
+    for wall in walls:
+        _draw_line(cells, south_west, wall.difference(near) if doors else wall)
+    features = tuple(_feature(d) for d in drawn)
+    cells.flags.writeable = False
+    return Storey(floor, features, read_only(south_west), cells)
+
+
+def _draw_line(cells: NDArray[np.uint8], south_west_m: FloatArray, line: Any) -> None:
+    """Cells that a line runs through are wall: points at a quarter of a cell leave no gap to step through."""
+    import shapely
+
+    for part in shapely.get_parts(line):
+        ends = shapely.get_coordinates(part)
+        for a, b in pairwise(ends):
+            n = int(np.ceil(np.linalg.norm(b - a) / (CELL_M / 4))) + 1
+            points = a + np.linspace(0.0, 1.0, n)[:, None] * (b - a)
+            column, row = np.floor((points - south_west_m) / CELL_M).astype(int).T
+            cells[row, column] = WALL
+
+
+def _feature(drawn: _Drawn) -> Feature:
+    import shapely
+
+    is_area = drawn.shape.geom_type.endswith("Polygon")
+    lines: list[Any] = []
+    for part in shapely.get_parts(drawn.shape):
+        lines += [part.exterior, *part.interiors] if is_area else [part]
+    return Feature(drawn.kind, drawn.name, tuple(read_only(shapely.get_coordinates(p)) for p in lines), is_area)

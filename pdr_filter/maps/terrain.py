@@ -1,0 +1,83 @@
+"""What it costs to walk against a floor plan, as fields over its cells."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+
+from pdr_filter.maps.storey import CELL_M, OUTSIDE, ROOM, STAIRS, WALL, Storey
+from pdr_filter.values import BoolArray, FloatArray, check_numbers
+
+_Field = NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Terrain:
+    """Costs of a step, minus logarithms of how much less probable it is than one in the open.
+
+    Nothing is impossible: plans lack doors, and people enter shops. A hundredth for each wall and each room lets a walk
+    that goes on for some ten metres
+    where the plan says no win against one that would have to turn there. How dear they are matters little: with 2.3,
+    4.6 and 9 for wall and room the median error on storey F1 of the mall was 2.70, 2.60 and 2.61 m.
+    """
+
+    wall: float = 4.6
+    room: float = 4.6  # of entering one without a door; its stairs to the depth of `soft_m`
+    outside: float = 6.0  # of leaving the outline
+    # Of each step in a room, in masonry or beyond the outline, where no wall tells a wrong way from a right one: what
+    # the steps of somebody in a corridor cost, because their noise leads into walls. Chosen among 0 to 1 on storey F1
+    # of the mall; other storeys and buildings had no part in it. Beyond the outline the plan says nothing of a walk.
+    stay_room: float = 0.3
+    stay_outside: float = 1.0
+    off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
+    soft_m: float = 0.5  # how well edges are drawn
+
+    def __post_init__(self) -> None:
+        check_numbers(self, zero=("wall", "room", "outside", "stay_room", "stay_outside", "off_stairs"))
+
+
+@dataclass(frozen=True, eq=False)
+class Ground:
+    """One storey under the feet of particles."""
+
+    storey: Storey
+    terrain: Terrain
+
+    @cached_property
+    def height(self) -> _Field:
+        """Cost of being in each cell, flat: a step pays for what it climbs, and goes down for nothing."""
+        cells, terrain = self.storey.cells, self.terrain
+        closed = (cells == ROOM) | (cells == OUTSIDE)
+        share = np.minimum(CELL_M / terrain.soft_m * np.asarray(distance_transform_edt(closed)), 1.0)
+        top = np.zeros(OUTSIDE + 1)
+        top[[ROOM, WALL, OUTSIDE]] = terrain.room, terrain.wall, terrain.outside
+        return np.asarray(top[cells] * np.where(closed, share, 1.0), dtype=np.float32).ravel()
+
+    def heights(self, position_m: FloatArray) -> FloatArray:
+        """Cost of being at positions (..., 2)."""
+        index, inside = self.storey.index(position_m)
+        return np.where(inside, self.height[index], self.terrain.outside)
+
+    def costs(self, from_m: FloatArray, to_m: FloatArray, on_stairs: BoolArray) -> tuple[FloatArray, FloatArray]:
+        """Cost of steps (N, 2) to (N, 2), and the part of it for what they went through, (N,) each.
+
+        The way is looked at in every cell: no step is so long that a wall is between two looks.
+        """
+        way_m = to_m - from_m
+        n = int(np.ceil(np.abs(way_m).max(initial=0.0) / CELL_M)) + 1
+        share = np.linspace(0.0, 1.0, n + 1)[:, None, None]
+        index, inside = self.storey.index(from_m + share * way_m)
+        height = np.where(inside, self.height[index], self.terrain.outside)
+        through = np.maximum(height[1:].max(axis=0) - height[0], 0.0)
+        kind = self.storey.kind_at(to_m)
+        stays = self.terrain.stay_room * ((kind == ROOM) | (kind == WALL)) + self.terrain.stay_outside * (
+            kind == OUTSIDE
+        )
+        cost = through + stays
+        if self.storey.has_stairs and on_stairs.any():
+            cost = cost + self.terrain.off_stairs * (on_stairs & (kind != STAIRS))
+        return cost, through

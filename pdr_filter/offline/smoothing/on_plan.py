@@ -1,0 +1,174 @@
+"""A walk on a floor plan in hindsight: the ways that led to the particles of the end.
+
+Each particle of the end has a mother at every step before, and what the plan and the fixes made of the mother's other
+daughters is known by then: a way that ended at a wall has no daughters. Means and covariances over those ways, with the
+weights of the end, are those of the smoothed distribution (G. Kitagawa, "Monte Carlo filter and smoother for
+non-Gaussian nonlinear state space models", J. Comput. Graph. Stat. 5, 1996). Ways share their first steps
+the sooner the fewer particles there are: there are four times as many as online, and the covariance of ways is never
+taken to be less than the plan can show.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.config import Config
+from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
+from pdr_filter.io.recording import Recording
+from pdr_filter.maps.clusters import moments
+from pdr_filter.maps.particles import EAST, NORTH, OFFSET, SCALE, ParticleFilter, ParticleState, backwards
+from pdr_filter.recording_run import collected, outputs
+from pdr_filter.tracks import Track
+from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, read_only, wrap_angle
+
+_MORE = 4
+# How well a plan shows where somebody is: edges are drawn, and kept away from, to some decimetres.
+_PLAN_STD_M = 0.2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Hindsight:
+    """A smoothed track on a plan, and what was learnt on the way."""
+
+    track: Track
+    heading_offset_rad: FloatArray  # (K,)
+    heading_offset_std_rad: FloatArray  # (K,)
+    log_scale: FloatArray  # (K,)
+    log_scale_std: FloatArray  # (K,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Seen:
+    """Particles after one event."""
+
+    state: ParticleState
+    is_step: bool
+    is_restart: bool  # what was before has nothing to do with them
+
+
+@dataclass(frozen=True, eq=False)
+class _Remembering(ParticleFilter):
+    """The same filter, which remembers all its states: many times the memory that the filter needs."""
+
+    seen: list[_Seen] = field(default_factory=list[_Seen])
+
+    def on_step(
+        self, state: ParticleState, update: StepUpdate, known: PedestrianState, model: PedestrianModel
+    ) -> ParticleState:
+        return self._remembered(super().on_step(state, update, known, model), state, is_step=True)
+
+    def on_gap(self, state: ParticleState, gap_s: float, model: PedestrianModel) -> ParticleState:
+        return self._remembered(super().on_gap(state, gap_s, model), state)
+
+    def on_fix(
+        self,
+        state: ParticleState,
+        fix: Fix,
+        outcome: FixOutcome,
+        known: PedestrianState,
+        model: PedestrianModel,
+        floor: int,
+    ) -> ParticleState:
+        after = super().on_fix(state, fix, outcome, known, model, floor)
+        return self._remembered(after, state, is_moved=outcome == "moved")
+
+    def _remembered(
+        self, after: ParticleState, before: ParticleState, is_step: bool = False, is_moved: bool = False
+    ) -> ParticleState:
+        is_lost = after.n_lost > before.n_lost
+        if after.weight is not before.weight or is_step:
+            self.seen.append(_Seen(after, is_step, (is_lost or is_moved) and len(before.weight) > 0))
+        return after
+
+
+def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...]) -> Hindsight:
+    """The track of a configuration with a floor plan, each step as the whole recording shows it."""
+    online = config.on_plan
+    assert online is not None
+    n_least = _MORE * online.n_least
+    on_plan = _Remembering(
+        online.plan, online.start, online.terrain, n_least, max(n_least, online.n_most), seed=online.seed
+    )
+    config = replace(config.in_hindsight(), on_plan=on_plan)
+    track = collected(recording, config, outputs(recording, config, fixes))
+    if not any(track.clusters):
+        raise ValueError(
+            "nothing says where on the plan the walk was: give fixes, or start, such as the name of an area"
+        )
+    rows = _ways(on_plan.seen)
+    position = np.array([row.cluster.position_m for row in rows])
+    moved = np.diff(position, axis=0, prepend=position[:1])
+    offset, scale = np.array([row.offset for row in rows]), np.array([row.scale for row in rows])
+    heading = np.asarray(track.steps.device_heading_rad) + offset[:, 0]
+    length = track.step_length_m.copy()
+    length[1:] = np.hypot(*moved[1:].T)
+    smoothed = replace(
+        track,
+        position_m=read_only(position),
+        position_cov_m2=read_only(np.array([row.cluster.position_cov_m2 for row in rows])),
+        step_length_m=read_only(length),
+        walked_m=read_only(np.cumsum(length)),
+        walking_heading_rad=read_only(wrap_angle(heading)),
+        step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
+        clusters=tuple((row.cluster,) for row in rows),
+        start_position_m=read_only(position[0] - length[0] * np.array([np.sin(heading[0]), np.cos(heading[0])])),
+        frame="plan",
+        origin=online.plan.origin,
+    )
+    return Hindsight(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Row:
+    """One step in hindsight."""
+
+    cluster: Cluster
+    offset: tuple[float, float]  # mean and standard deviation
+    scale: tuple[float, float]
+
+
+def _ways(seen: list[_Seen]) -> list[_Row]:
+    """The rows of all steps, from the last to the first, in their order."""
+    rows: list[_Row] = []
+    led_m = [s.state.way[-1, 1:3] for s in seen]  # where the steps led in the direction of the device
+    last = seen[-1].state
+    particles, weight, chosen = last.particles, last.weight, np.arange(len(last.weight))
+    anchor: int | None = None  # event before which nothing is known of the particles but where they came from
+    for i in range(len(seen) - 1, -1, -1):
+        s = seen[i]
+        if anchor is None:
+            particles = s.state.particles[chosen]
+        if s.is_step:
+            at = particles
+            if anchor is not None:
+                at = particles.copy()
+                at[:, :2] = backwards(particles, led_m[anchor] - led_m[i])
+            rows.append(_row(at, weight))
+        if anchor is not None:
+            continue
+        if len(s.state.parent):
+            chosen = s.state.parent[chosen]
+        elif s.is_restart:
+            weight = seen[i - 1].state.weight
+            chosen = np.arange(len(weight))
+        else:
+            anchor = i
+    return rows[::-1]
+
+
+def _row(particles: FloatArray, weight: FloatArray) -> _Row:
+    position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
+    # headings go round: about the first of them
+    about = particles[0, OFFSET]
+    turned = wrap_angle(particles[:, OFFSET] - about)
+    (offset, offset_std), (scale, scale_std) = (_mean_and_std(v, weight) for v in (turned, particles[:, SCALE]))
+    cluster = Cluster(1.0, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
+    return _Row(cluster, (float(about + offset), offset_std), (scale, scale_std))
+
+
+def _mean_and_std(values: FloatArray, weight: FloatArray) -> tuple[float, float]:
+    mean = float(weight @ values)
+    return mean, float(np.sqrt(weight @ (values - mean) ** 2))

@@ -1,0 +1,241 @@
+"""Walks with a floor plan: how near to the waypoints, how sure, and what a wrong plan does.
+
+usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [--data ../shared/data]
+
+The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
+plan, not aligned. One number was chosen, what staying in a room costs (`maps.terrain`), on storey F1 of ms_indoor
+alone; the other storeys and humolire are other places, of other walks. Waypoints are good to a metre, which is added to
+the covariances that are compared with them.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+import tempfile
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import shapely
+from scipy.stats import chi2
+from shapely.affinity import rotate, translate
+
+import pdr_filter as pdr
+from pdr_filter.tracks import Track
+from pdr_filter.values import FloatArray
+from tests.benchmarks.common import Tables, median_and, options, paths
+
+GROUPS = {"ms_indoor, storey F1": "_f1_", "ms_indoor, other storeys": "_(b1|f2|f3|f4)_", "humolire": "humolire"}
+WAYPOINT_VAR_M2 = 1.0
+N_SEEDS = 20
+
+
+@dataclass(frozen=True)
+class Walk:
+    """A recording, its waypoints, and how many of them are given."""
+
+    recording: pdr.Recording
+    time_s: FloatArray
+    place_m: FloatArray
+    n_given: int
+    plan: Path
+
+    @property
+    def fixes(self) -> list[pdr.PositionFix]:
+        given = zip(self.time_s[: self.n_given], self.place_m, strict=False)
+        return [pdr.PositionFix(max(float(t), 0.0), place, 0.25 * np.eye(2)) for t, place in given]
+
+    @property
+    def config(self) -> pdr.Config:
+        return pdr.recipes.default(self.recording.subject).in_world_frame()
+
+    def away(self, track: Track) -> FloatArray:
+        """From the waypoints that were not given, (N, 2)."""
+        at = [np.interp(self.time_s[self.n_given :], track.time_s, track.position_m[:, k]) for k in (0, 1)]
+        return np.column_stack(at) - self.place_m[self.n_given :]
+
+    def rmse_m(self, track: Track) -> float:
+        return float(np.sqrt((self.away(track) ** 2).sum(axis=1).mean()))
+
+    def nees(self, track: Track) -> FloatArray:
+        """Squared errors over their covariances."""
+        at = np.minimum(np.searchsorted(track.time_s, self.time_s[self.n_given :]), track.n_steps - 1)
+        away, cov = self.away(track), track.position_cov_m2[at] + WAYPOINT_VAR_M2 * np.eye(2)
+        return np.einsum("ni,nij,nj->n", away, np.linalg.inv(cov), away)
+
+
+def walks(data: Path, pattern: str = "") -> Iterator[Walk]:
+    """Those whose names have a pattern, with a plan and two waypoints or more that are not given."""
+    for path in (*paths(data, "ms_indoor"), *paths(data, "humolire")):
+        if not re.search(pattern, path.stem):
+            continue
+        storey = re.search(r"site\d+_([bf]\d)", path.stem)
+        name = "humolire" if storey is None else f"ms_indoor_site1_{storey[1].upper()}"
+        recording = pdr.read(path)
+        truth = recording.truth.waypoints
+        assert truth is not None
+        place = np.column_stack([truth.east_m, truth.north_m])
+        along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(place, axis=0), axis=1))])
+        n_given = max(2, int((along <= 0.2 * along[-1]).sum()))
+        if len(place) >= n_given + 2:
+            yield Walk(recording, np.asarray(truth.time_s), place, n_given, data / "maps" / f"{name}.geojson")
+
+
+def _coverage(nees: Sequence[FloatArray]) -> str:
+    every = np.concatenate(nees)
+    return ", ".join(f"{100 * np.mean(every < chi2.ppf(p, 2)):.0f}" for p in (0.5, 0.95))
+
+
+def compare(tables: Tables, data: Path) -> None:
+    """Dead reckoning, with the plan, and in hindsight: each group, and walk by walk."""
+    rows, each = [], []
+    for group, pattern in GROUPS.items():
+        errors, nees = [], [[], [], []]
+        for walk in walks(data, pattern):
+            plan = pdr.FloorPlan.read(walk.plan)
+            tracks = (
+                pdr.track(walk.recording, walk.config, fixes=walk.fixes),
+                pdr.track(walk.recording, walk.config, fixes=walk.fixes, plan=plan),
+                pdr.smooth(walk.recording, walk.fixes, config=walk.config, plan=plan).track,
+            )
+            errors.append([walk.rmse_m(track) for track in tracks])
+            for of_way, track in zip(nees, tracks, strict=True):
+                of_way.append(walk.nees(track))
+            each.append([walk.recording.name, len(walk.time_s) - walk.n_given, *(f"{e:.2f}" for e in errors[-1])])
+        alone, kept, later = np.array(errors).T
+        worse = [f"{np.mean(e > 1.1 * alone):.2f}, {np.max(e / alone):.2f}" for e in (kept, later)]
+        figures = (median_and(e, 90) for e in (alone, kept, later))
+        rows.append([group, len(alone), *figures, *worse, *map(_coverage, nees)])
+    columns = ["walks", "n", "dead reckoning", "with the plan", "in hindsight", "worse", "worse in hindsight"]
+    columns += ["covered alone", "with the plan", "in hindsight"]
+    about = "RMSE in m: median, 90 % of walks. Worse: share of walks with more than 1.1 times the error of dead "
+    about += "reckoning, and the largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
+    tables.write("floor_plans", columns, rows, about)
+    columns = ["walk", "waypoints", "dead reckoning", "with the plan", "in hindsight"]
+    tables.write("floor_plans_walks", columns, each, "RMSE in m.")
+
+
+def _changed(plan: Path, how: str, walk: Walk, folder: Path) -> pdr.FloorPlan:
+    """A plan that is wrong."""
+    content: dict[str, Any] = json.loads(plan.read_text("utf-8"))
+    middle = tuple(walk.place_m.mean(axis=0))
+    for feature in content["features"]:
+        shape = shapely.geometry.shape(feature["geometry"])
+        if how == "shifted by 2 m":
+            shape = translate(shape, 1.4, 1.4)
+        elif how == "turned by 5 degrees":
+            shape = rotate(shape, 5.0, origin=middle)
+        feature["geometry"] = shapely.geometry.mapping(shape)
+    if how == "a door is missing":
+        i = (walk.n_given + len(walk.time_s)) // 2 - 1
+        a, b = walk.place_m[i], walk.place_m[i + 1]
+        across = np.array([a[1] - b[1], b[0] - a[0]]) / max(float(np.linalg.norm(b - a)), 1e-6)
+        ends = [(0.5 * (a + b) + k * 6.0 * across).tolist() for k in (-1, 1)]
+        wall = {"type": "LineString", "coordinates": ends}
+        content["features"].append({"type": "Feature", "properties": {"type": "wall"}, "geometry": wall})
+    path = folder / "plan.geojson"
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return pdr.FloorPlan.read(path)
+
+
+def wrong(tables: Tables, data: Path) -> None:
+    """Plans that are off."""
+    rows = []
+    with tempfile.TemporaryDirectory() as folder:
+        for how in ("as drawn", "shifted by 2 m", "turned by 5 degrees", "a door is missing"):
+            row: list[object] = [how]
+            for pattern in ("_f2_", "humolire"):
+                errors, n_said = [], 0
+                for walk in walks(data, pattern):
+                    plan = _changed(walk.plan, how, walk, Path(folder))
+                    track = pdr.track(walk.recording, walk.config, fixes=walk.fixes, plan=plan)
+                    errors.append(walk.rmse_m(track))
+                    n_said += any(note.startswith("about ") for note in track.notes)
+                row += [median_and(errors, 90), f"{n_said} of {len(errors)}"]
+            rows.append(row)
+    columns = ["the plan is", "ms_indoor, F2", "contradiction said", "humolire", "contradiction said"]
+    about = "RMSE in m: median, 90 % of walks. Missing: a wall of 12 m across the way in its middle."
+    tables.write("floor_plans_wrong", columns, rows, about)
+
+
+def seeds(tables: Tables, data: Path) -> None:
+    """The same walks with other random numbers."""
+    rows = []
+    for group, pattern, every in (("ms_indoor, F2", "_f2_", 3), ("humolire", "humolire", 4)):
+        errors = []
+        for walk in list(walks(data, pattern))[::every]:
+            plan = pdr.FloorPlan.read(walk.plan)
+            configs = [walk.config.with_plan(plan, seed=seed) for seed in range(N_SEEDS)]
+            errors.append([walk.rmse_m(pdr.track(walk.recording, c, fixes=walk.fixes)) for c in configs])
+        medians, spread = np.median(errors, axis=0), np.std(errors, axis=1)
+        middle = np.median(medians)
+        rows.append(
+            [
+                *(group, len(errors), f"{middle:.2f}", f"{medians.min():.2f} to {medians.max():.2f}"),
+                *(f"{100 * np.std(medians) / middle:.1f} %", f"{np.median(spread):.2f}"),
+            ]
+        )
+    columns = ["walks", "n", "median RMSE", f"of {N_SEEDS} seeds", "their spread", "spread of one walk"]
+    tables.write("floor_plans_seeds", columns, rows, "In m; the spread is a standard deviation.")
+
+
+def start(tables: Tables, data: Path) -> None:
+    """Starts of which less is known."""
+    rows = []
+    for group, pattern in (("humolire", "humolire"), ("ms_indoor, all storeys", "ms_indoor")):
+        found: dict[str, list[tuple[float, bool, bool]]] = {}
+        for whole in walks(data, pattern):
+            if whole.time_s[-1] < 60.0:
+                continue
+            plan = pdr.FloorPlan.read(whole.plan)
+            # the first waypoint is given, if any
+            walk = replace(whole, n_given=1)
+            first, way = walk.fixes[0], walk.place_m[1] - walk.place_m[0]
+            heading = pdr.HeadingFix(first.time_s + 2.0, float(np.arctan2(*way)), 0.1)
+            tries = {
+                "place and direction, no plan": {"fixes": [first, heading]},
+                "place and direction": {"fixes": [first, heading], "plan": plan},
+                "place": {"plan": plan, "start": first},
+                "nothing": {"plan": plan, "start": "anywhere"},
+            }
+            for known, given in tries.items():
+                track = pdr.track(walk.recording, walk.config, **given)
+                away, nees = np.linalg.norm(walk.away(track), axis=1), walk.nees(track)
+                for at_s in (60.0, 120.0):
+                    if walk.time_s[-1] >= at_s:
+                        i = int(np.searchsorted(walk.time_s, at_s)) - 1
+                        step = min(int(np.searchsorted(track.time_s, walk.time_s[i + 1])), track.n_steps - 1)
+                        single = not track.clusters or track.clusters[step][0].share > 0.95
+                        sure = bool(single and nees[i] > chi2.ppf(0.95, 2))
+                        found.setdefault(f"{known} {at_s:.0f}", []).append((float(away[i]), away[i] < 3.0, sure))
+        for known in tries:
+            row: list[object] = [group, known]
+            for at_s in (60, 120):
+                of_time = np.array(found.get(f"{known} {at_s}", []), dtype=float).reshape(-1, 3)
+                if len(of_time) == 0:
+                    row += [0, "", "", ""]
+                    continue
+                median, near, false = np.median(of_time[:, 0]), *of_time[:, 1:].mean(axis=0)
+                row += [len(of_time), f"{median:.1f}", f"{100 * near:.0f} %", f"{100 * false:.0f} %"]
+            rows.append(row)
+    columns = ["walks", "known of the start", "n", "error after 60 s", "within 3 m", "wrong and sure"]
+    columns += ["n", "error after 120 s", "within 3 m", "wrong and sure"]
+    about = "Errors are medians in m, at the first waypoint after that time. Wrong and sure: one place has 95 % of the "
+    about += "particles, or there is no plan, and the truth is outside of the 95 % ellipse."
+    tables.write("floor_plans_start", columns, rows, about)
+
+
+def main() -> None:
+    """Write the tables that are named."""
+    parts = {"walks": compare, "wrong": wrong, "seeds": seeds, "start": start}
+    arguments = options(__doc__ or "", *parts).parse_args()
+    tables = Tables.of("tests.benchmarks.floor_plans", arguments)
+    for part in arguments.parts:
+        parts[part](tables, arguments.data)
+
+
+if __name__ == "__main__":
+    main()

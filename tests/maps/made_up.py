@@ -1,0 +1,82 @@
+"""A made-up storey and walks on it: corridors 2.4 m wide around a block, and a room to the west.
+
+19.2 +---------+------------------------------+
+     |  west   |   corridor, y = 18           |
+16.8 |         |   +----------------------+   |
+     |         |   |        block         |   |
+     |         |10 |                      | 40|
+ 1.2 +---------+   +----------------------+   |
+     |   corridor, y = 0                      |
+-1.2 +----------------------------------------+
+    -1.2      8.8 11.2                 38.8  41.2
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Gait, Leg, SensorError, SensorErrors
+
+
+def box(west: float, south: float, east: float, north: float) -> dict[str, Any]:
+    ring = [[west, south], [east, south], [east, north], [west, north], [west, south]]
+    return {"type": "Polygon", "coordinates": [ring]}
+
+
+def feature(kind: str, geometry: dict[str, Any], **properties: Any) -> dict[str, Any]:
+    return {"type": "Feature", "properties": {"type": kind, **properties}, "geometry": geometry}
+
+
+def line(*points: tuple[float, float]) -> dict[str, Any]:
+    return {"type": "LineString", "coordinates": [list(p) for p in points]}
+
+
+FEATURES = [
+    feature("floor", box(-1.2, -1.2, 41.2, 19.2), name="ground"),
+    feature("room", box(11.2, 1.2, 38.8, 16.8), name="block"),
+    feature("room", box(-1.2, 1.2, 8.8, 19.2), name="west"),
+]
+
+
+def write(path: Path, features: list[dict[str, Any]] | None = None) -> Path:
+    content = {"type": "FeatureCollection", "features": FEATURES if features is None else features}
+    path.write_text(json.dumps(content), encoding="utf-8")
+    return path
+
+
+def turned(features: list[dict[str, Any]], angle_rad: float) -> list[dict[str, Any]]:
+    """The same turned clockwise about zero."""
+    c, s = math.cos(angle_rad), math.sin(angle_rad)
+
+    def of(values: Any) -> Any:
+        if isinstance(values[0], list):
+            return [of(v) for v in values]
+        x, y = values
+        return [c * x + s * y, c * y - s * x]
+
+    return [{**f, "geometry": {**f["geometry"], "coordinates": of(f["geometry"]["coordinates"])}} for f in features]
+
+
+def round_the_block(seed: int = 0) -> pdr.Recording:
+    """From (0, 0) east along the south corridor, round the block, and back into the south corridor."""
+    turn = -math.pi / 2  # counter-clockwise
+    legs = [Leg("walking", distance_m=40.0)]
+    legs += [Leg("walking", distance_m=d, turn_rad=turn) for d in (18.0, 30.0, 18.0, 25.0)]
+    errors = SensorErrors(gyroscope=SensorError(noise_density=1e-4, bias_std=0.01))
+    return pdr.simulate.simulate(
+        legs, Gait(height_m=1.95), errors=errors, seed=seed, start_heading_rad=math.pi / 2, name="round the block"
+    )
+
+
+def errors_m(track: pdr.Track, walk: pdr.Recording) -> np.ndarray:
+    """Distance of each step from where the person was."""
+    assert walk.truth is not None
+    truth = walk.truth.position
+    at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[k]) for k in ("east_m", "north_m")])
+    return np.linalg.norm(track.position_m - at, axis=1)

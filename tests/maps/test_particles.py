@@ -1,0 +1,210 @@
+"""Particles on a plan: closed forms, invariances, and walks through a made-up building."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up import FEATURES, box, errors_m, feature, line, round_the_block, turned, write
+from numpy.testing import assert_allclose, assert_array_equal
+from scipy.stats import truncnorm
+
+import pdr_filter as pdr
+from pdr_filter.maps.clusters import groups, n_needed, on_plan
+from pdr_filter.maps.terrain import Ground, Terrain
+
+WALK = round_the_block()
+# Two fixes a few metres apart: they say the start, and hardly the direction.
+FIXES = [pdr.PositionFix(0.5, [0.0, 0.0], 0.25 * np.eye(2)), pdr.PositionFix(7.0, [8.0, 0.5], 0.5 * np.eye(2))]
+
+
+def in_world(seed: int = 0, plan: pdr.FloorPlan | None = None) -> pdr.Config:
+    config = pdr.recipes.default().in_world_frame()
+    return config if plan is None else config.with_plan(plan, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def plan(tmp_path_factory: pytest.TempPathFactory) -> pdr.FloorPlan:
+    return pdr.FloorPlan.read(write(tmp_path_factory.mktemp("plan") / "plan.geojson"))
+
+
+# --- closed form ------------------------------------------------------------------------------------------------------
+
+
+def test_steps_against_a_wall_are_the_truncated_normal_distribution(tmp_path: Path) -> None:
+    walled = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, feature("wall", line((5, -1.2), (5, 1.2)))]))
+    ground = Ground(walled.storeys[0], Terrain(wall=50.0))
+    rng, n = np.random.default_rng(0), 100_000
+    to_m = np.column_stack([rng.normal(4.6, 0.5, n), np.zeros(n)])
+    cost, _ = ground.costs(np.full((n, 2), [4.0, 0.0]), to_m, np.zeros(n, dtype=bool))
+    left = to_m[cost < 1, 0]
+    # the wall is a cell, whose side is where it begins
+    edge = (ground.storey.south_west_m[0] + 0.2 * np.floor((5 - ground.storey.south_west_m[0]) / 0.2) - 4.6) / 0.5
+    expected = truncnorm(-np.inf, edge, 4.6, 0.5)
+    assert_allclose(left.mean(), expected.mean(), atol=0.01)
+    assert_allclose(left.std(), expected.std(), atol=0.01)
+
+
+def test_the_cost_of_a_room_is_paid_once_at_the_door_that_is_not_there(plan: pdr.FloorPlan) -> None:
+    terrain = Terrain(stay_room=0.0)
+    ground = Ground(plan.storeys[0], terrain)
+    way = np.column_stack([np.full(30, 20.0), np.linspace(0.0, 6.0, 30)])
+    cost, _ = ground.costs(way[:-1], way[1:], np.zeros(29, dtype=bool))
+    assert_allclose(cost.sum(), terrain.room, rtol=1e-5)
+    back, _ = ground.costs(way[:0:-1], way[-2::-1], np.zeros(29, dtype=bool))
+    assert back.sum() == 0
+
+
+def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
+    rng = np.random.default_rng(0)
+    places = np.concatenate([rng.normal([0, 0], 0.5, (300, 2)), rng.normal([20, 5], 0.5, (100, 2))])
+    place = on_plan(places, np.full(400, 1 / 400), np.zeros(400))
+    assert_allclose([c.share for c in place.clusters], [0.75, 0.25])
+    assert_allclose(place.position_m, places.mean(axis=0))
+    assert_allclose(place.position_cov_m2, np.cov(places.T, bias=True))
+    assert_allclose(place.effective_sample_size, 400)
+    assert len(set(groups(places))) == 2
+
+
+def test_more_particles_are_needed_where_they_are_spread_further() -> None:
+    rng = np.random.default_rng(0)
+    needed = [n_needed(rng.integers(0, k, (5000, 3)), 100, 100_000) for k in (1, 3, 10)]
+    assert needed[0] == 100 and needed[0] < needed[1] < needed[2]
+    # Fox 2003: 27 cells, e = 0.05, 99 %: half of the 0.99 quantile of chi-square with 26 degrees, 45.64, over 0.05
+    assert_allclose(needed[1], 45.64 / (2 * 0.05), rtol=0.01)
+
+
+# --- invariances ------------------------------------------------------------------------------------------------------
+
+
+def pushed(plan: pdr.FloorPlan, seed: int, resume: bool) -> tuple[np.ndarray, pdr.OnlineFilter]:
+    samples, rng = pdr.merge_streams(WALK), np.random.default_rng(seed)
+    online = pdr.OnlineFilter(in_world(), plan=plan)
+    for fix in FIXES:
+        online.add_fix(fix)
+    updates, i, n_saved = [], 0, 0
+    while i < len(samples.time_s):
+        block = slice(i, i + int(rng.integers(1, 2500)))
+        i = block.stop
+        updates += online.push(
+            samples.time_s[block], samples.specific_force_mps2[block], samples.angular_rate_radps[block]
+        )
+        if resume and i > (1 + n_saved) * len(samples.time_s) / 3:
+            online, n_saved = pdr.OnlineFilter.load(online.save()), n_saved + 1
+    updates += online.finish()
+    return np.array([[*u.position_m, *u.position_cov_m2.ravel()] for u in updates]), online
+
+
+def test_the_track_has_the_same_bits_in_any_blocks_and_after_save_and_resume(plan: pdr.FloorPlan) -> None:
+    track = pdr.track(replace(WALK, magnetometer=None), in_world(), fixes=FIXES, plan=plan)
+    whole, online = pushed(plan, 0, resume=False)
+    resumed, _ = pushed(plan, 1, resume=True)
+    assert_array_equal(whole, resumed)
+    assert_array_equal(whole[:, :2], track.position_m)
+    assert_array_equal(online.position_m, track.end_position_m)
+    assert_allclose(online.now().position_m, online.position_m, atol=3.0)  # two steps that are not sure yet
+    assert online.on_plan is not None and len(online.on_plan.clusters) == len(track.clusters[-1])
+
+
+def test_the_same_seed_gives_the_same_bits_and_another_one_nearly_the_same_track(plan: pdr.FloorPlan) -> None:
+    first, again = (pdr.track(WALK, in_world(0, plan), fixes=FIXES) for _ in range(2))
+    other = pdr.track(WALK, in_world(1, plan), fixes=FIXES)
+    assert_array_equal(first.position_m, again.position_m)
+    away = np.linalg.norm(first.position_m - other.position_m, axis=1)
+    assert 0 < np.median(away) < 0.3
+
+
+def test_a_plan_that_is_turned_turns_the_track(plan: pdr.FloorPlan, tmp_path: Path) -> None:
+    angle = math.pi / 2
+    other = pdr.FloorPlan.read(write(tmp_path / "turned.geojson", turned(FEATURES, angle)))
+    rotation = np.array([[math.cos(angle), math.sin(angle)], [-math.sin(angle), math.cos(angle)]])
+    fixes = [replace(fix, position_m=rotation @ fix.position_m) for fix in FIXES]
+    there = pdr.track(WALK, in_world(), fixes=fixes, plan=other)
+    here = pdr.track(WALK, in_world(), fixes=FIXES, plan=plan)
+    away = np.linalg.norm(here.position_m @ rotation.T - there.position_m, axis=1)
+    assert np.median(away) < 0.3
+
+
+def test_a_plan_that_says_nothing_leaves_the_track_as_it_is(tmp_path: Path) -> None:
+    field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-200, -200, 200, 200))]))
+    alone, on_field = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, field))
+    late = alone.time_s > FIXES[-1].time_s + 5.0  # before, the turn is known less well than in the end
+    away = np.linalg.norm(alone.position_m - on_field.position_m, axis=1)[late]
+    assert np.all(away < 0.2 * alone.uncertainty_95_m[late])
+    assert_allclose(on_field.uncertainty_95_m[late], alone.uncertainty_95_m[late], rtol=0.25)
+
+
+# --- walks ------------------------------------------------------------------------------------------------------------
+
+
+def test_walls_keep_a_drifting_track_in_the_corridor(plan: pdr.FloorPlan) -> None:
+    alone, kept = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, plan))
+    assert kept.frame == "plan" and kept.plan is plan
+    assert np.median(errors_m(kept, WALK)) < 0.5 * np.median(errors_m(alone, WALK))
+    assert errors_m(kept, WALK)[-1] < 1.5
+    assert len(kept.clusters) == kept.n_steps == len(kept.effective_sample_size)
+
+
+def test_a_walk_with_an_unknown_direction_finds_it_in_the_corridors(plan: pdr.FloorPlan) -> None:
+    track = pdr.track(WALK, plan=plan, start=pdr.PositionFix(0.0, [0.0, 0.0], 0.25 * np.eye(2)))
+    assert errors_m(track, WALK)[-1] < 2.0
+    assert len(track.clusters[-1]) == 1
+
+
+def test_a_walk_that_began_anywhere_is_found_or_is_said_to_be_in_several_places(plan: pdr.FloorPlan) -> None:
+    track = pdr.track(WALK, plan=plan, start="anywhere")
+    near = errors_m(track, WALK)[-1] < 3.0
+    assert near or len(track.clusters[-1]) > 1 or track.uncertainty_95_m[-1] > errors_m(track, WALK)[-1]
+
+
+def test_a_walk_begins_in_the_room_that_is_named(plan: pdr.FloorPlan) -> None:
+    track = pdr.track(WALK, plan=plan, start="west")
+    assert_allclose(track.position_m[0], [3.8, 10.2], atol=1.0)
+    with pytest.raises(ValueError, match="block, ground, west"):
+        pdr.track(WALK, plan=plan, start="attic")
+    with pytest.raises(ValueError, match="without plan"):
+        pdr.track(WALK, start="west")
+
+
+def test_later_steps_say_where_earlier_ones_were(plan: pdr.FloorPlan) -> None:
+    # how far along the corridor the walk began shows at the first turn
+    start = pdr.PositionFix(0.0, [4.0, 0.0], np.diag([16.0, 0.25]))
+    online, hindsight = pdr.track(WALK, plan=plan, start=start), pdr.smooth(WALK, plan=plan, start=start)
+    early = slice(0, 40)
+    assert np.median(errors_m(hindsight.track, WALK)[early]) < 0.6 * np.median(errors_m(online, WALK)[early])
+    assert_allclose(hindsight.track.end_position_m, online.end_position_m, atol=0.5)
+    with pytest.raises(ValueError, match="fixes alone"):
+        pdr.smooth(WALK, plan=plan, start=start, start_heading_std_rad=0.1)
+
+
+def test_a_wall_across_the_corridor_is_passed_and_the_contradiction_is_said(tmp_path: Path) -> None:
+    closed = [*FEATURES, feature("wall", line((38.0, 9), (42.0, 9)))]
+    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", closed))
+    track = pdr.track(WALK, in_world(), fixes=FIXES, plan=plan)
+    assert errors_m(track, WALK)[-1] < 1.5
+    said = ("goes through a wall: a door that the plan lacks?", "enters block, to which the plan has no door")
+    assert any(words in note for note in track.notes for words in said)
+
+
+def test_a_plan_of_another_building_is_said_to_be_of_no_use(tmp_path: Path) -> None:
+    bars = np.arange(-60.5, 60.0, 1.5)
+    cages = [feature("wall", line((x, -60.5), (x, 60))) for x in bars]
+    cages += [feature("wall", line((-60.5, y), (60, y))) for y in bars]
+    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", cages))
+    alone, misled = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, plan))
+    assert any("nothing on the plan fits" in note for note in misled.notes)
+    assert np.median(errors_m(misled, WALK)) < np.median(errors_m(alone, WALK)) + 3.0
+
+
+def test_a_thousand_particles_are_a_hundred_times_as_fast_as_the_walk(plan: pdr.FloorPlan) -> None:
+    from time import process_time
+
+    times = []
+    for p in (None, plan):
+        began = process_time()
+        pdr.track(WALK, in_world(), fixes=FIXES, plan=p)
+        times.append(process_time() - began)
+    assert times[1] - times[0] < WALK.duration_s / 30  # a third of the speed is left for a busy machine

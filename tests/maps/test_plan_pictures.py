@@ -1,0 +1,64 @@
+"""A plan is drawn under the track, and the command says what it was understood to be."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from made_up import FEATURES, feature, line, round_the_block, write
+from matplotlib.collections import PathCollection
+from typer.testing import CliRunner
+
+import pdr_filter as pdr
+from pdr_filter.cli.app import app
+from pdr_filter.io.own_format import write_recording
+from pdr_filter.report.html import html_report
+from pdr_filter.report.plotting import plot_plan
+
+
+@pytest.fixture(scope="module")
+def plan_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    wall = feature("wall", line((20, -1.2), (20, 0.0)))
+    return write(tmp_path_factory.mktemp("plan") / "storey.geojson", [*FEATURES, wall])
+
+
+def run(*arguments: object) -> str:
+    result = CliRunner().invoke(app, [str(a) for a in arguments], env={"COLUMNS": "200", "TERM": "dumb"})
+    assert result.exit_code == 0, result.output
+    return result.stdout
+
+
+def test_plot_and_report_have_the_plan_under_the_track(plan_file: Path) -> None:
+    plan = pdr.FloorPlan.read(plan_file)
+    start = pdr.PositionFix(0.0, [0.0, 0.0], np.eye(2))
+    track = pdr.track(round_the_block(), plan=plan, start=start)
+    drawn = [c for c in track.plot().axes[0].collections if isinstance(c, PathCollection)]
+    assert sum(len(c.get_paths()) for c in drawn) == 3  # the outline and two rooms
+    assert min(c.get_zorder() for c in drawn) < 1
+    page = html_report(track)
+    assert page.count("clip-path") == 1 and page.count("fill-rule='evenodd'") == 4
+    without = html_report(pdr.track(round_the_block()))
+    assert "clip-path" not in without
+
+
+def test_the_picture_of_a_plan_names_its_rooms(plan_file: Path, tmp_path: Path) -> None:
+    figure = plot_plan(pdr.FloorPlan.read(plan_file), tmp_path / "plan.png")
+    assert {"block", "west"} <= {text.get_text() for text in figure.axes[0].texts}
+    assert (tmp_path / "plan.png").stat().st_size > 1000
+
+
+def test_the_command_says_what_a_plan_is(plan_file: Path, tmp_path: Path) -> None:
+    text = run("plan", plan_file, "--out", tmp_path)
+    assert "42.4 m" in text and "2 room" in text and "drawn" in text
+    assert (tmp_path / "storey.png").exists()
+    assert json.loads(run("plan", plan_file, "--json"))["storeys"][0]["features"] == {"floor": 1, "room": 2, "wall": 1}
+
+
+def test_the_command_tracks_and_smooths_on_a_plan(plan_file: Path, tmp_path: Path) -> None:
+    walk = write_recording(round_the_block(), tmp_path / "walk.zip")
+    assert json.loads(run("track", walk, "--plan", plan_file, "--start", "0,0", "--json"))["frame"] == "plan"
+    assert "1 storeys" not in run("smooth", walk, "--plan", plan_file, "--start", "0,0")
+    refused = CliRunner().invoke(app, ["track", str(walk), "--start", "0,0"])
+    assert refused.exit_code == 2

@@ -1,0 +1,284 @@
+"""Sensors that arrive apart give the bits of the finished recording, and none of them stops the others."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import Phase, example, given, settings
+from hypothesis import strategies as st
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.sensing.merging import _MAX_ROWS, SENSORS, Merged, Sensor, StreamMerger
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import FloatArray, ImuBlock, Samples
+
+# One piece of a stream: when it arrives, whose, and the rows.
+Piece = tuple[float, Sensor, FloatArray, FloatArray]
+
+
+def noise(n: int, rate_hz: float, seed: int, begin_s: float = 0.0, d: int = 3) -> Samples:
+    """Samples at uneven times."""
+    rng = np.random.default_rng(seed)
+    time_s = begin_s + (np.arange(n) + rng.uniform(-0.4, 0.4, n)) / rate_hz
+    return Samples(time_s, rng.normal(size=(n, d)) + (1000.0 if d == 1 else 0.0))
+
+
+def a_recording() -> Recording:
+    """Twelve seconds; the gyroscope begins later and has a hole, the magnetometer is slow and ends early."""
+    gyroscope = noise(2400, 200.0, 2, begin_s=0.13)
+    kept = (gyroscope.time_s < 3.0) | (gyroscope.time_s > 3.7)
+    gyroscope = Samples(gyroscope.time_s[kept], gyroscope.values[kept])
+    field = noise(110, 10.0, 3, begin_s=-0.2)
+    field.values.flags.writeable = True
+    field.values[30:33] = np.nan
+    accelerometer = noise(1200, 100.0, 1)
+    return Recording("noise", accelerometer, gyroscope=gyroscope, magnetometer=field, barometer=noise(24, 2.0, 4, d=1))
+
+
+RECORDING = a_recording()
+# A seed is as good as any other: nothing to shrink.
+PHASES = (Phase.explicit, Phase.reuse, Phase.generate)
+
+
+def pieces_of(recording: Recording, seed: int, longest_s: float = 1.0, latest_s: float = 3.5) -> list[Piece]:
+    """Each stream cut anywhere and each piece late by up to some seconds, in order within its stream."""
+    rng = np.random.default_rng(seed)
+    found: list[Piece] = []
+    for sensor in SENSORS:
+        stream = recording.streams.get(sensor)
+        if stream is None:
+            continue
+        n_cuts = int(2 * len(stream) / (longest_s * len(stream) / np.ptp(stream.time_s))) + 1
+        edges = {0, len(stream), *rng.integers(0, len(stream), n_cuts).tolist()}
+        for second in np.arange(stream.time_s[0], stream.time_s[-1], longest_s):
+            edges.add(int(np.searchsorted(stream.time_s, second)))
+        bounds, arrival_s = sorted(edges), -np.inf
+        for begin, end in pairwise(bounds):
+            arrival_s = max(arrival_s, stream.time_s[end - 1] + rng.uniform(0, latest_s))
+            found.append((arrival_s, sensor, stream.time_s[begin:end], stream.values[begin:end]))
+    return sorted(found, key=lambda piece: piece[0])
+
+
+def merged(pieces: Iterable[Piece], merger: StreamMerger | None = None) -> tuple[ImuBlock, FloatArray, int]:
+    """All that leaves, the pressures, and the number of samples of the accelerometer that left before the end."""
+    merger = merger or StreamMerger()
+    state, outputs = merger.init(), list[Merged]()
+    for _, sensor, time_s, values in pieces:
+        state, output = merger.step(state, sensor, time_s, values)
+        outputs.append(output)
+    n_early = sum(len(o.block.time_s) for o in outputs)
+    outputs.append(merger.finish(state)[1])
+    blocks = [o.block for o in outputs]
+    names = ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut")
+    block = ImuBlock(*(np.concatenate([getattr(b, name) for b in blocks]) for name in names))
+    pressure = np.concatenate([np.column_stack([o.pressure_time_s, o.pressure_hpa]) for o in outputs])
+    return block, pressure, n_early
+
+
+def assert_same_block(actual: ImuBlock, expected: ImuBlock) -> None:
+    for name in ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut"):
+        np.testing.assert_array_equal(getattr(actual, name), getattr(expected, name), err_msg=name)
+
+
+@example(seed=104993, longest_s=0.2, latest_s=3.5)  # one sample of the gyroscope comes first
+@settings(max_examples=8, deadline=None, phases=PHASES)
+@given(
+    seed=st.integers(0, 10**6), longest_s=st.sampled_from([0.03, 0.2, 1.0]), latest_s=st.sampled_from([0.0, 1.0, 3.5])
+)
+def test_any_interleaving_and_chunking_gives_the_bits_of_merge_streams(
+    seed: int, longest_s: float, latest_s: float
+) -> None:
+    block, pressure, n_early = merged(pieces_of(RECORDING, seed, longest_s, latest_s))
+    assert_same_block(block, pdr.merge_streams(RECORDING))
+    assert RECORDING.barometer is not None
+    np.testing.assert_array_equal(pressure[:, 1], RECORDING.barometer.values[:, 0])
+    assert n_early > len(block.time_s) - 100 * (latest_s + longest_s + 1.8)  # the magnetometer ends early
+
+
+@settings(max_examples=6, deadline=None, phases=PHASES)
+@given(seed=st.integers(0, 10**6))
+def test_pieces_that_come_twice_change_no_bit_that_is_used(seed: int) -> None:
+    rng, pieces = np.random.default_rng(seed), pieces_of(RECORDING, seed)
+    twice = [(a + rng.uniform(0, 6.0), *rest) for a, *rest in pieces if rng.uniform() < 0.3]
+    block, pressure, _ = merged(sorted([*pieces, *twice], key=lambda piece: piece[0]))
+    first = np.unique(block.time_s, return_index=True)[1]
+    assert (np.diff(block.time_s) >= 0).all()
+    names = ("time_s", "specific_force_mps2", "angular_rate_radps", "magnetic_field_ut")
+    assert_same_block(ImuBlock(*(getattr(block, name)[first] for name in names)), pdr.merge_streams(RECORDING))
+    assert len(pressure) == len(np.unique(pressure[:, 0]))
+
+
+@settings(max_examples=2, deadline=None, phases=PHASES)
+@given(seed=st.integers(0, 10**6), reorder_s=st.sampled_from([0.05, 0.5]))
+def test_samples_out_of_order_by_less_than_said_are_put_in_order(seed: int, reorder_s: float) -> None:
+    rng = np.random.default_rng(seed)
+    pieces: list[Piece] = []
+    for sensor, stream in RECORDING.streams.items():
+        for row in range(len(stream)):
+            arrival_s = stream.time_s[row] + rng.uniform(0, reorder_s)
+            pieces.append((arrival_s, sensor, stream.time_s[row : row + 1], stream.values[row : row + 1]))  # type: ignore[arg-type]
+    pieces.sort(key=lambda piece: piece[0])
+    block, _, _ = merged(pieces, StreamMerger(reorder_s=reorder_s))
+    assert_same_block(block, pdr.merge_streams(RECORDING))
+
+
+@pytest.mark.parametrize("late_s", [1.5, 3.5])
+def test_a_message_that_was_overtaken_fills_the_hole_that_it_left(late_s: float) -> None:
+    pieces: list[Piece] = []
+    for sensor, stream in RECORDING.streams.items():
+        number = np.floor(stream.time_s).astype(int)
+        for second in np.unique(number):
+            rows = number == second
+            arrival_s = second + 1.0 + late_s * (second in (5, 7))
+            pieces.append((arrival_s, sensor, stream.time_s[rows], stream.values[rows]))  # type: ignore[arg-type]
+    block, _, _ = merged(sorted(pieces, key=lambda piece: piece[0]))
+    assert_same_block(block, pdr.merge_streams(RECORDING))
+
+
+def push_all(online: pdr.OnlineFilter, pieces: Iterable[Piece]) -> list[pdr.StepUpdate]:
+    updates: list[pdr.StepUpdate] = []
+    for _, sensor, time_s, values in pieces:
+        updates += give(online, sensor, time_s, values)
+    return updates
+
+
+def give(online: pdr.OnlineFilter, sensor: str, time_s: Any, values: Any) -> list[pdr.StepUpdate]:
+    if sensor == "barometer":
+        return online.push_pressure(time_s, np.asarray(values)[..., 0])
+    return getattr(online, f"push_{sensor}")(time_s, values)
+
+
+def a_walk() -> Recording:
+    legs = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=18.0), Leg("walking", 9.0, turn_rad=1.0)]
+    walk = simulate(legs, seed=5)
+    time_s = np.arange(0.0, walk.duration_s, 0.2)
+    pressure = 1000.0 + 0.01 * np.random.default_rng(0).normal(size=(len(time_s), 1))
+    return replace(walk, barometer=Samples(time_s, pressure))
+
+
+WALK = a_walk()
+
+
+def assert_same_track(updates: Sequence[pdr.StepUpdate], track: pdr.Track) -> None:
+    assert len(updates) == track.n_steps > 20
+    np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
+    np.testing.assert_array_equal([u.position_cov_m2 for u in updates], track.position_cov_m2)
+    np.testing.assert_array_equal([u.context_prob for u in updates], track.context_prob)
+    np.testing.assert_array_equal([u.height_m for u in updates], track.height_m)
+
+
+@pytest.mark.parametrize("seed", [0])
+def test_the_track_of_sensors_that_arrive_apart_is_that_of_the_recording_also_when_saved_between(seed: int) -> None:
+    track = pdr.track(WALK, pdr.recipes.default())
+    online, updates = pdr.OnlineFilter(), list[pdr.StepUpdate]()
+    for number, piece in enumerate(pieces_of(WALK, seed, longest_s=0.5)):
+        if number % 100 == 50:
+            online = pdr.OnlineFilter.load(online.save())
+        updates += push_all(online, [piece])
+        if number % 7 == 0:
+            online.now()
+    assert len(updates) > 10
+    assert_same_track([*updates, *online.finish()], track)
+
+
+def test_a_single_row_is_taken_as_a_block_of_one() -> None:
+    online, block = pdr.OnlineFilter(), pdr.OnlineFilter()
+    for i in range(300):
+        online.push_accelerometer(0.01 * i, (0.1, 0.0, 9.8))
+        online.push_gyroscope(0.01 * i, (0.0, 0.01, 0.0))
+        online.push_pressure(0.01 * i, 1000.0)
+    block.push_accelerometer(0.01 * np.arange(300), np.tile([0.1, 0.0, 9.8], (300, 1)))
+    block.push_gyroscope(0.01 * np.arange(300), np.tile([0.0, 0.01, 0.0], (300, 1)))
+    for one in (online, block):
+        one.finish()
+    np.testing.assert_array_equal(
+        online.state.sensing.attitude.vqf["gyrQuat"], block.state.sensing.attitude.vqf["gyrQuat"]
+    )  # type: ignore[index]
+
+
+def test_a_sensor_that_falls_silent_gets_a_note_and_stops_nobody_for_longer_than_the_wait() -> None:
+    merger = StreamMerger()
+    online, time_s = pdr.OnlineFilter(), 0.01 * np.arange(2000)
+    for second in range(20):
+        rows = slice(100 * second, 100 * second + 100)
+        online.push_accelerometer(time_s[rows], np.tile([0.0, 0.0, 9.8], (100, 1)))
+        if second < 8:
+            online.push_gyroscope(time_s[rows], np.zeros((100, 3)))
+        if second == 12:
+            assert not any("silent" in note for note in online.notes)
+            assert online.now().latency_s > merger.wait_s - 1.0
+    assert "gyroscope: silent since 8.0 s, the others go on without it" in online.notes
+    assert online.now().latency_s < 0.5
+    online.push_gyroscope(time_s + 20.0, np.zeros((2000, 3)))
+    assert not any("gyroscope: silent" in note for note in online.notes)
+
+
+def test_without_a_gyroscope_the_first_samples_alone_wait() -> None:
+    merger, force = StreamMerger(), np.zeros((100, 3))
+    state, left = merger.init(), []
+    for second in range(10):
+        state, output = merger.step(state, "accelerometer", second + 0.01 * np.arange(100), force)
+        left.append(len(output.block.time_s))
+    assert left[:5] == [0] * 5
+    assert sum(left) == 1000 - 10  # those that may still be overtaken
+
+
+def test_samples_that_come_too_late_are_counted_and_left_out() -> None:
+    online, time_s = pdr.OnlineFilter(), 0.01 * np.arange(1000)
+    online.push_gyroscope(time_s, np.zeros((1000, 3)))
+    online.push_accelerometer(time_s, np.tile([0.0, 0.0, 9.8], (1000, 1)))
+    online.push_accelerometer(time_s[:30], np.tile([0.0, 0.0, 9.8], (30, 1)))
+    words = "accelerometer: 30 of 1030 samples came again or too late for the others, and were left out"
+    assert words in online.notes
+
+
+@pytest.mark.parametrize("sensor", SENSORS)
+def test_what_waits_is_bounded(sensor: Sensor) -> None:
+    merger = StreamMerger()
+    state = merger.init()
+    for block in np.array_split(0.001 * np.arange(3 * _MAX_ROWS), 50):
+        state, _ = merger.step(state, sensor, block, np.zeros((len(block), 1 if sensor == "barometer" else 3)))
+    assert len(state.stream(sensor).rows) <= _MAX_ROWS
+
+
+def test_a_single_time_far_ahead_stops_nothing() -> None:
+    for sensor in ("accelerometer", "gyroscope"):
+        pieces = pieces_of(RECORDING, 0, longest_s=0.2)
+        at = len(pieces) // 2
+        pieces.insert(at, (pieces[at][0], sensor, np.array([1e6]), np.ones((1, 3))))
+        block, _, n_early = merged(pieces)
+        expected = pdr.merge_streams(RECORDING)
+        kept = block.time_s < 1e5
+        np.testing.assert_array_equal(block.angular_rate_radps[kept][:1100], expected.angular_rate_radps[:1100])
+        assert n_early > 700
+
+
+def test_a_clock_that_is_set_back_is_followed_after_a_minute_of_late_samples_alone() -> None:
+    merger, force, state = StreamMerger(), np.zeros((100, 3)), StreamMerger().init()
+    left = 0
+    for begin_s in (*range(1000, 1010), *range(0, 90)):
+        time_s = begin_s + 0.01 * np.arange(100)
+        for sensor in ("gyroscope", "accelerometer"):
+            state, output = merger.step(state, sensor, time_s, force)  # type: ignore[arg-type]
+        left += len(output.block.time_s)
+    assert 1000 + 2600 < left < 1000 + 3000
+    assert state.released_s == pytest.approx(89.99 - merger.reorder_s, abs=0.011)
+
+
+def test_merged_samples_and_single_sensors_are_not_mixed() -> None:
+    online = pdr.OnlineFilter()
+    online.push_accelerometer([0.0, 0.01], np.zeros((2, 3)))
+    with pytest.raises(ValueError, match="this filter takes sensors apart"):
+        online.push([0.02], np.zeros((1, 3)))
+
+
+@pytest.mark.parametrize("values", [np.zeros((3, 2)), np.zeros((2, 3)), np.zeros(3)])
+def test_rows_of_the_wrong_shape_are_refused(values: np.ndarray) -> None:
+    with pytest.raises(ValueError, match=r"angular_rate_radps must be \(3, 3\), one row for each time_s"):
+        pdr.OnlineFilter().push_gyroscope(np.zeros(3), values)

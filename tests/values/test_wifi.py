@@ -1,0 +1,70 @@
+"""Wi-Fi: rows, addresses, scans."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+
+import numpy as np
+import pytest
+
+from pdr_filter.values import Wifi, address_text
+
+
+def wifi(time_s: list[float], bssid: list[int] | None = None, rssi_dbm: list[float] | None = None) -> Wifi:
+    n = len(time_s)
+    return Wifi(np.array(time_s), np.array(bssid or range(n)), np.array(rssi_dbm or [-60.0] * n), np.full(n, 2412.0))
+
+
+def test_a_pause_ends_a_scan_and_so_do_two_and_a_half_seconds() -> None:
+    starts = [s.time_s for s in wifi([0.0, 0.3, 0.6, 1.0, 1.1]).scans()]
+    np.testing.assert_allclose(starts, [0.3, 1.05])
+    restless = wifi(np.arange(0.0, 6.0, 0.125).tolist()).scans()
+    assert [len(s.bssid) for s in restless] == [21, 21, 6]
+    assert restless[0].end_s == pytest.approx(2.5)
+
+
+def test_scans_do_not_depend_on_the_order_of_the_rows() -> None:
+    rng = np.random.default_rng(0)
+    time_s, bssid = np.round(rng.uniform(0, 10, 40), 2), rng.integers(0, 9, 40)
+    order = rng.permutation(40)
+    plain, mixed = wifi(time_s.tolist(), bssid.tolist()), wifi(time_s[order].tolist(), bssid[order].tolist())
+    for a, b in zip(plain.scans(), mixed.scans(), strict=True):
+        np.testing.assert_array_equal(a.bssid, b.bssid)
+        assert (a.end_s, a.time_s) == (b.end_s, pytest.approx(b.time_s))
+
+
+def test_a_scan_has_each_access_point_once_at_its_loudest() -> None:
+    (scan,) = wifi([0.0, 0.1, 0.2], [7, 3, 7], [-80.0, -70.0, -60.0]).scans()
+    np.testing.assert_array_equal(scan.bssid, [3, 7])
+    np.testing.assert_array_equal(scan.rssi_dbm, [-70.0, -60.0])
+
+
+def test_rows_without_time_or_power_are_in_no_scan() -> None:
+    assert wifi([np.nan, 1.0], [1, 2], [-50.0, np.nan]).scans() == ()
+    assert wifi([]).scans() == ()
+
+
+def test_a_phone_that_hears_twice_as_well_has_the_same_fingerprint() -> None:
+    (scan,) = wifi([0.0, 0.1], [1, 2], [-65.0, -82.5]).scans()
+    (other,) = wifi([0.0, 0.1], [1, 2], [-30.0, -65.0]).scans()
+    np.testing.assert_allclose(scan.fingerprint, other.fingerprint)
+    assert np.linalg.norm(scan.fingerprint) == pytest.approx(1.0)
+
+
+def test_an_address_is_written_as_people_write_it() -> None:
+    assert address_text(0x06749C2E95EA) == "06:74:9c:2e:95:ea"
+
+
+def test_a_copy_is_read_only_too() -> None:
+    for other in (copy.deepcopy(wifi([1.0])), pickle.loads(pickle.dumps(wifi([1.0])))):
+        assert not other.time_s.flags.writeable
+        assert not other.bssid.flags.writeable
+        np.testing.assert_array_equal(other.bssid, [0])
+
+
+def test_rows_that_do_not_belong_together_are_refused() -> None:
+    with pytest.raises(ValueError, match="one row a hearing"):
+        Wifi(np.zeros(2), np.zeros(1, dtype=int), np.zeros(2), np.zeros(2))
+    with pytest.raises(ValueError, match="48 bits"):
+        wifi([0.0], [1 << 48])
