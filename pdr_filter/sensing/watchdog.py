@@ -58,14 +58,13 @@ def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple
     n_whole, n_rows = divmod(state.n_rows + len(motion), _WINDOW_ROWS)
     change = high - low
     constant, moving = np.asarray(change <= _CONSTANT), np.asarray(change > _MOVING)
-    is_constant, result, ends = constant.any(axis=1), motion, [*begins[1:].tolist(), len(motion)]
+    is_constant, result, ends = np.asarray(constant.any(axis=1)), motion, [*begins[1:].tolist(), len(motion)]
     since_s, moved, dead, start_s = state.still_since_s, state.moved, state.dead, state.start_s
     for k, begin in enumerate(begins.tolist()):
-        if any(dead):
+        missing = [c for axes, is_dead in zip(_AXES, dead, strict=True) if is_dead for c in axes]
+        if missing:
             result = result.copy() if result is motion else result
-            result[begin : ends[k], [c for axes, is_dead in zip(_AXES, dead, strict=True) if is_dead for c in axes]] = (
-                np.nan
-            )
+            result[begin : ends[k], missing] = np.nan
         start_s = start_s if k == 0 and state.n_rows else float(time_s[begin])
         if k < n_whole and is_constant[k]:
             end_s = float(time_s[ends[k] - 1])
