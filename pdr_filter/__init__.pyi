@@ -1,6 +1,7 @@
 # The public names of the package: this list is read when the package is imported, and by type checkers.
 
 from . import batch as batch
+from . import datasets as datasets
 from . import evaluate as evaluate
 from . import recipes as recipes
 from . import simulate as simulate

@@ -249,6 +249,13 @@ def _with_north(
     return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
 
 
+def live_config(first: Recording, config: Config) -> Config:
+    """The configuration of `track` for a recording of which only the first seconds are known."""
+    if first.location is None:
+        return config
+    return _with_north(config.in_world_frame(), first, None, None, with_location=True, gnss=None, north=None)
+
+
 def outputs(
     recording: Recording,
     config: Config,

@@ -97,11 +97,13 @@ ROOMS = [
     "aligned",
     "recording_run",
     "simulate",
+    "datasets",
     "evaluate",
     "offline",
     "radio",
     "training",
     "batch",
+    "live",
     "",  # the package itself: the public names
     "cli",
 ]

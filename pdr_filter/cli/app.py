@@ -1,6 +1,6 @@
 """The command `pdr-filter`: results on stdout, everything about the work on stderr.
 
-Exit codes: 0 all well; 1 some of several files failed; 2 the input or the options cannot be used.
+Exit codes: 0 all well; 1 some of several files failed; 2 all of them did, or the options cannot be used; 130 stopped.
 """
 
 from __future__ import annotations
@@ -11,7 +11,9 @@ import typer
 
 from pdr_filter.cli.calibrate import calibrate, smooth
 from pdr_filter.cli.compare import compare
+from pdr_filter.cli.convert import convert
 from pdr_filter.cli.info import info
+from pdr_filter.cli.live import live
 from pdr_filter.cli.options import in_groups
 from pdr_filter.cli.plan import plan
 from pdr_filter.cli.radio import radio
@@ -27,7 +29,7 @@ app = typer.Typer(
     add_completion=False,
     pretty_exceptions_enable=False,
 )
-for command in (track, info, plan, train, compare, calibrate, smooth, radio, simulate, demo):
+for command in (track, info, convert, plan, train, compare, calibrate, smooth, radio, simulate, demo, live):
     app.command()(in_groups(command))
 
 

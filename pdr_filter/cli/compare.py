@@ -21,6 +21,8 @@ def compare(files: Files) -> None:
     def compare_one(file: Path, progress: Callable[[float], None]) -> list[Track]:
         return list(pdr.evaluate.weighting_tracks(pdr.read(file), progress=progress).values())
 
+    with console.one_line_errors():
+        files = console.recordings_of(files)
     compared, failed = console.each(files, compare_one)
     if compared:
         _print(compared)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import json
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
@@ -18,7 +19,7 @@ from pdr_filter.io.texts import printable_lines
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
 
-SOME_FAILED, UNUSABLE = 1, 2
+SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130
 
 T = TypeVar("T")
 
@@ -35,6 +36,16 @@ def escape(text: object) -> str:
 
 def message(error: Exception) -> str:
     """An error's words, or its kind if it has none; lines that are a file to copy stay lines."""
+    if isinstance(error, OSError) and error.strerror and error.filename:
+        remedy = {
+            errno.EEXIST: "a file is there where a folder is to be; give another name",
+            errno.ENOTDIR: "a part of this path is a file and not a folder; give another name",
+            errno.EISDIR: "a folder is there where a file is to be; give another name",
+            errno.ENOSPC: "the disk is full",
+            errno.ENOENT: "there is no such file or folder; check the path",
+            errno.EACCES: "this is not permitted; check who may write there",
+        }.get(error.errno or 0, error.strerror)
+        return f"{error.filename}: {remedy}"
     lines = [line.rstrip() for line in str(error).splitlines() if line.strip()]
     return "\n".join(lines) or type(error).__name__
 
@@ -76,6 +87,19 @@ def progress(what: str) -> Generator[Callable[..., None]]:
         yield show
 
 
+def recordings_of(paths: Sequence[Path]) -> list[Path]:
+    """The recordings that paths stand for: a folder, or a file that holds several, for each in it."""
+    from pdr_filter.io.folders import recordings_in
+
+    found: list[Path] = []
+    for path in paths:
+        inside = recordings_in(path) if path.exists() else [path]
+        if not inside:
+            raise ValueError(f"{path}: no recordings in this folder or below; pdr-filter info FILE says why of a file")
+        found += inside
+    return found
+
+
 def each(
     files: Sequence[Path], work: Callable[[Path, Callable[[float], None]], T], as_json: bool = False
 ) -> tuple[list[T], dict[Path, str]]:
@@ -91,6 +115,10 @@ def each(
             show_part(0.0)
             try:
                 results.append(work(file, show_part))
+            except KeyboardInterrupt:
+                left = f"{escape(str(file))}" + (f" and {n} more" if (n := len(files) - i - 1) else "")
+                stderr().print(f"stopped: {len(results)} of {len(files)} done, whose files are whole; left: {left}")
+                raise typer.Exit(STOPPED) from None
             except (ValueError, OSError) as error:
                 failed[file] = message(error)
                 if as_json:
@@ -101,13 +129,13 @@ def each(
 
 
 def exit_if_failed(failed: Mapping[Path, str], n_files: int) -> None:
-    """End with the code of what failed; of one file its reason has been said."""
+    """End with the code of what failed, which is that of unusable input if all did; of one its reason has been said."""
     if not failed:
         return
     if n_files == 1:
         raise typer.Exit(UNUSABLE)
     stderr().print(f"{len(failed)} of {n_files} files failed: {escape(', '.join(map(str, failed)))}")
-    raise typer.Exit(SOME_FAILED)
+    raise typer.Exit(UNUSABLE if len(failed) == n_files else SOME_FAILED)
 
 
 def print_json(value: Mapping[str, Any]) -> None:

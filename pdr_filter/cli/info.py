@@ -24,6 +24,8 @@ def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> N
             console.print_json(description)
         return description
 
+    with console.one_line_errors():
+        files = console.recordings_of(files)
     descriptions, failed = console.each(files, describe_one, as_json)
     if not as_json:
         for description in descriptions:

@@ -12,7 +12,7 @@ from typing import Annotated, Any, get_type_hints
 
 import typer
 
-Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings: zip files or folders.")]
+Files = Annotated[list[Path], typer.Argument(metavar="FILE...", help="Recordings, or folders of them.")]
 Format = Annotated[
     str | None, typer.Option("--format", help="Format of the files, if it is not to be found by their content.")
 ]

@@ -52,9 +52,12 @@ def demo(
     """Track a walk, draw it and say what came out."""
     from pdr_filter.cli.demo import run_demo
 
-    with console.one_line_errors(), console.progress("tracking") as show:
-        result = run_demo(file, out, show, None if gnss is None else gnss.value)
-    result.print(Console(highlight=False))
+    with console.one_line_errors():
+        files = [None] if file is None else console.recordings_of([file])
+        for one in files:
+            with console.progress("tracking") as show:
+                result = run_demo(one, out, show, None if gnss is None else gnss.value)
+            result.print(Console(highlight=False))
 
 
 def _block_walk(carrying_mode: str, seed: int) -> Recording:

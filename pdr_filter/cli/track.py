@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from pdr_filter.cli import console
+from pdr_filter.cli.index_page import write_index
 from pdr_filter.cli.options import (
     AsJson,
     CalibrationFile,
@@ -127,7 +129,9 @@ class Output:
     @property
     def table(self) -> Path:
         """Of many recordings."""
-        return (self.out or Path()) / ("tracks.parquet" if self.parquet else "tracks.csv")
+        if self.out is None:
+            raise ValueError("--jobs and --scheduler make one table: say with --out in which folder")
+        return self.out / ("tracks.parquet" if self.parquet else "tracks.csv")
 
     @property
     def kinds(self) -> list[str]:
@@ -145,9 +149,11 @@ class Output:
         if "parquet" in self.kinds:
             pandas_for_parquet(self.out or Path())
 
-    def write(self, result: Track, recording: Recording, name: str) -> None:
-        """The files of one track."""
+    def write(self, result: Track, recording: Recording, name: str) -> list[Path]:
+        """The files of one track; those that were there before, which are replaced, are returned."""
         folder, kinds = self.out or Path(), self.kinds
+        before = {path for path in folder.glob(f"{glob_escape(name)}.*") if path.is_file()}
+        times = {path: path.stat().st_mtime_ns for path in before}
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
         if nowhere and result.origin is None:
             raise ValueError(
@@ -164,6 +170,7 @@ class Output:
             from pdr_filter.report.html import write_report
 
             write_report(result, folder / f"{name}.html", recording)
+        return [path for path in sorted(before) if path.exists() and path.stat().st_mtime_ns != times[path]]
 
 
 # How each kind of file is written.
@@ -184,12 +191,9 @@ class Workers:
     jobs: Annotated[int | None, typer.Option(min=1, help="Many recordings at once: one table, which resumes.")] = None
     scheduler: Scheduler = None
 
-    def make_one_table(self, files: Sequence[Path]) -> bool:
-        """Whether it is one table that is asked for: workers are, or there is a folder of recordings."""
-        from pdr_filter.io.folders import recordings_in
-
-        is_asked_for = self.jobs is not None or self.scheduler is not None
-        return is_asked_for or any(f.is_dir() and recordings_in(f) != [f] for f in files)
+    def make_one_table(self) -> bool:
+        """Whether it is one table that is asked for."""
+        return self.jobs is not None or self.scheduler is not None
 
 
 def track(
@@ -200,13 +204,14 @@ def track(
     The end is within the distance that is shown beside it with a probability of 95 % or more: the longer half axis of
     its 95 % ellipse.
 
-    A folder of recordings, --jobs or --scheduler make one table, tracks.csv in the folder of --out: it grows as
-    recordings finish, and a run that was broken off goes on from it.
+    A folder stands for all recordings in it: with --out each gets its table, picture and report, and index.html lists
+    them. --jobs or --scheduler make one table in place of that, tracks.csv in the folder of --out: it grows as
+    recordings finish, and a run that was broken off goes on from it. Without --out nothing is written.
     """
     import pdr_filter as pdr
 
     with console.one_line_errors():
-        if workers.make_one_table(files):
+        if workers.make_one_table():
             of_one = {
                 "--model": method.model,
                 "--transitions": method.transitions,
@@ -229,11 +234,16 @@ def track(
                 )
             _track_many(files, method, source, output.table, workers)
             return
+        given, files = files, console.recordings_of(files)
+        if output.out is not None and files != given:
+            output = replace(output, report=True)
         output.check()
         changes = method.changes()
         where = on_plan(method.plan, method.start)
         radio = None if method.radio is None else pdr.RadioMap.load(method.radio)
     written: set[str] = set()
+    replaced: list[Path] = []
+    listed: dict[str, Track] = {}
 
     def track_one(file: Path, progress: Callable[[float], None]) -> Track:
         recording = source.read(file)
@@ -262,12 +272,19 @@ def track(
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
             result.person.save(method.person)
-        output.write(result, recording, _unused(file_name(result.name), written))
+        name = _unused(file_name(result.name), written)
+        replaced.extend(output.write(result, recording, name))
+        listed[name] = result
         if as_json:
             console.print_json(result.summary())
         return result
 
     tracks, failed = console.each(files, track_one, as_json)
+    if replaced:
+        console.stderr().print(f"replaced, as they were there before: {console.escape(', '.join(map(str, replaced)))}")
+    if output.out is not None and files != given and listed:
+        with console.one_line_errors():
+            write_index(listed, failed, output.out / "index.html")
     if tracks and not as_json:
         console.print_tracks(tracks)
         console.say_written(output.out)
@@ -299,6 +316,11 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
             )
         except RuntimeError as error:  # a cluster that is gone
             raise ValueError(console.message(error)) from error
+        except KeyboardInterrupt:
+            console.stderr().print(
+                f"stopped: what is done is in {console.escape(str(table))}; the same command goes on"
+            )
+            raise typer.Exit(console.STOPPED) from None
     failed = {Path(row.path): row.reason for row in rows if row.failed}
     for path, reason in failed.items():
         console.say_error(f"{path}: {reason}")

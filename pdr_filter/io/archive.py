@@ -24,17 +24,27 @@ _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 
 
 class Members:
-    """The files of a recording: those of a zip or a folder, or one file alone. Nothing is unpacked to disk."""
+    """The files of a recording: those of a zip or a folder, or one file alone. Nothing is unpacked to disk.
 
-    def __init__(self, path: Path, archive: zipfile.ZipFile | None = None) -> None:
-        self.path = path
+    `inside` is what a path names inside a file, which is no folder: of a zip a folder or a file, of a log a session.
+    """
+
+    def __init__(self, path: Path, archive: zipfile.ZipFile | None = None, inside: str = "") -> None:
+        self.path = path / inside if inside else path
+        self.inside = inside
         self._is_folder = path.is_dir()
         self.is_container = archive is not None or self._is_folder  # not one file
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
         self._n_read = 0
         self._files = _files_below(path) if self._is_folder else {path.name: path}
-        self.names = tuple(sorted(self._files if archive is None else self._infos))  # with forward slashes
+        names = sorted(self._files if archive is None else self._infos)  # with forward slashes
+        if inside and archive is not None:
+            names = [name for name in names if name == inside or name.startswith(f"{inside}/")]
+            self.is_container = names != [inside]
+            if not names:
+                raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
+        self.names = tuple(names)
 
     def where(self, name: str) -> str:
         """How messages call a member."""
@@ -59,6 +69,21 @@ class Members:
                 f"{self.where(name)}: more than {limits.MAX_SMALL_BYTES} bytes; take out of it what is not needed"
             )
         return content
+
+    def whole(self, name: str, most: int) -> bytes:
+        """The bytes of a member that can only be read as a whole; RecordingError if there are more than `most`."""
+        parts: list[bytes] = []
+        n_bytes = 0
+        for part in self._parts(name, limits.BLOCK_BYTES):
+            parts.append(part)
+            n_bytes += len(part)
+            if n_bytes > most:
+                raise RecordingError(f"{self.where(name)}: more than {most} bytes; cut the recording")
+        return b"".join(parts)
+
+    def parts(self, name: str) -> Iterator[bytes]:
+        """The bytes of a member as they are, in parts."""
+        return self._parts(name, limits.BLOCK_BYTES)
 
     def pieces(self, name: str) -> Iterator[bytes]:
         """The bytes of a member in pieces that end anywhere; without byte order mark, UTF-16 is refused."""
@@ -116,8 +141,12 @@ class Members:
 
 @contextmanager
 def open_members(path: Path) -> Generator[Members]:
-    """Open a zip, a folder or one file; RecordingError if it is not there, is empty or cannot be opened."""
+    """Open a zip, a folder or one file; RecordingError if it is not there, is empty or cannot be opened.
+
+    The path may go on inside a file: `export.zip/walk_2` is the folder walk_2 of the zip.
+    """
     try:
+        path, inside = outside(path)
         if not path.exists():
             raise RecordingError(f"{path}: no such file or folder; check the path")
         if path.is_dir():
@@ -128,16 +157,25 @@ def open_members(path: Path) -> Generator[Members]:
             if not begin:
                 raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
             if begin != b"PK":
-                yield Members(path)
+                yield Members(path, inside=inside)
                 return
             try:
                 archive = zipfile.ZipFile(file)
             except _ZIP_ERRORS as error:
                 raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
             with archive:
-                yield Members(path, archive)
+                yield Members(path, archive, inside)
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+def outside(path: Path) -> tuple[Path, str]:
+    """The file that a path goes on inside of, and the rest; the path itself if it is there, or no file is above it."""
+    if not path.exists():
+        for parent in path.parents:
+            if parent.is_file():
+                return parent, path.relative_to(parent).as_posix()
+    return path, ""
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:

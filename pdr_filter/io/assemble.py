@@ -31,6 +31,7 @@ class Parsed:
     meta: dict[str, Any] = field(default_factory=dict[str, Any])
     found: list[str] = field(default_factory=list[str])  # signs and units
     clock: str = "seconds from the first accelerometer sample"
+    is_unit_of_time_declared: bool = False  # by the file itself
     requested_hz: dict[str, float] = field(default_factory=dict[str, float])
     notes: list[str] = field(default_factory=list[str])
 
@@ -46,7 +47,7 @@ class Parsed:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
         time_s = self.streams["accelerometer"][0]
         zero_s = float(next(iter(time_s[np.abs(time_s) <= limits.LARGEST_VALUE]), 0.0))
-        streams = checked_streams(self.streams, zero_s, "", where, self.notes)
+        streams = checked_streams(self.streams, zero_s, "", where, self.notes, self.is_unit_of_time_declared)
         self._check_up(streams, where)
         truth = {
             name: table({key: column - zero_s if key in TIME_COLUMNS else column for key, column in columns.items()})

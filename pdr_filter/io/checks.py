@@ -16,12 +16,18 @@ from pdr_filter.values import BoolArray, FloatArray, Samples
 
 
 def checked_streams(
-    found: Mapping[str, tuple[FloatArray, FloatArray]], zero_s: float, suffix: str, where: str, notes: list[str]
+    found: Mapping[str, tuple[FloatArray, FloatArray]],
+    zero_s: float,
+    suffix: str,
+    where: str,
+    notes: list[str],
+    is_unit_declared: bool = False,
 ) -> dict[str, Samples]:
     """Streams with known times and values that can be right, the accelerometer first; RecordingError if one cannot.
 
     `found` holds times (N,) and values (N, d) by the name of the stream, as parsed; `zero_s` becomes time zero. What
-    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do.
+    was left out or found odd is added to `notes`, which call a stream by its name and the suffix, as messages do. Where
+    the file itself says the unit of its times, a slow rate is believed and no other unit is looked for.
     """
     streams: dict[str, Samples] = {}
     for name in sorted(found, key=lambda name: name != "accelerometer"):
@@ -31,7 +37,7 @@ def checked_streams(
         samples = Samples(time_s[known] - zero_s, values if known.all() else values[known])
         if name == "accelerometer":
             _check_rows(samples, f"{where}: {label}")
-            _check_times(samples, f"{where}: {label}")
+            _check_times(samples, f"{where}: {label}", is_unit_declared)
             _refuse(wrong_specific_force(median_norm(samples.values)), f"{where}: {label}")
         elif np.isnan(samples.values).all():  # also true of no rows
             notes.append(f"{label}: no values, left out")
@@ -100,7 +106,7 @@ def _check_rows(samples: Samples, where: str) -> None:
         raise RecordingError(f"{where}: no row has x, y and z together; write the three axes in one row")
 
 
-def _check_times(samples: Samples, where: str) -> None:
+def _check_times(samples: Samples, where: str, is_unit_declared: bool) -> None:
     """Refuse times that do not increase, or that are no seconds."""
     found = describe_stream("accelerometer", samples)
     n_still = found.n_duplicates + found.n_backward
@@ -109,7 +115,7 @@ def _check_times(samples: Samples, where: str) -> None:
             f"{where}: time_s does not increase in {n_still} of {len(samples) - 1} rows; "
             "sort the rows by time and give each its own time"
         )
-    _refuse(wrong_rate(found.rate_hz or math.inf), where)
+    _refuse(wrong_rate(found.rate_hz or math.inf, is_unit_declared), where)
 
 
 def _refuse(wrong: str, where: str) -> None:

@@ -1,19 +1,19 @@
-"""Recordings in folders."""
+"""Recordings in folders, and in files that hold several."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
 from pathlib import Path
 
-from pdr_filter.io.formats import detect
+from pdr_filter.io.any_table import sensors_of
+from pdr_filter.io.archive import Members
+from pdr_filter.io.columns import ACCELERATION, GRAVITY
+from pdr_filter.io.formats import detect, detect_file
 from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.several import parts_of, recordings_among
 
-# Files whose names say that the folder around them is one recording.
-_MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "raw data.csv"}
-# Endings of which a folder that is one recording has one file each, whatever its owner put before them.
-_SENSORS = ("accelerometer.csv", "gyroscope.csv")
-_TEXTS = {".csv", ".txt", ".json"}
-_FILES = {".zip", ".hdf5", ".h5"}
+_TEXTS = {".csv", ".txt", ".tsv", ".json"}
+_FILES = {".zip", ".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".sqlite", ".db", ".mcap", ".db3"}
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
@@ -26,28 +26,47 @@ def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
 
 
 def recordings_in(folder: str | Path) -> list[Path]:
-    """Paths of the recordings in a folder and the folders in it, sorted.
+    """Paths of the recordings in a folder and the folders in it, sorted; of one that is a recording, its own.
 
     Every zip and hdf5 file is taken for one, so that a broken one is reported; text files only if they look like one of
-    the known formats, or have a TOML file of their columns beside them.
+    the known formats, or have a TOML file of their columns beside them. A file that holds several stands for each.
     """
     folder = Path(folder)
+    if folder.is_file():
+        return _each_of(folder)
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    names = [path.name.lower() for path in inside]
-    if _MEMBERS.intersection(names) or all(sum(n.endswith(end) for n in names) == 1 for end in _SENSORS):
+    if _is_one(folder, [path for path in inside if not path.is_dir()]):
         return [folder]
     found: list[Path] = []
     for path in inside:
         if path.is_dir() and not path.is_symlink():
             found += recordings_in(path)
         elif path.is_file() and (path.suffix.lower() in _FILES or (path.suffix.lower() in _TEXTS and _is_known(path))):
-            found.append(path)
+            found += _each_of(path)
     return found
+
+
+def _is_one(folder: Path, files: list[Path]) -> bool:
+    """Whether the files of a folder are one recording: others in it are left out, with a note."""
+    names = [path.name for path in files]
+    try:
+        return "." in recordings_among(Members(folder), names, detect_file)
+    except Exception:
+        return False  # something is wrong with one of them, which its row will say
+
+
+def _each_of(path: Path) -> list[Path]:
+    try:
+        return [path / part for part in parts_of(path, detect_file)] or [path]
+    except Exception:
+        return [path]  # something is wrong with it, which its row will say
 
 
 def _is_known(path: Path) -> bool:
     try:
         found = detect(path)
+        if found == "table":  # the table of a track has locations, too
+            return bool({ACCELERATION, GRAVITY} & sensors_of(Members(path), path.name))
+        return found != "own" and (found != "generic_csv" or mapping_beside(path).is_file())
     except Exception:
         return True  # something is wrong with it, which its row will say
-    return found != "own" and (found != "generic_csv" or mapping_beside(path).is_file())

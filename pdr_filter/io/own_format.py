@@ -70,15 +70,21 @@ def write_recording(recording: Recording, path: str | Path) -> Path:
 def _folder(members: Members) -> str:
     """The folder of the recording inside a zip, with its slash; empty if its files are in none."""
     path = members.path
+    if not members.is_container and path.name == REQUIRED:
+        raise RecordingError(
+            f"{path}: one sensor of a recording; give the folder that holds {REQUIRED}, or its zip file"
+        )
     if not members.is_container:
         raise RecordingError(
-            f"{path}: not a zip file, or a damaged one; give an intact zip file, or the folder that holds {REQUIRED}"
+            f"{path}: no format that is known by its content; give a zip file or the folder of a recording, or a table "
+            "of samples as text, with a line of names above it"
         )
     folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
     if not folders:
         listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
         raise RecordingError(
-            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}); add that file"
+            f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}), nor a table of an "
+            "accelerometer of any app; add that file"
         )
     if len(folders) > 1:
         names = ", ".join(folder.rstrip("/") or "." for folder in folders[:3])

@@ -19,11 +19,15 @@ import numpy as np
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.checks import up_cosine
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sensor_logger_json import objects_by_sensor
+from pdr_filter.io.sensor_logger_other import database_tables, is_push, messages_of, push_tables
+from pdr_filter.io.sheet_data import interpolated
+from pdr_filter.io.sqlite_file import SQLITE
 from pdr_filter.io.table import NumberTable, TextTable, concatenated, header_fields, text_rows, whole_number
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples
 
 COLUMNS: dict[str, tuple[str, ...]] = {
     **dict.fromkeys(("TotalAcceleration", "Accelerometer", "Gravity", "AccelerometerUncalibrated"), ("x", "y", "z")),
@@ -45,8 +49,6 @@ PLAIN = {
 }
 # A row from longer before the start than this is a remembered value: sensors start within a second or two.
 STALE_S = 60.0
-# Gravity is interpolated to the times of the accelerometer; within this it turns by less than a step's swing.
-GRAVITY_GAP_S = 0.3
 
 
 @dataclass
@@ -68,19 +70,50 @@ def looks_like(header: str) -> bool:
     return {"time", "seconds_elapsed"} <= set(header_fields(header, ","))
 
 
-def read_sensor_logger(path: str | Path) -> Recording:
-    """Return the recording in a zip file, folder or JSON file of Sensor Logger.
+def looks_like_export(head: bytes) -> bool:
+    """Whether these are the first bytes of its JSON, of a message that it pushes, or of a database."""
+    is_json = head.lstrip()[:1] == b"[" and b'"sensor"' in head[:4096]
+    return is_json or is_push(head) or head.startswith(SQLITE)
 
-    RecordingError if the sign of the specific force is not known: no Metadata to name the platform, gravity missing,
-    or an attitude that contradicts the sign.
+
+def sessions_of(members: Members) -> list[str]:
+    """The recordings in a file of messages that the app pushed; none of any other file."""
+    name = members.names[0]
+    if members.inside or not is_push(members.head(name)):
+        return []
+    return list(messages_of(members, name))
+
+
+def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recording:
+    """Return the recording in a zip file, folder, JSON file, database or file of pushed messages of Sensor Logger.
+
+    `platform`, ios or android, is for an export whose Metadata is lost. RecordingError if the sign of the specific
+    force is not known: no Metadata to name the platform and no attitude to show it, gravity missing, or an attitude
+    that contradicts the sign.
     """
     path = Path(path)
     with open_members(path) as members:
-        first = members.names[0] if len(members.names) == 1 else ""  # the JSON; one CSV is not a recording
-        if not members.is_container or (first and members.head(first, 100).lstrip()[:1] == b"["):
+        first = members.names[0] if len(members.names) == 1 else ""  # one file that holds all; one CSV does not
+        head = members.head(first) if first else b""
+        if head.startswith(SQLITE):
+            export = _Export()
+            export.sensors, export.metadata = database_tables(members, first, COLUMNS, export.notes)
+        elif is_push(head):
+            export = _Export(sensors=push_tables(members, first, COLUMNS))
+            if (n := max(map(len, export.sensors.values()), default=0)) < limits.MIN_SAMPLES:
+                raise RecordingError(
+                    f"{path}: messages that Sensor Logger pushed, with only {n} samples of a sensor; put all messages "
+                    "of the recording into one file, one behind the other"
+                )
+        elif not members.is_container or head.lstrip()[:1] == b"[":
             export = _read_json(members, first)
         else:
             export = _read_tables(members)
+    if platform is not None:
+        named = export.about("platform").lower()
+        if named in ("ios", "android") and named != platform:
+            raise RecordingError(f"{path}: Metadata says {named}, and platform is {platform}; leave platform out")
+        export.metadata["platform"] = platform
     version, platform = export.about("appVersion"), export.about("platform")
     source = " ".join(["Sensor Logger", *([version] if version else []), *([f"({platform})"] if platform else [])])
     parsed = Parsed(path, source[: limits.MAX_NAME_CHARS], notes=export.notes)
@@ -122,14 +155,13 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
     standard = export.about("standardisation").lower() in ("true", "1")
     total, linear, gravity = (sensors.get(n) for n in ("TotalAcceleration", "Accelerometer", "Gravity"))
     raw = sensors.get("AccelerometerUncalibrated")
+    if linear is not None and gravity is None and total is None and raw is None:
+        raise RecordingError(
+            f"{path}: Accelerometer has gravity removed, and neither Gravity nor TotalAcceleration was recorded; "
+            "switch one of them on in the app"
+        )
     if platform not in ("ios", "android"):
-        if total is None:
-            raise RecordingError(
-                f"{path}: Metadata names no platform (found {platform or 'nothing'!r}), and the signs of iOS and "
-                "Android are opposite; export with Metadata.csv"
-            )
-        platform = "android"  # only there TotalAcceleration is written
-        parsed.notes.append("no platform in Metadata; taken as Android, because TotalAcceleration is Android's")
+        platform = _platform_by_content(export, parsed, platform)
     ios_sign = platform == "ios" and not standard
     how = f"{platform}, standardisation {'on' if standard else 'off'}"
     if total is not None and platform == "android":
@@ -145,32 +177,37 @@ def _specific_force(export: _Export, parsed: Parsed) -> tuple[str, NumberTable]:
         unit = "g, sign turned" if ios_sign else "m/s2, sign as it is"
         parsed.found.append(f"accelerometer: AccelerometerUncalibrated, {unit} ({how})")
         return "AccelerometerUncalibrated", NumberTable(raw.whole, scale * raw.values)
-    if linear is not None:
-        raise RecordingError(
-            f"{path}: Accelerometer has gravity removed, and neither Gravity nor TotalAcceleration was recorded; "
-            "switch one of them on in the app"
-        )
     raise RecordingError(
         f"{path}: no accelerometer (found: {', '.join(sorted(sensors)) or 'no sensor'}); "
         "record Accelerometer and Gravity"
     )
 
 
+def _platform_by_content(export: _Export, parsed: Parsed, named: str) -> str:
+    """The platform that the sensors themselves show; RecordingError if they do not."""
+    gravity, attitude = export.sensors.get("Gravity"), export.sensors.get("Orientation")
+    if "TotalAcceleration" in export.sensors:
+        parsed.notes.append("no platform in Metadata; taken as Android, because TotalAcceleration is Android's")
+        return "android"
+    if gravity is not None and attitude is not None and len(gravity) and len(attitude):
+        zero = gravity.whole[0]
+        cosine = up_cosine(*(Samples((s.whole - zero) * 1e-9, s.values) for s in (gravity, attitude)))
+        if abs(cosine) > limits.UP_COSINE_DOUBTFUL:
+            platform = "android" if cosine > 0 else "ios"
+            way = "up" if cosine > 0 else "down"
+            parsed.notes.append(f"no platform in Metadata; {platform}, because Gravity points {way} in Orientation")
+            return platform
+    raise RecordingError(
+        f"{parsed.path}: Metadata names no platform (found {named or 'nothing'!r}), and the signs of iOS and Android "
+        "are opposite; export with Metadata.csv, or say it with pdr-filter convert FILE --platform ios, or android"
+    )
+
+
 def _at_times(sensor: NumberTable, time_ns: IntArray) -> FloatArray:
     """Values interpolated linearly, NaN where the sensor has a hole."""
-    result = np.full((len(time_ns), sensor.values.shape[1]), np.nan)
-    if len(sensor) == 0 or len(time_ns) == 0:
-        return result
-    order = np.argsort(sensor.whole, kind="stable")
-    zero_ns = sensor.whole[order[0]]
-    at_s, known_s = (time_ns - zero_ns) * 1e-9, (sensor.whole[order] - zero_ns) * 1e-9
-    for i in range(result.shape[1]):
-        result[:, i] = np.interp(at_s, known_s, sensor.values[order, i])
-    right = np.clip(np.searchsorted(known_s, at_s), 0, len(known_s) - 1)
-    left = np.maximum(right - 1, 0)
-    gap_s = np.minimum(np.abs(known_s[right] - at_s), np.abs(known_s[left] - at_s))
-    result[gap_s > GRAVITY_GAP_S] = np.nan
-    return result
+    zero_ns = int(sensor.whole.min()) if len(sensor) else 0
+    at_s, known_s = ((ns - zero_ns).astype(np.float64) * 1e-9 for ns in (time_ns, sensor.whole))
+    return interpolated(at_s, known_s, sensor.values)
 
 
 def _requested_hz(export: _Export) -> dict[str, float]:

@@ -30,8 +30,11 @@ def wrong_angular_rate(median_radps: float) -> str:
     return words + "multiply x, y and z by pi/180 to get rad/s"
 
 
-def wrong_rate(rate_hz: float) -> str:
-    """Why the rate of an accelerometer that its times give cannot be; empty if it can."""
+def wrong_rate(rate_hz: float, is_unit_declared: bool = False) -> str:
+    """Why the rate of an accelerometer that its times give cannot be; empty if it can.
+
+    Where the unit of the times is declared, it is believed, and no other one is looked for.
+    """
     low, high = limits.RATE_RANGE_HZ
     if low <= rate_hz <= high:
         return ""
@@ -40,8 +43,9 @@ def wrong_rate(rate_hz: float) -> str:
             f"time_s gives a rate of {rate_hz:.4g} Hz (median interval), more than {high:g} Hz; "
             "give the times in seconds"
         )
-    unit = unit_of_rate(rate_hz)
-    remedy = f"they look like {unit}, convert them to seconds" if unit else f"record at {low:g} Hz or more"
+    unit = "" if is_unit_declared else unit_of_rate(rate_hz)
+    slow = f"steps cannot be seen in that: record at {low:g} Hz or more, 50 Hz if the app can"
+    remedy = f"they look like {unit}, convert them to seconds" if unit else slow
     return f"time_s gives a rate of {rate_hz:.3g} Hz (median interval); {remedy}"
 
 

@@ -409,11 +409,12 @@ def test_recordings_of_a_folder_are_found_in_it_and_below_and_broken_ones_too(tm
 
 
 def test_a_folder_whose_files_were_given_a_prefix_is_one_recording(tmp_path: Path) -> None:
-    for name in ("157_Accelerometer.csv", "Gyroscope.csv", "Location.csv"):
-        (tmp_path / name).write_text("Time (s),X (m/s^2)\n0,1\n")
+    for name, unit in (("157_Accelerometer.csv", "m/s^2"), ("Gyroscope.csv", "rad/s"), ("Magnetometer.csv", "\u00b5T")):
+        header = ",".join(['"Time (s)"', *(f'"{axis} ({unit})"' for axis in "XYZ")])
+        (tmp_path / name).write_text(header + "\n" + "0,1,2,9\n" * 3)
     assert recordings_in(tmp_path) == [tmp_path]
-    (tmp_path / "158_Accelerometer.csv").write_text("Time (s),X (m/s^2)\n0,1\n")
-    assert recordings_in(tmp_path) != [tmp_path]
+    shutil.copy(tmp_path / "157_Accelerometer.csv", tmp_path / "158_Accelerometer.csv")
+    assert recordings_in(tmp_path) == [tmp_path]  # the stray one will be a note
 
 
 def square_or_die(n: int) -> int:

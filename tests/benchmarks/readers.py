@@ -106,6 +106,15 @@ def write(name: str, folder: Path, n: int, rate_hz: float) -> Path:
             '[time]\ncolumn = "t"\n[accelerometer]\ncolumns = ["ax", "ay", "az"]\n'
             '[gyroscope]\ncolumns = ["gx", "gy", "gz"]\n'
         )
+    elif name == "table":  # of MATLAB Mobile, with dates
+        path.mkdir()
+        start = np.datetime64("2023-03-16T20:00:00.000", "ms")
+        for seed, sensor in enumerate(("Acceleration", "AngularVelocity")):
+            with (path / f"{sensor}.csv").open("w") as out:
+                out.write(f"{sensor}_Timestamp,X,Y,Z\n")
+                for i, (x, y, z) in values(n, seed):
+                    at = str(start + round(1000 * i * dt))
+                    out.write(f"{at[8:10]}-Mar-2023 {at[11:]},{x:.7g},{y:.7g},{z:.7g}\n")
     elif name == "ronin":
         import h5py
 
@@ -128,6 +137,7 @@ FORMATS = (
     "get_sensor_data",
     "indoor_location",
     "core_motion",
+    "table",
     "generic_csv",
     "ronin",
 )

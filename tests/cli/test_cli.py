@@ -527,15 +527,84 @@ def test_a_folder_of_recordings_makes_one_table_that_is_not_made_twice(walk: Pat
         write_recording(replace(recording, name=name), folder / f"{name}.zip")
     (folder / "broken.zip").write_bytes(b"no zip")
     for _ in range(2):
-        result = run("track", folder, "--out", tmp_path / "out")
+        result = run("track", folder, "--jobs", "1", "--out", tmp_path / "out")
         assert result.exit_code == 1
         assert "2 recordings tracked, 1 failed" in result.stdout
         assert "broken.zip" in result.stderr
         lines = (tmp_path / "out" / "tracks.csv").read_text(encoding="utf-8").splitlines()
         assert len(lines) == 4
-    result = run("track", folder, "--json")
+    result = run("track", folder, "--jobs", "1", "--json")
     assert result.exit_code == 2
     assert "without --json: leave it out" in result.stderr
+    assert "say with --out in which folder" in run("track", folder, "--jobs", "1").stderr
+
+
+def test_a_folder_gets_a_page_of_all_with_picture_report_and_table_of_each(walk: Path, tmp_path: Path) -> None:
+    recording = pdr.read(walk)
+    for name in ("a", "b<i>"):
+        write_recording(replace(recording, name=name), tmp_path / "many" / f"{name}.zip")
+    (tmp_path / "many" / "broken.zip").write_bytes(b"no zip")
+    for n in range(2):
+        result = run("track", tmp_path / "many", "--out", tmp_path / "out")
+        assert result.exit_code == 1
+        assert "1 of 3 files failed" in result.stderr
+        assert ("replaced, as they were there before" in " ".join(result.stderr.split())) == (n == 1)
+    page = (tmp_path / "out" / "index.html").read_text(encoding="utf-8")
+    for name in ("a", "b_i_"):
+        for kind in ("csv", "png", "html"):
+            assert (tmp_path / "out" / f"{name}.{kind}").is_file()
+            assert f'"{name}.{kind}"' in page
+    assert "b&lt;i&gt;" in page
+    assert "broken.zip" in page
+    assert "<i>" not in page
+
+
+def test_a_folder_is_all_its_recordings_for_info_and_compare_and_nothing_is_written_unasked(
+    walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    recording = pdr.read(walk)
+    for name in ("a", "b"):
+        write_recording(replace(recording, name=name), tmp_path / "many" / f"{name}.zip")
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
+    for command in ("info", "track"):
+        result = run(command, tmp_path / "many", "--json")
+        assert [json.loads(line)["name"] for line in result.stdout.splitlines()] == ["a", "b"]
+    assert list((tmp_path / "here").iterdir()) == []
+    (tmp_path / "empty").mkdir()
+    assert "no recordings in this folder" in one_line(run("info", tmp_path / "empty").stderr)
+
+
+def test_all_failed_is_one_code_whatever_the_number(broken: Path, tmp_path: Path) -> None:
+    (tmp_path / "other.zip").write_bytes(b"no zip")
+    assert run("info", broken).exit_code == run("info", broken, tmp_path / "other.zip").exit_code == 2
+
+
+def test_a_file_in_the_place_of_the_folder_is_said_in_words(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "out").write_text("a file")
+    result = run("track", walk, "--out", tmp_path / "out")
+    assert result.exit_code == 2
+    assert "Errno" not in result.stderr
+    assert "a file is there where a folder is to be" in one_line(result.stderr)
+
+
+def test_a_stop_says_what_is_done_and_what_is_left(walk: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("a", "b", "c"):
+        write_recording(replace(pdr.read(walk), name=name), tmp_path / "many" / f"{name}.zip")
+    from pdr_filter.io import describe
+
+    original = describe.describe
+
+    def stopped(recording: pdr.Recording) -> describe.Description:
+        if recording.name == "b":
+            raise KeyboardInterrupt
+        return original(recording)
+
+    monkeypatch.setattr(describe, "describe", stopped)
+    result = run("info", tmp_path / "many")
+    assert result.exit_code == 130
+    assert "stopped: 1 of 3 done" in one_line(result.stderr)
+    assert "b.zip and 1 more" in one_line(result.stderr)
 
 
 def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:

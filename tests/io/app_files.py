@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import struct
 import zipfile
 from collections.abc import Mapping
 from dataclasses import replace
@@ -270,6 +271,210 @@ unit = "deg/s"
 """
 
 
+# ---------------------------------------------------------------- tables of other apps
+
+
+def table_text(columns: Mapping[str, np.ndarray | list[str]], separator: str = ",", decimal: str = ".") -> str:
+    """A table with these columns, numbers with all their digits."""
+    fields = [
+        list(column) if isinstance(column, list) else [repr(v).replace(".", decimal) for v in column.tolist()]
+        for column in columns.values()
+    ]
+    rows = [separator.join(row) + "\n" for row in zip(*fields, strict=True)]
+    return separator.join(columns) + "\n" + "".join(rows)
+
+
+def axes(names: str, values: np.ndarray) -> dict[str, np.ndarray]:
+    """Columns of three axes, `names` with % in place of the axis."""
+    return {names.replace("%", axis): values[:, i] for i, axis in enumerate("xyz")}
+
+
+def wall_clock(time_s: np.ndarray) -> list[str]:
+    """Dates as MATLAB Mobile writes them, with more digits."""
+    start = np.datetime64("2023-03-16T23:59:58", "us")  # midnight lies within
+    dates = [str(start + np.timedelta64(round(t * 1e6), "us")) for t in time_s.tolist()]
+    return [
+        f"{d[8:10]}-Mar-{d[:4]} {d[11:]}" if len(d) > 19 else f"{d[8:10]}-Mar-{d[:4]} {d[11:]}.000000" for d in dates
+    ]
+
+
+def physics_toolbox_text(recording: Recording) -> str:
+    """Blank first line, g, a comma at the end of each line."""
+    assert recording.gyroscope is not None
+    force_g = recording.accelerometer.values / STANDARD_GRAVITY_MPS2
+    still = 0.0 * force_g
+    columns = axes("gF%", force_g) | axes("a%", still) | axes("w%", recording.gyroscope.values)
+    return "\n" + table_text({"time": recording.accelerometer.time_s, **columns}).replace("\n", ",\n")
+
+
+def matlab_mobile_files(recording: Recording) -> dict[str, str]:
+    names = {"accelerometer": "Acceleration", "gyroscope": "AngularVelocity", "magnetometer": "MagneticField"}
+    return {
+        f"{name}.csv": table_text(
+            {
+                f"{name}_Timestamp": wall_clock(samples.time_s),
+                **{k.upper(): v for k, v in axes("%", samples.values).items()},
+            }
+        )
+        for stream, name in names.items()
+        if (samples := recording.streams.get(stream)) is not None
+    }
+
+
+def write_mat(path: Path, recording: Recording) -> Path:
+    """Plain columns, compressed."""
+    from scipy.io import savemat
+
+    columns = {"t": recording.accelerometer.time_s[:, None], "Acceleration": recording.accelerometer.values}
+    if recording.gyroscope is not None:
+        columns["AngularVelocity"] = recording.gyroscope.values
+    savemat(path, columns, appendmat=False, do_compression=True)
+    return path
+
+
+WORKBOOK = (
+    '<workbook xmlns="http://schemas.openxmlformats.org/spreadsheetml/2006/main" '
+    'xmlns:r="http://schemas.openxmlformats.org/officeDocument/2006/relationships"><sheets>{sheets}</sheets></workbook>'
+)
+RELATIONS = (
+    '<Relationships xmlns="http://schemas.openxmlformats.org/package/2006/relationships">{inside}</Relationships>'
+)
+OFFICE = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
+
+
+def xlsx_files(sheets: Mapping[str, Mapping[str, np.ndarray]]) -> dict[str, str]:
+    """The files of a spreadsheet."""
+    files: dict[str, str] = {}
+    listed = links = ""
+    for n, (name, columns) in enumerate(sheets.items(), 1):
+        rows = [[f"<is><t>{key}</t></is>" for key in columns]]
+        rows += [[f"<v>{v!r}</v>" for v in row] for row in np.column_stack([*columns.values()]).tolist()]
+        cells = "".join(
+            f'<row r="{i}">'
+            + "".join(
+                f'<c r="{chr(65 + j)}{i}"{" t=" + chr(34) + "inlineStr" + chr(34) if i == 1 else ""}>{cell}</c>'
+                for j, cell in enumerate(row)
+            )
+            + "</row>"
+            for i, row in enumerate(rows, 1)
+        )
+        main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
+        files[f"xl/worksheets/sheet{n}.xml"] = f'<worksheet xmlns="{main}"><sheetData>{cells}</sheetData></worksheet>'
+        listed += f'<sheet name="{name}" sheetId="{n}" r:id="rId{n}"/>'
+        links += f'<Relationship Id="rId{n}" Type="{OFFICE}/worksheet" Target="worksheets/sheet{n}.xml"/>'
+    files["xl/workbook.xml"] = WORKBOOK.format(sheets=listed)
+    files["xl/_rels/workbook.xml.rels"] = RELATIONS.format(inside=links)
+    root = f'<Relationship Id="rId1" Type="{OFFICE}/officeDocument" Target="xl/workbook.xml"/>'
+    files["_rels/.rels"] = RELATIONS.format(inside=root)
+    types = "http://schemas.openxmlformats.org/package/2006/content-types"
+    files["[Content_Types].xml"] = (
+        f'<Types xmlns="{types}"><Default Extension="xml" ContentType="application/xml"/></Types>'
+    )
+    return files
+
+
+def phyphox_sheets(recording: Recording) -> dict[str, dict[str, np.ndarray]]:
+    """What phyphox puts into a spreadsheet: a sheet for each sensor."""
+    return {
+        file.removesuffix(".csv"): {"Time (s)": samples.time_s, **axes(f"{name} % ({unit})", samples.values)}
+        for stream, (file, name, unit) in PHYPHOX_TABLES.items()
+        if (samples := recording.streams.get(stream)) is not None
+    }
+
+
+# ---------------------------------------------------------------- pushed messages, databases, ROS
+
+
+def push_messages(files: Mapping[str, str], session: str = "one", rows_each: int = 7) -> list[dict[str, object]]:
+    """What Sensor Logger pushes of the same recording as its CSV files."""
+    items = []
+    for name, text in files.items():
+        lines = text.splitlines()
+        if lines and lines[0].startswith("time,"):
+            keys = lines[0].split(",")
+            for line in lines[1:]:
+                row = dict(zip(keys, line.split(","), strict=True))
+                values = {key: float(value) for key, value in row.items() if key not in ("time", "seconds_elapsed")}
+                items.append({"name": name.removesuffix(".csv").lower(), "time": int(row["time"]), "values": values})
+    items.sort(key=lambda item: item["time"])
+    return [
+        {"messageId": i, "sessionId": session, "deviceId": "d", "payload": items[n : n + rows_each]}
+        for i, n in enumerate(range(0, len(items), rows_each))
+    ]
+
+
+def write_sqlite(path: Path, files: Mapping[str, str]) -> Path:
+    """Sensor Logger's database: a table for each of its CSV files."""
+    import sqlite3
+
+    path.unlink(missing_ok=True)
+    with sqlite3.connect(path) as connection:
+        for name, text in files.items():
+            rows = [line.split(",") for line in text.splitlines()]
+            if rows:
+                table = name.removesuffix(".csv")
+                connection.execute(f'CREATE TABLE "{table}" ({", ".join(f"[{key}] TEXT" for key in rows[0])})')
+                connection.executemany(f'INSERT INTO "{table}" VALUES ({",".join("?" * len(rows[0]))})', rows[1:])
+    connection.close()
+    return path
+
+
+def cdr_header(at_ns: int, frame: str = "imu") -> bytes:
+    name = frame.encode() + b"\x00"
+    stamp = struct.pack("<iII", at_ns // 10**9, at_ns % 10**9, len(name)) + name
+    return stamp + b"\x00" * (-len(stamp) % 8)
+
+
+def imu_messages(recording: Recording, frame: str = "imu") -> list[tuple[int, bytes]]:
+    """Times and CDR of `sensor_msgs/msg/Imu`."""
+    assert recording.gyroscope is not None
+    n = len(recording.accelerometer)
+    quaternion = np.zeros((n, 4)) if recording.attitude is None else recording.attitude.values[:, [1, 2, 3, 0]]
+    found = []
+    for t, q, w, a in zip(
+        recording.accelerometer.time_s.tolist(),
+        quaternion.tolist(),
+        recording.gyroscope.values.tolist(),
+        recording.accelerometer.values.tolist(),
+        strict=True,
+    ):
+        at_ns = T0_NS + round(t * 1e9)
+        numbers = [*q, *[0.0] * 9, *w, *[0.0] * 9, *a, *[0.0] * 9]
+        found.append((at_ns, b"\x00\x01\x00\x00" + cdr_header(at_ns, frame) + struct.pack("<37d", *numbers)))
+    return found
+
+
+def write_mcap(path: Path, messages: list[tuple[int, bytes]], kind: str = "sensor_msgs/msg/Imu") -> Path:
+    from mcap.writer import CompressionType, Writer
+
+    with path.open("wb") as file:
+        writer = Writer(file, chunk_size=4096, compression=CompressionType.ZSTD)
+        writer.start()
+        schema = writer.register_schema(kind, "ros2msg", b"")
+        channel = writer.register_channel("/imu", "cdr", schema)
+        for i, (at_ns, content) in enumerate(messages):
+            writer.add_message(channel, at_ns, content, at_ns, i)
+        writer.finish()
+    return path
+
+
+def write_db3(path: Path, messages: list[tuple[int, bytes]], kind: str = "sensor_msgs/msg/Imu") -> Path:
+    import sqlite3
+
+    path.unlink(missing_ok=True)
+    with sqlite3.connect(path) as connection:
+        connection.execute(
+            "CREATE TABLE topics(id INTEGER PRIMARY KEY, name TEXT, type TEXT, serialization_format TEXT)"
+        )
+        connection.execute(
+            "CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER, timestamp INTEGER, data BLOB)"
+        )
+        connection.execute("INSERT INTO topics VALUES (1, '/imu', ?, 'cdr')", (kind,))
+        connection.executemany("INSERT INTO messages(topic_id, timestamp, data) VALUES (1, ?, ?)", messages)
+    connection.close()
+    return path
+
+
 # ---------------------------------------------------------------- writing, comparing
 
 
@@ -294,10 +499,10 @@ def write_zip(
     return path
 
 
-def refusal(path: Path, format: str | None = None) -> str:
+def refusal(path: Path, format: str | None = None, platform: str | None = None) -> str:
     """The message with which a path is refused."""
     with pytest.raises(RecordingError) as caught:
-        read(path, format)
+        read(path, format, platform)
     assert isinstance(caught.value, ValueError)
     return str(caught.value)
 

@@ -15,13 +15,23 @@ from app_files import (
     core_motion_text,
     generic_text,
     get_sensor_data_text,
+    imu_messages,
     indoor_location_text,
+    matlab_mobile_files,
     metadata,
     phyphox_files,
+    phyphox_sheets,
+    physics_toolbox_text,
+    push_messages,
     sensor_logger_files,
     sensor_logger_json,
     with_level_attitude,
+    write_db3,
+    write_mat,
+    write_mcap,
+    write_sqlite,
     write_zip,
+    xlsx_files,
 )
 
 from pdr_filter.io.describe import median_norm, reading_report
@@ -61,7 +71,28 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
             path = folder / "good.json"
             path.write_text(sensor_logger_json(files))
             return path
+        if form == "push":
+            path = folder / "good.json"
+            path.write_text("\n".join(map(json.dumps, reversed(push_messages(files)))))
+            return path
+        if form == "sqlite":
+            return write_sqlite(folder / "good.sqlite", files)
         return write_zip(folder / "good.zip", files)
+    if format == "table":
+        if form == "physics_toolbox":
+            path = folder / "good.csv"
+            path.write_text(physics_toolbox_text(recording))
+            return path
+        if form == "matlab_mobile":
+            return write_zip(folder / "good.zip", matlab_mobile_files(recording))
+        if form == "mat":
+            return write_mat(folder / "good.mat", recording)
+        return write_zip(folder / "good.xlsx", xlsx_files(phyphox_sheets(recording)))
+    if format == "ros_bag":
+        messages = imu_messages(recording)
+        if form == "mcap":
+            return write_mcap(folder / "good.mcap", messages)
+        return write_db3(folder / "good.db3", messages)
     if format == "phyphox":
         files = phyphox_files(recording, ";", ",")
         if form == "csv":
@@ -109,11 +140,19 @@ FORMS = (
     "sensor_logger:android",
     "sensor_logger:ios",
     "sensor_logger:json",
+    "sensor_logger:push",
+    "sensor_logger:sqlite",
     "phyphox:zip",
     "phyphox:csv",
     "get_sensor_data",
     "indoor_location",
     "core_motion",
+    "table:physics_toolbox",
+    "table:matlab_mobile",
+    "table:mat",
+    "table:xlsx",
+    "ros_bag:mcap",
+    "ros_bag:db3",
     "generic_csv",
     "ronin",
 )
@@ -352,5 +391,7 @@ SOURCES = {
     "indoor_location": "indoor-location",
     "core_motion": "CoreMotion",
     "generic_csv": "CSV",
+    "table": "table",
+    "ros_bag": "ROS 2 bag",
     "ronin": "RoNIN",
 }

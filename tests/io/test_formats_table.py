@@ -30,10 +30,12 @@ ROUND_TRIP = {
     "indoor_location": ("same values, times to 1 ms", 1.01e-3, 0.0),
     "core_motion": ("same values, 50 Hz", 1e-9, 1e-12),
     "ronin": ("same values", 1e-12, 0.0),
+    "ros_bag": ("same values", 1e-9, 0.0),
+    "table": ("same values, times to 1 us", 0.51e-6, 1e-12),
     "generic_csv": ("same values", 1e-9, 1e-12),
 }
 # An attitude in the file is the only witness of the sign.
-WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "generic_csv")]
+WITH_ATTITUDE = [form for form in FORMS if form.partition(":")[0] not in ("own", "phyphox", "table", "generic_csv")]
 
 
 def a_recording() -> Recording:
@@ -154,7 +156,8 @@ OWN, FUZZ = "test_own_format.py", "test_fuzz_readers.py"
 LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sensor_data.py"
 WIFI = "test_wifi_files.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
-GENERIC, HOSTILE = "test_generic_csv.py", "test_hostile_files.py"
+GENERIC, HOSTILE, TABLES = "test_generic_csv.py", "test_hostile_files.py", "test_tables.py"
+MATLAB, ROS = "test_matlab.py", "test_ros_bag.py"
 
 # Format and trap as in the table of the docs, and the tests that fail if it is stepped into.
 TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
@@ -282,6 +285,50 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("RoNIN", "quaternions wxyz in `synced`, xyzw in `raw`"): [
         (RONIN, "test_a_quaternion_of_the_other_order_is_refused")
     ],
+    ("tables", "lines above the header: blank, `sep=;`, comments, the device"): [
+        (TABLES, "test_the_walk_comes_back"),
+        (TABLES, "test_a_header_in_the_code_of_the_phone_is_read"),
+    ],
+    ("tables", "decimal commas, semicolons, tabs, spaces, no header"): [(TABLES, "test_the_walk_comes_back")],
+    ("tables", "acceleration without gravity (`ax`, `Linear Acceleration`, `Accelerometer` of Sensor Logger)"): [
+        (TABLES, "test_acceleration_without_gravity_is_refused_with_the_app_and_what_to_export"),
+        (TABLES, "test_the_walk_comes_back"),
+    ],
+    ("tables", "units that no name says"): [
+        (TABLES, "test_the_walk_comes_back"),
+        (TABLES, "test_the_gyroscope_is_checked_with_how_gravity_turns"),
+    ],
+    ("tables", "dates and clock times, with or without a zone; midnight"): [
+        (TABLES, "test_dates_are_read_however_they_are_written"),
+        (TABLES, "test_a_clock_goes_on_at_midnight"),
+    ],
+    ("tables", "declared milliseconds at 2 Hz"): [(TABLES, "test_milliseconds_that_are_declared_are_believed_at_2_hz")],
+    ("tables", "the sign of an app on two systems"): [
+        (TABLES, "test_the_sign_that_nothing_shows_is_noted_and_can_be_said"),
+        (GENERIC, "test_what_is_in_g_without_an_app_that_is_known_is_read_once_its_platform_is_said"),
+    ],
+    ("tables", "a location repeated in every row"): [
+        (TABLES, "test_a_location_that_is_repeated_in_every_row_is_one_fix")
+    ],
+    ("Sensor Logger", "Metadata.csv lost"): [
+        (LOGGER, "test_without_a_platform_an_attitude_shows_the_sign"),
+        (LOGGER, "test_a_platform_that_is_not_known_is_refused_unless_only_android_writes_such_a_file"),
+    ],
+    ("Sensor Logger", "pushed messages in any order, several sessions in a file"): [
+        (LOGGER, "test_pushed_messages_in_any_order_are_the_recording_and_two_sessions_are_two")
+    ],
+    ("all", "two recordings in one zip"): [(TABLES, "test_two_walks_in_one_zip_are_two")],
+    ("all", "files in the folder of a recording that are none of its sensors, or renamed ones"): [
+        (TABLES, "test_what_is_left_out_of_a_folder_is_noted"),
+        (TABLES, "test_the_walk_comes_back"),
+    ],
+    ("MATLAB", "timetables, of MATLAB Mobile; version 7.3"): [
+        (MATLAB, "test_timetables_of_matlab_mobile_are_read"),
+        (MATLAB, "test_version_7_3_is_refused_with_how_to_save_it"),
+    ],
+    ("ROS 2", "drivers leave what they do not know at zero"): [
+        (ROS, "test_what_a_topic_leaves_at_zero_is_taken_from_another")
+    ],
     ("any CSV", "units and sign are given in a TOML file"): [
         (GENERIC, "test_a_walk_comes_back_in_si_units"),
         (GENERIC, "test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown"),
@@ -344,5 +391,6 @@ def test_the_small_sensors_of_get_sensor_data_are_read(tmp_path: Path) -> None:
 
 def test_every_refusal_of_the_docs_names_a_format_that_is_read() -> None:
     known = {"all", "Sensor Logger", "phyphox", "GetSensorData", "indoor-location", "CoreMotion", "RoNIN", "any CSV"}
+    known |= {"tables", "MATLAB", "ROS 2"}
     assert {trap[0] for trap in TRAPS} == known
     assert re.search(r"`pdr\.read\(path, format=\"phyphox\"\)`", DOCS)

@@ -30,20 +30,30 @@ def test_a_walk_comes_back_in_si_units(tmp_path: Path) -> None:
     assert any("factor -9.80665" in line for line in reading_report(recording).found)
 
 
+UNKNOWN = TEXT.replace("t;ax;ay;az;gx;gy;gz", "when;one;two;three;four;five;six")
+
+
 def test_without_a_mapping_the_columns_and_a_mapping_to_write_are_shown(tmp_path: Path) -> None:
-    message = refusal(mapped(tmp_path, mapping=None))
-    assert "Columns seen: t, ax, ay, az, gx, gy, gz" in message
-    assert "walk.toml" in message
+    message = refusal(mapped(tmp_path, UNKNOWN, mapping=None))
+    assert "Columns seen: when, one, two, three, four, five, six" in message
+    assert "convert walk.csv --map MAP.toml" in message
     shown = tomllib.loads(message[message.index("time = {") :])
-    assert shown["time"]["column"] == "t"
-    assert shown["accelerometer"]["columns"] == ["ax", "ay", "az"]
+    assert shown["time"]["column"] == "when"
+    assert shown["accelerometer"]["columns"] == ["one", "two", "three"]
 
 
 def test_the_mapping_that_is_shown_reads_the_file_once_its_units_are_right(tmp_path: Path) -> None:
-    message = refusal(mapped(tmp_path, mapping=None))
+    message = refusal(mapped(tmp_path, UNKNOWN, mapping=None))
     shown = message[message.index("time = {") :]
     shown = shown.replace('"s"', '"ms"').replace('"m/s2"', '"g"').replace("sign = 1", "sign = -1")
-    assert_same_streams(read(mapped(tmp_path, mapping=shown)), WALK, "accelerometer", time_s=1e-8)
+    assert_same_streams(read(mapped(tmp_path, UNKNOWN, mapping=shown)), WALK, "accelerometer", time_s=1e-8)
+
+
+def test_what_is_in_g_without_an_app_that_is_known_is_read_once_its_platform_is_said(tmp_path: Path) -> None:
+    path = mapped(tmp_path, mapping=None)
+    assert "say it with pdr-filter convert FILE --platform ios" in refusal(path)
+    recording = read(path, platform="ios")  # milliseconds, g and deg/s are seen
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-8, rtol=1e-12)
 
 
 def test_a_table_without_header_is_asked_for_one(tmp_path: Path) -> None:
@@ -100,8 +110,8 @@ def test_units_that_are_given_wrong_are_refused(tmp_path: Path) -> None:
     ("old", "new", "hint"),
     [
         ('"ax"', '"nowhere"', "'nowhere' is in the table 0 times; columns seen: t, ax"),
-        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g"),
-        ('"g"', '["g"]', "known are m/s2, g"),
+        ('"g"', '"stone"', "unit 'stone'; known are m/s2, g, mg"),
+        ('"g"', '["g"]', "known are m/s2, g, mg"),
         ('"ms"', '"fortnight"', "time unit 'fortnight'"),
         ("sign = -1", "sign = 7", "sign must be 1 or -1"),
         ("[gyroscope]", "[giroscope]", "unknown table 'giroscope'"),

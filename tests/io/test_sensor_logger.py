@@ -14,6 +14,7 @@ from app_files import (
     a_walk,
     assert_same_streams,
     metadata,
+    push_messages,
     refusal,
     sensor_logger_csv,
     sensor_logger_files,
@@ -26,6 +27,7 @@ from app_files import (
 from pdr_filter.io import limits
 from pdr_filter.io.describe import describe, reading_report
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
@@ -217,8 +219,11 @@ def test_only_uncalibrated_gyroscope_is_taken_with_a_note(tmp_path: Path) -> Non
 
 def test_a_platform_that_is_not_known_is_refused_unless_only_android_writes_such_a_file(tmp_path: Path) -> None:
     files = sensor_logger_files(WALK, "ios")
-    del files["Metadata.csv"]
-    assert "names no platform" in refusal(write_folder(tmp_path / "ios", files))
+    del files["Metadata.csv"], files["Orientation.csv"]
+    message = refusal(write_folder(tmp_path / "ios", files))
+    assert "names no platform" in message
+    assert "convert FILE --platform ios" in message
+    assert_same_streams(read(tmp_path / "ios", platform="ios"), WALK, "accelerometer", time_s=1e-9)
     files = sensor_logger_files(WALK, "android")
     del files["Metadata.csv"]
     recording = read(write_folder(tmp_path / "android", files))
@@ -238,9 +243,43 @@ def test_g_units_where_mps2_are_documented_are_refused(tmp_path: Path) -> None:
     assert "looks like g units" in refusal(write_folder(tmp_path / "w", files))
 
 
-def test_one_sensor_alone_is_refused_with_what_to_give(tmp_path: Path) -> None:
-    write_folder(tmp_path, sensor_logger_files(WALK))
-    assert "give the folder or zip" in refusal(tmp_path / "TotalAcceleration.csv")
+def test_one_sensor_alone_is_read_if_gravity_is_in_it_and_refused_with_what_to_export_if_not(tmp_path: Path) -> None:
+    write_folder(tmp_path, sensor_logger_files(WALK) | sensor_logger_files(WALK, "ios"))
+    alone = read(tmp_path / "TotalAcceleration.csv")
+    assert_same_streams(alone, WALK, "accelerometer", time_s=1e-9)
+    assert any("Android's is taken" in note for note in alone.notes)
+    assert "export TotalAcceleration, or Gravity" in refusal(tmp_path / "Accelerometer.csv")
+    assert "no accelerometer" in refusal(tmp_path / "Gyroscope.csv")
+
+
+def test_without_a_platform_an_attitude_shows_the_sign(tmp_path: Path) -> None:
+    walk = WALK
+    for platform in ("ios", "android"):
+        files = sensor_logger_files(walk, platform)
+        gravity = np.tile(walk.accelerometer.values.mean(axis=0), (len(walk.accelerometer), 1))
+        sign = -1.0 if platform == "ios" else 1.0
+        files["Gravity.csv"] = sensor_logger_csv(walk.accelerometer, "x,y,z", sign * gravity)
+        linear = sign * (walk.accelerometer.values - gravity)
+        files["Accelerometer.csv"] = sensor_logger_csv(walk.accelerometer, "x,y,z", linear)
+        del files["Metadata.csv"]
+        files.pop("TotalAcceleration.csv", None)
+        recording = read(write_folder(tmp_path / platform, files))
+        assert_same_streams(recording, walk, "accelerometer", time_s=1e-9)
+        assert any(f"{platform}, because Gravity points" in note for note in recording.notes)
+
+
+def test_pushed_messages_in_any_order_are_the_recording_and_two_sessions_are_two(tmp_path: Path) -> None:
+    messages = push_messages(sensor_logger_files(WALK))
+    path = tmp_path / "log.json"
+    path.write_text(json.dumps(messages[::-1]))
+    assert_same_streams(read(path), WALK, "accelerometer gyroscope magnetometer", time_s=1e-9)
+    others = push_messages(sensor_logger_files(with_level_attitude(a_walk(seed=5))), "two")
+    path.write_text("\n".join(map(json.dumps, [*others, *messages])))
+    assert "holds 2 recordings (two, one)" in refusal(path)
+    assert [str(p.relative_to(path)) for p in recordings_in(path)] == ["two", "one"]
+    assert_same_streams(read(path / "one"), WALK, "accelerometer", time_s=1e-9)
+    path.write_text(json.dumps(messages[0]))
+    assert "put all messages of the recording into one file" in refusal(path)
 
 
 def test_a_missing_column_is_refused_with_its_name(tmp_path: Path) -> None:

@@ -1,0 +1,57 @@
+"""The page that lists the tracks of a folder: one row each, with links to picture, report and table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+from urllib.parse import quote
+
+from pdr_filter.io.files import write_text
+from pdr_filter.io.texts import printable
+
+if TYPE_CHECKING:
+    from pdr_filter.tracks import Track
+
+_PAGE = """<!doctype html>
+<html lang="en"><head><meta charset="utf-8"><title>Tracks</title>
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<style>
+body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 70em; padding: 0 1em;
+  color: #222; background: #fff }}
+td, th {{ padding: .4em .8em; text-align: right; border-bottom: 1px solid #8884; vertical-align: top }}
+td:first-child, th:first-child {{ text-align: left }}
+img {{ width: 12em; display: block }}
+@media (prefers-color-scheme: dark) {{ body {{ color: #ddd; background: #16181c }} a {{ color: #8bf }} }}
+</style></head><body>
+<h1>{n} tracks</h1>
+<table><tr><th>recording</th><th>steps</th><th>distance</th><th>end within (95 %)</th><th>duration</th><th></th></tr>
+{rows}
+</table>
+{failed}
+</body></html>
+"""
+
+
+def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: Path) -> Path:
+    """Write the page of the tracks, by the name of their files without suffix, and of what could not be tracked."""
+    rows = "\n".join(_row(name, track) for name, track in tracks.items())
+    reasons = "".join(f"<li>{_text(reason)}</li>" for reason in failed.values())
+    words = f"<h2>{len(failed)} could not be tracked</h2><ul>{reasons}</ul>" if failed else ""
+    return write_text(path, _PAGE.format(n=len(tracks), rows=rows, failed=words))
+
+
+def _row(name: str, track: Track) -> str:
+    summary = track.summary()
+    file = quote(name)
+    within = f"{summary['end_uncertainty_95_m']:.1f} m" if track.n_steps else ""
+    return (
+        f'<tr><td><a href="{file}.html">{_text(track.name)}</a></td><td>{track.n_steps}</td>'
+        f"<td>{track.distance_m:.1f} m</td><td>{within}</td><td>{track.duration_s:.0f} s</td>"
+        f'<td><a href="{file}.png"><img src="{file}.png" alt="the track"></a><a href="{file}.csv">table</a></td></tr>'
+    )
+
+
+def _text(text: str) -> str:
+    return escape(printable(text))

@@ -1,0 +1,197 @@
+"""`pdr-filter live`: phones that send while somebody walks."""
+
+from __future__ import annotations
+
+import asyncio
+import sys
+import tempfile
+import uuid
+from collections.abc import Callable, Coroutine
+from contextlib import ExitStack
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from pdr_filter.cli import console
+
+if TYPE_CHECKING:
+    from pdr_filter.live.server import Live
+
+
+class Platform(StrEnum):
+    """Whose signs the forces of a phone have."""
+
+    IOS = "ios"
+    ANDROID = "android"
+
+
+@dataclass(frozen=True, slots=True)
+class Address:
+    """Where the server is, and who may use it."""
+
+    host: Annotated[
+        str, typer.Option(help="Address to listen at; 0.0.0.0 for phones in the same network, with a token then.")
+    ] = "127.0.0.1"
+    port: Annotated[int, typer.Option(min=0, max=65535, help="Port; 0 for any free one.")] = 8000
+    token: Annotated[str | None, typer.Option(help="Part of the address; a random one if not given.")] = None
+    https: Annotated[
+        bool, typer.Option("--https", help="With a certificate of its own, for the page that sends from a browser.")
+    ] = False
+
+    @property
+    def name(self) -> str:
+        """By which a phone finds this machine."""
+        from pdr_filter.live.access import lan_address
+
+        return lan_address() if self.host in ("0.0.0.0", "::") else self.host
+
+    def address(self, port: int) -> str:
+        """Up to the path."""
+        host = f"[{self.name}]" if ":" in self.name else self.name
+        return f"http{'s' * self.https}://{host}:{port}"
+
+
+@dataclass(frozen=True, slots=True)
+class Phones:
+    """What is known of phones and people."""
+
+    platform: Annotated[
+        Platform | None, typer.Option(help="Of the phones, where neither the app nor the samples say it.")
+    ] = None
+    height_m: Annotated[float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m.")] = (
+        None
+    )
+    recipe: Annotated[str, typer.Option(help="Name of a recipe.")] = "default"
+    max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
+    workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
+
+    def check(self) -> None:
+        """ValueError for a recipe that does not exist."""
+        if self.recipe != "default":
+            from pdr_filter import recipes
+
+            recipes.check_name(self.recipe)
+
+
+@dataclass(frozen=True, slots=True)
+class Sources:
+    """What the server fetches itself."""
+
+    phyphox: Annotated[
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="A phone with phyphox, its remote access on.")
+    ] = None
+    sensorserver: Annotated[
+        list[str] | None, typer.Option(metavar="HOST:PORT", help="An Android phone with SensorServer.")
+    ] = None
+    mqtt: Annotated[
+        list[str] | None,
+        typer.Option(metavar="URL", help="Topic of a broker, mqtt://USER:PASSWORD@HOST/TOPIC; ws, wss and mqtts too."),
+    ] = None
+    replay: Annotated[Path | None, typer.Option(help="A recording to be walked again.")] = None
+    speed: Annotated[float, typer.Option(min=0.01, help="How many times as fast.")] = 1.0
+
+    def tasks(self, shared: Live) -> list[Coroutine[Any, Any, None]]:
+        """What fetches samples."""
+        from pdr_filter.live import sources
+
+        def say(words: str) -> None:
+            console.say_error(words)
+
+        session = uuid.uuid4().hex[:8]
+        made: list[Callable[[], Coroutine[Any, Any, None]]] = [
+            *(partial(sources.phyphox, address, shared.take) for address in self.phyphox or ()),
+            *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
+            *(partial(sources.mqtt, address, shared.take) for address in self.mqtt or ()),
+        ]
+        replay = [] if self.replay is None else [sources.replay(self.replay, self.speed, shared.take)]
+        return [*(sources.again(source, say) for source in made), *replay]
+
+
+def live(
+    address: Address,
+    phones: Phones,
+    sources: Sources,
+    record: Annotated[Path | None, typer.Option(help="Folder for recordings, from which a server goes on.")] = None,
+    tiles: Annotated[str, typer.Option(metavar="URL", help="Map tiles, such as https://HOST/{z}/{x}/{y}.png.")] = "",
+) -> None:
+    """Track phones while they walk: one page shows where each of them is, and how sure that is.
+
+    Phones send with Sensor Logger, SensorServer, phyphox, MQTT or their browser; docs/live.md shows how.
+    """
+    with console.one_line_errors(), ExitStack() as opened:
+        try:
+            import uvicorn
+
+            from pdr_filter.live.certificate import certificate
+            from pdr_filter.live.server import Live, app
+        except ImportError as error:
+            raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
+        from pdr_filter.live.access import is_loopback, made_token
+        from pdr_filter.live.settings import Settings
+
+        phones.check()
+        is_open = not is_loopback(address.host)
+        token = (address.token or made_token(record)) if is_open or address.token else ""
+        platform = "" if phones.platform is None else phones.platform.value
+        settings = Settings(phones.recipe, phones.height_m, platform, phones.max_devices)
+        folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
+        folder.mkdir(parents=True, exist_ok=True)
+        shared = Live(settings, folder, phones.workers)
+        certified: dict[str, Any] = {}
+        if address.https:
+            certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
+        config = uvicorn.Config(
+            app(shared, token, tiles),
+            **certified,
+            host=address.host,
+            port=address.port,
+            log_level="warning",
+            ws_max_size=4 * 1024**2,
+            timeout_graceful_shutdown=2,
+        )
+
+        def say(port: int) -> None:
+            _say(address, port, token)
+
+        asyncio.run(_served(uvicorn.Server(config), sources.tasks(shared), say))
+
+
+async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]) -> None:
+    """Serve until somebody ends it; sources begin when phones are answered."""
+    serving = asyncio.create_task(server.serve())
+    while not server.started:
+        if serving.done():
+            raise OSError("the server did not start; is the port free?")
+        await asyncio.sleep(0.02)
+    say(server.servers[0].sockets[0].getsockname()[1])
+    fetching = [asyncio.create_task(_told(source)) for source in sources]
+    await serving
+    for task in fetching:
+        task.cancel()
+
+
+async def _told(source: Coroutine[Any, Any, None]) -> None:
+    """A source; what ends it is said, and the others go on."""
+    try:
+        await source
+    except (ValueError, OSError) as error:
+        console.say_error(console.message(error))
+
+
+def _say(address: Address, port: int, token: str) -> None:
+    """The addresses, and a code that a phone's camera reads."""
+    import segno
+
+    root, query = address.address(port), f"?token={token}" if token else ""
+    out = console.stderr()
+    out.print(f"page         {root}/{query}")
+    out.print(f"phones send  {root}/data{query}")
+    if address.https:
+        out.print(f"browsers     {root}/phone{query}")
+    if token:
+        segno.make(f"{root}/{'phone' * address.https}{query}", micro=False).terminal(sys.stderr, compact=True)
+    out.print("Ctrl+C ends it.")

@@ -1,0 +1,148 @@
+"""Tables of any app: texts, alone or in a zip or folder, spreadsheets and MATLAB files, with or without a mapping."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path, PurePosixPath
+
+from pdr_filter.io import limits
+from pdr_filter.io.archive import Members, open_members
+from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.dialects import dialect_of
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.groups import Group, groups_of
+from pdr_filter.io.guess import Guess, guess
+from pdr_filter.io.mapping import Mapping
+from pdr_filter.io.matlab import is_matlab, matlab_sheets
+from pdr_filter.io.recording import Recording
+from pdr_filter.io.sheet_data import SheetData, fill
+from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
+from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
+
+TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Tables:
+    """A recording that was read from tables, and how."""
+
+    recording: Recording
+    guess: Guess
+
+
+def read_table(path: str | Path, platform: str | None = None) -> Recording:
+    """Return the recording in the tables of an app, which are recognised by their columns.
+
+    `platform`, ios or android, says the sign of the accelerometer where the app writes another on each. RecordingError
+    if there is no acceleration with gravity, or its sign or unit is not known.
+    """
+    return read_guessed(Path(path), platform).recording
+
+
+def read_guessed(path: Path, platform: str | None = None) -> Tables:
+    """The recording with the mapping that it was read by, and the evidence for that."""
+    with open_members(path) as members:
+        sheets = sheets_of(members)
+        where = sheets[0].where if len(sheets) == 1 else str(path)
+        groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
+        parsed = Parsed(path, "")
+        if not groups:
+            raise RecordingError(f"{where}: {_nothing(sheets, path)}")
+        data = [SheetData(sheet, _places_of(groups, i), parsed.notes) for i, sheet in enumerate(sheets)]
+        shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
+        found = guess(data, groups, dialect_of(shown), platform, where)
+        _fill(parsed, found.mapping, data)
+    parsed.source = found.source
+    parsed.found += found.evidence
+    parsed.notes[:] = list(dict.fromkeys([*found.notes, *parsed.notes]))
+    parsed.is_unit_of_time_declared = found.is_time_declared
+    try:
+        return Tables(parsed.recording(), found)
+    except RecordingError as error:
+        raise RecordingError(f"{error} (read as {found.source})") from error
+
+
+def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
+    """The recording in tables that a mapping describes."""
+    parsed = Parsed(path, source)
+    with open_members(path) as members:
+        sheets = sheets_of(members, mapping.separator or None)
+        if mapping.decimal:
+            sheets = [replace(s, decimal=mapping.decimal) if isinstance(s, TextSheet) else s for s in sheets]
+        names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
+        data = [
+            SheetData(sheet, tuple(i for i, name in enumerate(sheet.fields) if name in names), parsed.notes)
+            for sheet in sheets
+        ]
+        _fill(parsed, mapping, data)
+    for stream in mapping.streams:
+        columns = ", ".join(stream.columns)
+        unit = stream.unit or "unit as it is"
+        parsed.found.append(f"{stream.stream}: {columns}, {unit}, factor {stream.factor:.6g}, as given")
+    parsed.notes[:] = list(dict.fromkeys(parsed.notes))
+    return parsed.recording()
+
+
+def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]:
+    """The tables among the files of a recording; RecordingError if there is none."""
+    found: Sequence[Sheet]
+    if is_spreadsheet(members):
+        found = spreadsheet_sheets(members)
+    elif not members.is_container and is_matlab(members.head(members.names[0], 128)):
+        found = matlab_sheets(members, members.names[0])
+    else:
+        texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
+        found = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+    if not found:
+        listed = ", ".join(members.names[:8])
+        raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
+    return found
+
+
+def _is_text(name: str, members: Members) -> bool:
+    pure = PurePosixPath(name)
+    return not members.is_container or (pure.suffix.lower() in TEXTS and pure.parent.name != "meta")
+
+
+def _places_of(groups: Sequence[Group], sheet: int) -> tuple[int, ...]:
+    """The columns of a table that are used."""
+    used = {place for group in groups if group.sheet == sheet for place in (*group.places, group.time)}
+    return tuple(sorted(place for place in used if place is not None and place >= 0))
+
+
+def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
+    fill(parsed, mapping, data)
+    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    parsed.clock = f"column {', '.join(times)}" if times else f"rows at {mapping.rate_hz:g} Hz"
+    if mapping.rate_hz and not times:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
+
+
+def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
+    """Why tables without a sensor that is known cannot be read, and the mapping to write."""
+    fields = sheets[0].fields
+    if all(name.startswith("column ") for name in fields):
+        return "its first line has numbers; write a line with the names of the columns above it"
+    columns = [name.replace('"', "'") for name in (*fields, "?", "?", "?", "?")]
+    return (
+        f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what "
+        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if "
+        f"a phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
+        f'time = {{ column = "{columns[0]}", unit = "s" }}\n'
+        f'accelerometer = {{ columns = ["{columns[1]}", "{columns[2]}", "{columns[3]}"], unit = "m/s2", sign = 1 }}\n'
+    )
+
+
+def sensors_of(members: Members, name: str) -> set[str]:
+    """The sensors that the columns of a text name; none of one that is no table."""
+    try:
+        sheet = text_sheet(members, name)
+        return set() if sheet is None else {group.quantity for group in groups_of(sheet, 0)}
+    except RecordingError:
+        return set()
+
+
+def is_of_sensors(members: Members, name: str) -> bool:
+    """Whether a text is a table of a sensor."""
+    return bool(sensors_of(members, name))

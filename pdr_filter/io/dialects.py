@@ -1,0 +1,72 @@
+"""What is known of the apps whose tables are read by the names of their columns: one entry for each, as data.
+
+Layouts after the files of their users and the apps' own documents. An app that says nothing about signs, or has another
+on iOS than on Android, is read with Android's sign and a note.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE
+
+_SI: Mapping[str, str] = {ACCELERATION: "m/s2", LINEAR: "m/s2", GRAVITY: "m/s2", RATE: "rad/s", FIELD: "ut"}
+
+
+@dataclass(frozen=True, slots=True)
+class Dialect:
+    """How an app writes its tables."""
+
+    app: str
+    shows: str  # regular expression, looked for in the lines above the table, its header and the names of the files
+    instead: str = "the accelerometer with gravity"  # what to record where acceleration lacks gravity
+    units: Mapping[str, str] = field(default_factory=lambda: _SI)  # where the header says none
+    sign: int | None = 1  # of acceleration and gravity; None if it is Android's there and another on iOS
+    period_ms: str = ""  # regular expression of the time between rows, for tables without a time
+
+    def period_of(self, about: str) -> float | None:
+        """The time between rows in ms that the lines above a table say; None if they say none that can be."""
+        found = re.search(self.period_ms, about) if self.period_ms else None
+        period_ms = float(found[1]) if found else 0.0
+        return period_ms if 0.1 < period_ms < 1e6 else None
+
+
+DIALECTS = (
+    Dialect(
+        "Physics Toolbox",
+        r"\bgFx\b|(?m:^time[,;\t]\s*ax\b.*\baT\b)",
+        "G-Force (gFx, gFy, gFz) in Physics Toolbox",
+        sign=None,
+    ),
+    Dialect(
+        "AndroSensor", r"ACCELEROMETER X \(m/s|\bACCEX\b|LINEAR ACCELERATION X \(m/s", "ACCELEROMETER in AndroSensor"
+    ),
+    Dialect("HyperIMU", r"HyperIMU", "Accelerometer in HyperIMU", period_ms=r"Sampling Time:\s*(\d+(?:\.\d+)?)\s*ms"),
+    Dialect(
+        "SensorLog",
+        r"accelerometerAcceleration|motionUserAcceleration|accelerometerTimestamp_since|\bloggingTime\b",
+        "Accelerometer in SensorLog",
+        units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
+        sign=-1,
+    ),
+    Dialect(
+        "MATLAB Mobile",
+        r"(Acceleration|AngularVelocity|MagneticField)_?Timestamp|MATLAB Mobile",
+        "Acceleration in MATLAB Mobile",
+    ),
+    Dialect(
+        "Sensor Logger",
+        r"\btime,seconds_elapsed\b",
+        "TotalAcceleration, or Gravity beside Accelerometer, in Sensor Logger",
+        sign=None,
+    ),
+    Dialect("phyphox", r"Time \(s\).*(Acceleration|\bX) \w* ?\(m/s\^2\)", "'Acceleration with g' in phyphox"),
+    Dialect("senslogs", r"\brecord\.properties\b", "accelerometer.txt in senslogs"),
+)
+
+
+def dialect_of(text: str) -> Dialect | None:
+    """The app that this shows; None if none is known."""
+    return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text)), None)

@@ -1,0 +1,76 @@
+"""What the values of a table say of themselves: whether gravity is in them, their unit, whether sensors agree."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from pdr_filter.values import FloatArray
+
+# Walking turns the phone by some ten degrees within a step and back; over this time gravity stays and steps cancel.
+WINDOW_S = 2.0
+# Values are averaged over this, some steps long, so that what the walk adds to gravity is gone, and directions are
+# compared this far apart.
+TURN_S = 2.0
+# How far gravity must have turned within that, as a root mean square, before its turning says anything; and how well
+# both must correlate: below, what turned was the acceleration of the walk and not gravity.
+LEAST_TURN_RAD = 0.03
+LEAST_CORRELATION = 0.4
+LEAST_S = 10.0
+
+
+def constant_part(time_s: FloatArray, values: FloatArray) -> float:
+    """The median norm of the mean over windows of 2 s, in the unit of the values: of an accelerometer, gravity."""
+    known = ~np.isnan(values).any(axis=1) & ~np.isnan(time_s)
+    time_s, values = time_s[known], values[known]
+    if len(values) == 0:
+        return float("nan")
+    window = np.floor((time_s - time_s[0]) / WINDOW_S)
+    starts = np.flatnonzero(np.diff(window, prepend=np.nan) != 0)
+    counts = np.diff(np.append(starts, len(values)))
+    means = np.add.reduceat(values, starts, axis=0) / counts[:, None]
+    enough = counts >= min(5, counts.max())
+    return float(np.median(np.linalg.norm(means[enough], axis=1)))
+
+
+def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate: FloatArray) -> float | None:
+    """How far gravity turns in the phone against what the gyroscope says, as a factor; None if it cannot be seen.
+
+    A direction u that is fixed in the world obeys du/dt = -w x u in the phone. The factor is 1 if the angular rate w is
+    in rad/s and has the axes and the sense of the accelerometer, pi/180 = 0.017 if it is in deg/s, and near 0 or below
+    if the axes differ. The sign of the accelerometer does not matter.
+    """
+    known = ~np.isnan(force).any(axis=1)
+    known_rate = ~np.isnan(rate).any(axis=1)
+    if known.sum() < 10 or known_rate.sum() < 10:
+        return None
+    force, time_s = force[known], time_s[known]
+    rate, rate_time_s = rate[known_rate], rate_time_s[known_rate]
+    begin, end = max(time_s.min(), rate_time_s.min()), min(time_s.max(), rate_time_s.max())
+    if not LEAST_S < end - begin < 1e6:
+        return None
+    step_s = 0.02
+    grid_s = np.arange(begin, min(end, begin + 600.0), step_s)
+    u = _smoothed(_at(grid_s, time_s, force), round(TURN_S / step_s))
+    w = _smoothed(_at(grid_s, rate_time_s, rate), round(TURN_S / step_s))
+    norm = np.linalg.norm(u, axis=1, keepdims=True)
+    u = u / np.where(norm > 0, norm, 1.0)
+    lag = round(TURN_S / step_s)
+    turned = u[lag:] - u[:-lag]
+    expected = np.cumsum(-np.cross(w, u) * step_s, axis=0)
+    expected = expected[lag:] - expected[:-lag]
+    angle_rad, expected_rad = (float(np.sqrt((x**2).sum(axis=1).mean())) for x in (turned, expected))
+    if angle_rad < LEAST_TURN_RAD or expected_rad == 0.0:
+        return None
+    correlation = float((turned * expected).sum(axis=1).mean()) / (angle_rad * expected_rad)
+    # Both have noise: the ratio of their sizes is pulled to neither side, as a regression would be.
+    return np.sign(correlation) * angle_rad / expected_rad if abs(correlation) > LEAST_CORRELATION else None
+
+
+def _at(grid_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    order = np.argsort(time_s, kind="stable")
+    return np.column_stack([np.interp(grid_s, time_s[order], column[order]) for column in values.T])
+
+
+def _smoothed(values: FloatArray, n: int) -> FloatArray:
+    kernel = np.ones(n) / n
+    return np.column_stack([np.convolve(column, kernel, mode="valid") for column in values.T])

@@ -1,0 +1,165 @@
+"""Columns of tables that belong together: the axes of a sensor, a location, with the column of their times."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pdr_filter.io.columns import (
+    ACCELERATION,
+    FIELD,
+    LOCATION,
+    RATE,
+    SCALARS,
+    UNITS,
+    VECTORS,
+    Column,
+    column_of,
+    is_time,
+    letters,
+    quantity_of_file,
+    time_unit_of,
+)
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.sheets import Sheet
+
+_OF_UNIT = {"m/s^2": ACCELERATION, "rad/s": RATE, "\u00b0/s": RATE, "deg/s": RATE, "ut": FIELD, "hpa": "barometer"}
+_AXES = ("x", "y", "z")
+
+
+@dataclass(frozen=True, slots=True)
+class Group:
+    """The columns of one sensor."""
+
+    sheet: int  # which of several
+    quantity: str  # of `columns`, or "location"
+    places: tuple[int, ...]  # -1 of a value that is not there
+    time: int | None  # column of its times
+    time_unit: str  # as its name says; empty if it does not
+    unit: str  # as the names say, as in `UNITS`; empty if they do not
+    name: str  # for people
+    preference: int = 1  # 2 of values that are called calibrated, 0 of those that are not
+
+
+def groups_of(sheet: Sheet, at: int) -> list[Group]:
+    """The sensors of a table."""
+    is_named = not all(name.startswith("column ") for name in sheet.fields)
+    columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
+    times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
+    if not is_named:
+        columns, times = _without_names(sheet, times)
+    columns = [column for column in columns if column.place not in times]
+    groups: list[Group] = []
+    for quantity, axes, preference in _triples(sheet, columns, times):
+        unit = next((column.unit for column in axes if column.unit), "")
+        if unit and unit not in UNITS[quantity]:
+            raise RecordingError(
+                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; "
+                f"known are {', '.join(UNITS[quantity])}"
+            )
+        places = tuple(column.place for column in axes)
+        groups.append(_group(sheet, at, quantity, places, times, unit, preference))
+    groups += _scalars(sheet, at, columns, times)
+    return groups
+
+
+def _group(
+    sheet: Sheet, at: int, quantity: str, places: tuple[int, ...], times: Sequence[int], unit: str, preference: int
+) -> Group:
+    time = _time_of(sheet, quantity, places, times)
+    known = [sheet.fields[p] for p in places if p >= 0]
+    name = ", ".join(known) + (f" of {sheet.name}" if quantity_of_file(sheet.name)[0] else "")
+    unit_of_time = "" if time is None else time_unit_of(sheet.fields[time])
+    return Group(at, quantity, places, time, unit_of_time, unit, name, preference)
+
+
+def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
+    """Columns by their order: the time, then the axes of the sensor that the name of the file says."""
+    quantity, _ = quantity_of_file(sheet.name)
+    times = times or [0]
+    if not quantity or len(sheet.fields) < (4 if quantity in VECTORS else 2):
+        return [], times
+    first = times[0] + 1
+    axes = _AXES if quantity in VECTORS else ("",)
+    bare = "" if quantity in VECTORS else quantity
+    names = sheet.fields[first : first + len(axes)]
+    return [Column(first + i, name, bare, axes[i]) for i, name in enumerate(names)], times
+
+
+def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
+    """Quantity and the three axes of each sensor, in the order of the table."""
+    of_file, of_file_preference = quantity_of_file(sheet.name)
+    found: dict[tuple[str, str, int], dict[str, Column]] = {}
+    for column in columns:
+        if not column.axis or (of_file and of_file not in VECTORS):
+            continue
+        quantity = column.quantity
+        if not quantity or len(column.stem) == 1:
+            before = max((t for t in times if t < column.place), default=-1)
+            of_time = quantity_of_file(sheet.fields[before])[0] if before >= 0 else ""
+            by_name = [q for q in (of_time, of_file) if q in VECTORS]
+            quantity = (by_name or [quantity or _OF_UNIT.get(column.unit, ACCELERATION)])[0]
+        n = 0  # axes without a word may be there again, for the next sensor
+        while column.axis in found.get((quantity, column.stem, n), {}):
+            n += 1
+        found.setdefault((quantity, column.stem, n), {})[column.axis] = column
+    triples: list[tuple[str, list[Column], int]] = []
+    for (quantity, stem, _), axes in found.items():
+        named = any(axis.quantity for axis in axes.values())
+        if all(axis in axes for axis in _AXES):
+            preference = min(axes[axis].preference for axis in _AXES) if named else of_file_preference
+            triples.append((quantity, [axes[axis] for axis in _AXES], preference))
+        elif quantity == ACCELERATION and stem:
+            missing = ", ".join(axis for axis in _AXES if axis not in axes)
+            raise RecordingError(
+                f"{sheet.where}: {next(iter(axes.values())).name!r} is one axis of the accelerometer, and there is no "
+                f"column for {missing}; export all three axes"
+            )
+    return triples
+
+
+def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[int]) -> list[Group]:
+    """Pressure, light, distance, and the location."""
+    of_file, _ = quantity_of_file(sheet.name)
+    first: dict[str, Column] = {}
+    for column in columns:
+        quantity = column.quantity
+        if not quantity and of_file in SCALARS and (column.axis == "x" or len(columns) == 1):
+            quantity = of_file
+        if quantity and quantity not in VECTORS:
+            first.setdefault(quantity, column)
+    groups = [
+        _group(sheet, at, q, (c.place,), times, c.unit if c.unit in UNITS[q] else "", 1)
+        for q, c in first.items()
+        if q in SCALARS
+    ]
+    if "latitude" in first and "longitude" in first:
+        places = tuple(first[name].place if name in first else -1 for name in LOCATION)
+        groups.append(_group(sheet, at, "location", places, times, "", 1))
+    return groups
+
+
+def _time_of(sheet: Sheet, quantity: str, places: Sequence[int], times: Sequence[int]) -> int | None:
+    """The column of times of a sensor: its own, else one of numbers, else one of dates."""
+    if not times:
+        return None
+    first = min((p for p in places if p >= 0), default=0)
+
+    def order(time: int) -> tuple[bool, bool, bool, int]:
+        name = sheet.fields[time]
+        of = _sensor_of_time(name)
+        is_other = bool(of) and of != quantity
+        # among those of no sensor, numbers before dates; among its own, what comes just before it
+        return is_other, of != quantity, time in sheet.dates, (first - time) if first - time > 0 else 1000 + time
+
+    return min(times, key=order)
+
+
+def _sensor_of_time(name: str) -> str:
+    """The sensor whose times these are, if the name says one."""
+    stem = letters(name)
+    if stem.startswith("location"):
+        return "location"
+    if stem.startswith("altimeter"):
+        return "barometer"
+    return quantity_of_file(name)[0]

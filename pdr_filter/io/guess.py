@@ -1,0 +1,301 @@
+"""The mapping of tables that nobody described: from the names of their columns, what is known of the app, the values.
+
+What names and values leave open is said: units from values, the sign of an app that has another on iOS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from pdr_filter.io import limits
+from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, SCALARS, TIME_UNITS, UNITS
+from pdr_filter.io.describe import median_norm
+from pdr_filter.io.dialects import Dialect
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.evidence import constant_part, turning
+from pdr_filter.io.groups import Group
+from pdr_filter.io.mapping import Mapping, StreamMap
+from pdr_filter.io.sheet_data import SheetData, is_new_place
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+
+# Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
+_GRAVITY_SHARE = 0.6
+_G_OF_GRAVITY = (0.8, 1.25)
+_LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
+# A gyroscope in deg/s that is taken for one in rad/s makes gravity turn 57 times too little.
+_DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
+_NAMES = {
+    **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+}
+# Unix time now, in each unit, is above this; no clock that counts from the start of a phone gets there.
+_EPOCH_FROM = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 5e8}
+
+
+@dataclass
+class Guess:
+    """A mapping, and why."""
+
+    mapping: Mapping
+    evidence: list[str] = field(default_factory=list[str])
+    notes: list[str] = field(default_factory=list[str])
+    source: str = ""
+    is_time_declared: bool = False  # that of the accelerometer
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Stream:
+    """A group with its values."""
+
+    group: Group
+    data: SheetData
+    time_unit: str
+    time_s: FloatArray
+    values: FloatArray
+    is_unit_declared: bool
+    unit: str  # as in `UNITS`; empty if not known
+    is_time_declared: bool
+
+    @property
+    def constant(self) -> float:
+        return constant_part(self.time_s, self.values)
+
+    @property
+    def factor(self) -> float:
+        return UNITS[self.group.quantity].get(self.unit, 1.0)
+
+
+def guess(
+    data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, platform: str | None, where: str
+) -> Guess:
+    """The mapping of these tables; RecordingError without an acceleration with gravity, or if its sign is not known."""
+    app = "" if dialect is None else dialect.app
+    result = Guess(Mapping(()), source=f"table of {app}" if app else "table")
+    rate_hz = _rate_of_rows(data, groups, dialect, where)
+    streams = [_stream(group, data[group.sheet], dialect, rate_hz) for group in groups]
+    streams = [s for s in streams if len(s.values)]
+    forces = _forces(streams, dialect, result, where)
+    chosen = [*forces]
+    result.is_time_declared = forces[0].is_time_declared
+    time_s, force = forces[0].time_s, sum(s.factor * _like(s, forces[0]) for s in forces)
+    for quantity in (RATE, FIELD, *SCALARS, "location"):
+        fitting = [s for s in streams if s.group.quantity == quantity]
+        if fitting:
+            near = max(fitting, key=lambda s: (s.group.preference, s.data is forces[0].data, len(s.values)))
+            chosen.append(_with_unit(near, np.asarray(force), time_s, result))
+    left_out = sorted({s.data.sheet.name for s in streams} - {s.data.sheet.name for s in chosen})
+    if left_out:
+        result.notes.append(f"left out: {', '.join(left_out)[:200]}")
+    sign = _sign(dialect, platform, forces, result, where)
+    many = len(data) > 1
+    result.mapping = Mapping(
+        tuple(
+            StreamMap(
+                stream="accelerometer" if s in forces and len(forces) == 1 else s.group.quantity,
+                columns=tuple(s.data.sheet.fields[p] if p >= 0 else "" for p in s.group.places),
+                unit=_NAMES.get(s.unit, s.unit),
+                sign=sign if s in forces else 1,
+                time="" if s.group.time is None else s.data.sheet.fields[s.group.time],
+                time_unit="date" if s.group.time in s.data.sheet.dates else s.time_unit,
+                file=s.data.sheet.name if many else "",
+            )
+            for s in chosen
+        ),
+        rate_hz=rate_hz,
+        where=where,
+    )
+    return result
+
+
+def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
+    """The rate of tables without a time; zero if all have one."""
+    if all(group.time is not None for group in groups):
+        return 0.0
+    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)) is not None:
+        return 1000 / period_ms
+    names = ", ".join(data[groups[0].sheet].sheet.fields)[:200]
+    app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
+    raise RecordingError(
+        f"{where}: {app} no column of times (columns: {names}); export it with times, or give the rate: "
+        'pdr-filter convert FILE --map MAP.toml with "[time]" and "rate_hz = ..." in it'
+    )
+
+
+def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: float) -> _Stream:
+    values = data.values(group.places, group.time)
+    known = ~np.isnan(values).all(axis=1)
+    declared = group.unit
+    if not declared and dialect is not None:
+        declared = dialect.units.get(group.quantity, "")
+    is_time_declared = bool(group.time is None or group.time_unit or group.time in data.sheet.dates)
+    if group.time is None:
+        unit, time_s = "s", np.arange(len(values)) / rate_hz
+    else:
+        ticks = data.ticks(group.time)
+        is_date = group.time in data.sheet.dates
+        unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks[known], dtype=np.float64))
+        time_s = (ticks - ticks[:1]).astype(np.float64) * TIME_UNITS[unit] if len(ticks) else np.empty(0)
+    if group.quantity == "location":
+        known &= is_new_place(values)
+    return _Stream(group, data, unit, time_s[known], values[known], bool(declared), declared, is_time_declared)
+
+
+def _time_unit(ticks: FloatArray) -> str:
+    """The unit of times that nobody says: since 1970 by its size, else the one in which a phone delivers its rate."""
+    ticks = ticks[~np.isnan(ticks)]
+    median = float(np.median(ticks)) if len(ticks) else 0.0
+    for unit, least in _EPOCH_FROM.items():
+        if median > least:
+            return unit
+    span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
+    per_tick = (len(ticks) - 1) / span if span > 0 else 0.0
+    low, high = limits.RATE_RANGE_HZ
+    return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "s")
+
+
+def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, where: str) -> list[_Stream]:
+    """The accelerometer, or gravity and linear acceleration, with their units."""
+    app = "this table" if dialect is None else f"this looks like {dialect.app}, whose table"
+    found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
+    if not found:
+        others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
+        raise RecordingError(
+            f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again"
+        )
+    of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
+    with_gravity = [s for s in of[ACCELERATION] if s.unit and _has_gravity(s)]
+    rates = [s for s in streams if s.group.quantity == RATE]
+    if with_gravity:
+        best = max(with_gravity, key=lambda s: (s.group.preference, _overlap_s(s, rates), len(s.values)))
+        result.evidence.append(_force_words(best))
+        return [best]
+    linear = [s for s in (*of[LINEAR], *of[ACCELERATION]) if not _has_gravity(s) or not s.unit]
+    if of[GRAVITY] and linear:
+        gravity = max(of[GRAVITY], key=lambda s: len(s.values))
+        best = max(linear, key=lambda s: (s.group.quantity == LINEAR, len(s.values)))
+        if not best.is_unit_declared:
+            best = replace(best, unit=gravity.unit)
+        best = replace(best, group=replace(best.group, quantity=LINEAR))
+        result.evidence.append(
+            f"accelerometer: {best.group.name} and {gravity.group.name} added; {_force_words(gravity)}"
+        )
+        return [best, gravity]
+    seen = (linear or found)[0]
+    app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
+    instead = "the accelerometer itself" if dialect is None else dialect.instead
+    raise RecordingError(
+        f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
+        f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"
+    )
+
+
+def _with_force_unit(s: _Stream) -> _Stream:
+    """With m/s2 or g by the size of its constant part, if its header does not say it."""
+    if s.is_unit_declared:
+        return s
+    constant = s.constant
+    share = constant / max(median_norm(s.values), 1e-12)
+    if _G_OF_GRAVITY[0] <= constant <= _G_OF_GRAVITY[1] and share > _GRAVITY_SHARE:
+        return replace(s, unit="g")
+    is_mps2 = constant >= _LEAST_GRAVITY_MPS2 or s.group.quantity == LINEAR
+    return replace(s, unit="m/s2" if is_mps2 else "")
+
+
+def _has_gravity(s: _Stream) -> bool:
+    """Whether gravity is in it; also where its header has the wrong unit, which the checks of every reader refuse."""
+    constant, low = s.constant, _G_OF_GRAVITY
+    is_g_under_mps2 = low[0] <= constant <= low[1] and constant / max(median_norm(s.values), 1e-12) > 0.8
+    return constant * s.factor >= _LEAST_GRAVITY_MPS2 or (is_g_under_mps2 and s.is_unit_declared)
+
+
+def _force_words(s: _Stream) -> str:
+    said = "as its name says" if s.group.unit else "as the app writes" if s.is_unit_declared else "by its size"
+    return (
+        f"{s.group.quantity}: {s.group.name}, {_NAMES.get(s.unit, s.unit)} {said}; its constant part is "
+        f"{s.constant * s.factor / STANDARD_GRAVITY_MPS2:.3f} of gravity"
+    )
+
+
+def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess) -> _Stream:
+    """The unit of what is no acceleration; of the gyroscope, also whether it agrees with how gravity turns."""
+    quantity, name = s.group.quantity, s.group.name
+    if quantity == RATE:
+        factor = turning(time_s, force, s.time_s, s.values * (s.factor if s.unit else 1.0))
+        turns = (
+            "gravity hardly turns, so that it cannot be checked"
+            if factor is None
+            else (f"gravity turns {factor:.2f} times as far as it says")
+        )
+        if not s.unit:
+            is_deg = median_norm(s.values) > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS
+            is_deg = is_deg or (factor is not None and 0 < factor < _DEGREES_BELOW)
+            s = replace(s, unit="deg/s" if is_deg else "rad/s")
+        result.evidence.append(f"gyroscope: {name}, {_NAMES.get(s.unit, s.unit)}; {turns}")
+        return s
+    if not s.unit and quantity == FIELD:
+        norm = median_norm(s.values)
+        low, high = limits.MAGNETIC_FIELD_RANGE_UT
+        fits = [u for u in ("ut", "gauss", "mt", "t") if low <= norm * UNITS[FIELD][u] <= high]
+        s = replace(s, unit=fits[0] if fits else "ut")
+    elif not s.unit and quantity == "barometer":
+        low, high = limits.PRESSURE_RANGE_HPA
+        norm = float(np.nanmedian(s.values))
+        fits = [u for u in ("hpa", "pa", "kpa") if low <= norm * UNITS[quantity][u] <= high]
+        s = replace(s, unit=fits[0] if fits else "hpa")
+    elif not s.unit:
+        s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
+    result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
+    return s
+
+
+def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:
+    """Of acceleration and gravity: that of the app, or of the platform that is named, or Android's with a note."""
+    if dialect is not None and dialect.sign is not None:
+        if platform is not None:
+            raise RecordingError(
+                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave --platform out"
+            )
+        result.evidence.append(f"sign: {dialect.sign:+d}, as {dialect.app} writes it")
+        return dialect.sign
+    if platform is not None:
+        result.evidence.append(f"sign: that of {platform}, as given")
+        return -1 if platform == "ios" else 1
+    if dialect is None and forces[0].unit in ("g", "mg"):
+        raise RecordingError(
+            f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
+            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"
+        )
+    result.notes.append(
+        "accelerometer: nothing in the file shows its sign, so Android's is taken; if a phone lying face up reads "
+        "negative on z, turns come out mirrored: then convert the file with --platform ios"
+    )
+    return 1
+
+
+def _like(s: _Stream, first: _Stream) -> FloatArray:
+    """Values at the times of another stream."""
+    if s is first or len(s.time_s) == 0:
+        return s.values
+    order = np.argsort(s.time_s, kind="stable")
+    return np.column_stack([np.interp(first.time_s, s.time_s[order], column[order]) for column in s.values.T])
+
+
+def _overlap_s(s: _Stream, others: Sequence[_Stream]) -> float:
+    """For how long a stream is beside one of the others of the same table or clock."""
+    return max((_common_s(s, other) for other in others), default=0.0)
+
+
+def _common_s(s: _Stream, other: _Stream) -> float:
+    begin, end = _span(s), _span(other)
+    return round(min(begin[1], end[1]) - max(begin[0], end[0]))
+
+
+def _span(s: _Stream) -> tuple[float, float]:
+    """First and last time of a stream on the clock of its table, in s."""
+    if s.group.time is None or len(s.time_s) == 0:
+        return 0.0, float(len(s.values))
+    first = float(s.data.ticks(s.group.time)[0]) * TIME_UNITS[s.time_unit]
+    return first + float(np.nanmin(s.time_s)), first + float(np.nanmax(s.time_s))

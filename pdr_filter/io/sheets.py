@@ -1,0 +1,207 @@
+"""Tables as they are found: where the header of a text is, what separates its fields, which column is a date.
+
+A text may begin with blank lines, `sep=;`, comments or lines about the device. Its table begins where lines of numbers
+begin; the line above them, if it has as many fields, names the columns.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+
+import numpy as np
+
+from pdr_filter.io import limits
+from pdr_filter.io.archive import Members
+from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
+from pdr_filter.values import FloatArray, IntArray
+
+_SEPARATORS = (",", ";", "\t", "|", " ")
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|-?inf|-?Infinity")
+_LINES_TRIED = 40  # of which the first of numbers begins the table
+_LINES_COMPARED = 8
+# A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
+_LARGEST_FLOAT_WHOLE = 2**53
+
+
+@dataclass(frozen=True, slots=True)
+class ArraySheet:
+    """A table whose columns are in memory: floats, or int64 nanoseconds."""
+
+    name: str  # of the sheet or variable
+    where: str  # for messages
+    fields: tuple[str, ...]
+    columns: tuple[FloatArray | IntArray, ...]
+    about: str = ""  # what is above the table
+    dates: frozenset[int] = frozenset()  # columns of dates and clock times, in whole nanoseconds
+    exact: frozenset[int] = frozenset()  # columns that only whole numbers hold
+
+    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+        """These columns as floats, and one as whole numbers."""
+        n = len(self.columns[0])
+        ticks = np.zeros(n, np.int64) if whole is None else self.columns[whole].astype(np.int64)
+        values = [self.columns[i].astype(np.float64) for i in numbers]
+        return NumberTable(ticks, finite(np.column_stack(values) if values else np.empty((n, 0)), self.where, notes))
+
+
+@dataclass(frozen=True, slots=True)
+class TextSheet:
+    """A table in a text, whose rows are parsed when they are asked for."""
+
+    name: str  # of the file, without folder and suffix
+    where: str  # for messages
+    fields: tuple[str, ...]
+    about: str  # the lines above the table
+    dates: frozenset[int]  # columns of dates and clock times, which `table` gives in whole nanoseconds
+    exact: frozenset[int]  # columns that only whole numbers hold
+    separator: str
+    decimal: str
+    n_before: int  # lines before the first row
+    blocks: Callable[[], Iterator[bytes]] = field(repr=False)
+
+    def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
+        """These columns as floats, and one as whole numbers."""
+        names = tuple(self.fields[i] for i in numbers)
+        layout = Layout(tuple(numbers), whole, self.separator, self.decimal, names)
+        if whole is None or whole not in self.dates:
+            return parse_blocks(self._rows(), layout, self.where, notes, self.n_before + 1)
+        parts: list[NumberTable] = []
+        line = self.n_before + 1
+        for rows in self._rows():
+            parts.append(self._dated(rows, layout, whole, notes, line))
+            line += rows.count(b"\n")
+        if not parts:
+            return NumberTable(np.empty(0, np.int64), np.empty((0, len(numbers))))
+        found = concatenated(parts)
+        return NumberTable(without_midnights(found.whole), found.values)
+
+    def _dated(self, rows: bytes, layout: Layout, dates: int, notes: list[str], line: int) -> NumberTable:
+        """Rows of which one column is dates."""
+        try:
+            ns = column_nanoseconds(rows, self.separator.encode(), dates)
+            if ns is not None:
+                found = parse_blocks([rows], replace(layout, whole=None), self.where, notes, line)
+                if len(found) == len(ns):
+                    return NumberTable(ns, found.values)
+            return parse_blocks([as_nanoseconds(rows, self.separator.encode())], layout, self.where, notes, line)
+        except RecordingError:
+            raise
+        except ValueError as error:
+            raise RecordingError(f"{self.where}: {error}") from error
+
+    def _rows(self) -> Iterator[bytes]:
+        """Blocks of rows: without the lines before them, single spaces between fields."""
+        left = self.n_before
+        for block in self.blocks():
+            at = 0
+            while left and (end := block.find(b"\n", at)) >= 0:
+                at, left = end + 1, left - 1
+            rows = block[at:]
+            if left or not rows:
+                continue
+            yield re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
+
+
+Sheet = ArraySheet | TextSheet
+
+
+def text_sheet(members: Members, member: str, separator: str | None = None) -> TextSheet | None:
+    """The table in a text; None if it holds none."""
+    head = members.head(member)
+    if b"\x00" in head[:4096]:
+        return None
+    lines = _lines(head)
+    found = max(
+        (layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))),
+        key=lambda f: f.score,
+        default=None,
+    )
+    if found is None:
+        return None
+    named, row = found.header, found.row
+    if len(row) > limits.MAX_COLUMNS:
+        raise RecordingError(f"{members.where(member)}: {len(row)} columns, more than {limits.MAX_COLUMNS}")
+    before = [line for i, line in enumerate(lines[: found.first]) if i != found.at_header and line.strip()]
+    stem = member.rpartition("/")[2].rpartition(".")[0] or member
+    return TextSheet(
+        name=stem,
+        where=members.where(member),
+        fields=unlike(named or [""] * len(row)),
+        about="\n".join(before),
+        dates=frozenset(i for i, text in enumerate(row) if is_date(text)),
+        exact=frozenset(i for i, text in enumerate(row) if text.isdigit() and int(text[:40]) > _LARGEST_FLOAT_WHOLE),
+        separator=found.separator,
+        decimal=found.decimal,
+        n_before=found.first,
+        blocks=lambda: members.blocks(member),
+    )
+
+
+def unlike(names: Sequence[str]) -> tuple[str, ...]:
+    """Names of columns, each once: one without a name gets its number, one that is there again a further number."""
+    found: list[str] = []
+    for i, name in enumerate(names, 1):
+        name = name or f"column {i}"
+        n = sum(other == name or other.startswith(f"{name} #") for other in found)
+        found.append(f"{name} #{n + 1}" if n else name)
+    return tuple(found)
+
+
+@dataclass(frozen=True, slots=True)
+class _Found:
+    separator: str
+    decimal: str
+    first: int  # line of the first row
+    row: list[str]
+    at_header: int | None
+    header: list[str]
+    score: tuple[float, int]
+
+
+def _lines(head: bytes) -> list[str]:
+    """The whole lines of the first bytes of a text."""
+    try:
+        text = head.decode("utf-8-sig")
+    except UnicodeDecodeError:  # some apps write their header in the code of the phone; numbers are the same in all
+        text = head.decode("latin-1")
+    lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
+    return lines[:-1] if len(head) == limits.HEAD_BYTES else lines
+
+
+def _layout(lines: list[str], separator: str) -> _Found | None:
+    """Where the table begins if this separates its fields; None if it does not."""
+    split = [_split(line, separator) for line in lines[: _LINES_TRIED + _LINES_COMPARED]]
+    for first, (row, after) in enumerate(pairwise(split[: _LINES_TRIED + 1])):
+        n = len(row)
+        if n < 2 or len(after) != n or not (_is_row(row) and _is_row(after)):
+            continue
+        rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
+        values = [text for r in rows for text in r if text]
+        share = sum(map(_is_value, values)) / max(len(values), 1)
+        has_comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
+        at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
+        header = split[at] if at is not None else []
+        if at is None or _is_row(header) or abs(len(header) - n) > 1:
+            at, header = None, []
+        header = (header + [""] * n)[:n] if header else []
+        return _Found(separator, "," if has_comma else ".", first, row, at, header, (round(share, 2), n))
+    return None
+
+
+def _split(line: str, separator: str) -> list[str]:
+    return line.split() if separator == " " else header_fields(line, separator)
+
+
+def _is_value(text: str) -> bool:
+    return _NUMBER.fullmatch(text) is not None or is_date(text)
+
+
+def _is_row(row: list[str]) -> bool:
+    """Whether fields are those of a sample: at least two numbers or dates, and most of those that are not empty."""
+    known = [text for text in row if text]
+    n_values = sum(map(_is_value, known))
+    return n_values >= 2 and 2 * n_values > len(known)

@@ -1,0 +1,26 @@
+"""A certificate for this machine, because browsers give the motion of a phone to https pages only."""
+
+from __future__ import annotations
+
+import os
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+# iOS takes no certificate of a server that is valid for longer than 825 days.
+_VALID = timedelta(days=800)
+NAMES = ("authority.pem", "server.pem")
+
+
+def certificate(folder: Path, host: str) -> Path:
+    """Key and certificate for a host name or address in one file, made once; beside it who says so, authority.pem."""
+    import trustme
+
+    authority, server = (folder / name for name in NAMES)
+    if not server.exists():
+        folder.mkdir(parents=True, exist_ok=True, mode=0o700)
+        ca = trustme.CA(organization_name="pdr-filter live")
+        made = ca.issue_cert(*dict.fromkeys([host, "localhost", "127.0.0.1"]), not_after=datetime.now(UTC) + _VALID)
+        with os.fdopen(os.open(server, os.O_WRONLY | os.O_CREAT, 0o600), "wb") as file:
+            file.write(made.private_key_and_cert_chain_pem.bytes())
+        ca.cert_pem.write_to_path(authority)
+    return server

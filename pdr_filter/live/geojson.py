@@ -1,0 +1,31 @@
+"""The path of a session as GeoJSON, as it is now."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from pdr_filter.live.settings import Event
+from pdr_filter.values import Origin
+
+# As in the files of tracks that lie nowhere (`io.writers`): drawn where nobody walks.
+_NOWHERE = (0.0, 0.0)
+
+
+def geojson(track: Event) -> dict[str, Any]:
+    """A FeatureCollection with the path as a LineString; at latitude and longitude 0 if it lies nowhere on Earth."""
+    path = np.array(track["path"] or [[0.0] * 6])
+    origin = Origin(*(track["origin"] or _NOWHERE))
+    latitude_deg, longitude_deg = origin.latitude_longitude_deg(path[:, 1:3])
+    vertices = np.round(np.column_stack([longitude_deg, latitude_deg]), 9).tolist()
+    line = {"type": "LineString", "coordinates": vertices}
+    properties: dict[str, Any] = {
+        "name": f"{track['device']} {track['session']}".strip(),
+        "frame": "world" if track["origin"] else "local, not on Earth",
+        "coordTimes": path[:, 0].tolist(),
+        "covariance_m2": np.round(path[:, 3:], 6).tolist(),
+    }
+    geometry = line if len(vertices) > 1 else {"type": "Point", "coordinates": vertices[0]}
+    feature = {"type": "Feature", "geometry": geometry, "properties": properties}
+    return {"type": "FeatureCollection", "features": [feature]}

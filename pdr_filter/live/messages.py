@@ -1,0 +1,286 @@
+"""What phones send, as values: each app's JSON to rows of sensors. Pure functions, nothing of a message is trusted.
+
+Layouts: Sensor Logger (github.com/tszheichoi/awesome-sensor-logger: PUSHING.md, UNITS.md), SensorServer
+(github.com/umer0586/SensorServer), phyphox (phyphox.org/wiki, "Remote-interface communication"), and one of our own
+for everybody else (docs/live.md).
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, NamedTuple, cast
+
+import numpy as np
+
+from pdr_filter.io import limits
+from pdr_filter.io.texts import printable
+from pdr_filter.values import FloatArray, IntArray
+
+# Sensors by our names, with how many numbers one sample has. Specific force is in m/s2 with Android's sign, or with
+# that of iOS (the opposite one), which a message does not always know.
+FORCE, LINEAR, GRAVITY, RAW = "accelerometer", "linear_acceleration", "gravity", "accelerometer_uncalibrated"
+N_VALUES: Mapping[str, int] = {
+    FORCE: 3,
+    LINEAR: 3,
+    GRAVITY: 3,
+    RAW: 3,  # as the sensor gives it: g with the sign of iOS, or m/s2
+    "gyroscope": 3,  # rad/s
+    "magnetometer": 3,  # uT
+    "barometer": 1,  # hPa
+    "location": 4,  # latitude and longitude in degrees, altitude and horizontal accuracy in m
+    "attitude": 4,  # quaternion wxyz, sensor to world
+}
+# No phone measures more in any of these units; what is beyond is no measurement.
+_LARGEST = 1e6
+_MAX_MESSAGES = 1000  # in one body
+_MAX_NUMBER = 2**53
+
+
+class MessageError(ValueError):
+    """A message that cannot be understood; the words say why."""
+
+
+class Rows(NamedTuple):
+    """Samples of one sensor: whole nanoseconds on the phone's clock, or seconds as they are, and values (N, d)."""
+
+    time: IntArray | FloatArray
+    values: FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Message:
+    """What one message holds."""
+
+    device: str
+    session: str
+    number: int | None = None  # of the message in its session, from an app that counts
+    platform: str = ""  # "ios" or "android", from a sender that knows; which sign its forces have
+    rows: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
+    fix: Mapping[str, Any] | None = None  # what somebody said of where the phone is
+    is_end: bool = False  # nothing else of this session will come
+    source: bytes = b""  # JSON from which the same message is parsed again
+
+    @property
+    def n_samples(self) -> int:
+        """Of all sensors."""
+        return sum(len(rows.time) for rows in self.rows.values())
+
+
+def parse(body: bytes, device: str = "", session: str = "", platform: str = "") -> list[Message]:
+    """The messages of a body, in its order; MessageError if it is not of a known kind.
+
+    `device`, `session` and `platform` are for a message that does not say them. An object with nothing to read, such
+    as the test that Sensor Logger's settings send, has no messages.
+    """
+    try:
+        content: Any = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise MessageError(f"not JSON ({printable(error)[:80]}); send what docs/live.md describes") from None
+    items: list[Any] = cast("list[Any]", content) if isinstance(content, list) else [content]
+    if len(items) > _MAX_MESSAGES:
+        raise MessageError(f"{len(items)} messages in one body, more than {_MAX_MESSAGES}; send them as they come")
+    known = {"device": device, "session": session, "platform": platform}
+    messages: list[Message] = []
+    for item in items:
+        if not isinstance(item, dict):
+            raise MessageError(f"a message is a JSON object, got {printable(item)[:40]!r}")
+        message = _message(cast("dict[str, Any]", item), known)
+        if message is not None:
+            source = body if len(items) == 1 else json.dumps(item).encode()
+            messages.append(replace(message, source=source))
+    return messages
+
+
+def to_json(message: Message) -> bytes:
+    """A message in our own layout, with times in seconds; `parse` gives the same one back."""
+    samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
+    content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
+    numbered = {} if message.number is None else {"number": message.number}
+    return json.dumps({**content, **numbered, **({"end": True} if message.is_end else {})}).encode()
+
+
+def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
+    """The message of one object; None if there is nothing to read in it."""
+    if "payload" in item:
+        device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
+        rows = _sensor_logger_rows(item["payload"])
+        return Message(device, session, _whole(item, "messageId"), known["platform"], rows)
+    device, session = _text(item, "device", known["device"]), _text(item, "session", known["session"])
+    platform = _text(item, "platform", known["platform"])
+    if "samples" in item:
+        is_end = item.get("end") is True
+        return Message(device, session, _whole(item, "number"), platform, _own_rows(item["samples"]), is_end=is_end)
+    if "fix" in item:
+        fix: Any = item["fix"]
+        if not isinstance(fix, dict):
+            raise MessageError(f"a fix is a JSON object, got {printable(fix)[:40]!r}")
+        return Message(device, session, None, platform, fix=cast("dict[str, Any]", fix))
+    if {"type", "timestamp", "values"} <= item.keys():
+        return Message(device, session, None, "android", _sensor_server_rows(item))
+    return None
+
+
+# --- Sensor Logger ----------------------------------------------------------------------------------------------------
+
+# Its sensors, with our names and the keys of their values. `accelerometer` has gravity removed.
+_XYZ = ("x", "y", "z")
+_SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "totalacceleration": (FORCE, _XYZ),
+    "accelerometer": (LINEAR, _XYZ),
+    "gravity": (GRAVITY, _XYZ),
+    "accelerometeruncalibrated": (RAW, _XYZ),
+    "gyroscope": ("gyroscope", _XYZ),
+    "magnetometer": ("magnetometer", _XYZ),
+    "barometer": ("barometer", ("pressure",)),
+    "location": ("location", ("latitude", "longitude", "altitude", "horizontalAccuracy")),
+    "orientation": ("attitude", ("qw", "qx", "qy", "qz")),
+}
+
+
+def _sensor_logger_rows(payload: Any) -> dict[str, Rows]:
+    """Samples of a payload; sensors that nothing here uses are left out."""
+    if not isinstance(payload, list):
+        raise MessageError(f"payload is an array of samples, got {printable(payload)[:40]!r}")
+    times: dict[str, list[Any]] = {}
+    values: dict[str, list[list[Any]]] = {}
+    try:
+        for item in cast("list[dict[str, Any]]", payload):
+            name = item["name"].lower()
+            if name in _SENSOR_LOGGER:
+                held = item["values"]
+                times.setdefault(name, []).append(item["time"])
+                values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
+    except (KeyError, TypeError, AttributeError) as error:
+        raise MessageError(f"payload holds a sample without name, time and values ({printable(error)[:60]})") from None
+    return {_SENSOR_LOGGER[name][0]: _nanoseconds(times[name], values[name]) for name in times}
+
+
+# --- SensorServer -----------------------------------------------------------------------------------------------------
+
+ANDROID_SENSORS: Mapping[str, str] = {
+    "android.sensor.accelerometer": FORCE,
+    "android.sensor.linear_acceleration": LINEAR,
+    "android.sensor.gravity": GRAVITY,
+    "android.sensor.gyroscope": "gyroscope",
+    "android.sensor.magnetic_field": "magnetometer",
+    "android.sensor.pressure": "barometer",
+}
+
+
+def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
+    """The one sample of an event of Android, which SensorServer passes on as it is."""
+    sensor = ANDROID_SENSORS.get(str(item["type"]))
+    if sensor is None:
+        return {}
+    values: Any = item["values"]
+    if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
+        raise MessageError(f"{item['type']}: values are {printable(values)[:40]!r}, not {N_VALUES[sensor]} numbers")
+    return {sensor: _nanoseconds([item["timestamp"]], [cast("list[Any]", values)[: N_VALUES[sensor]]])}
+
+
+# --- our own ----------------------------------------------------------------------------------------------------------
+
+
+def _own_rows(samples: Any) -> dict[str, Rows]:
+    """Samples by sensor, [[time_s, value, ...], ...] of each."""
+    if not isinstance(samples, dict):
+        raise MessageError(f"samples is an object of sensors, got {printable(samples)[:40]!r}")
+    found: dict[str, Rows] = {}
+    for name, rows in cast("dict[str, Any]", samples).items():
+        if name not in N_VALUES:
+            raise MessageError(f"unknown sensor {printable(name)[:40]!r}; known are {', '.join(N_VALUES)}")
+        table = _floats(rows)
+        if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
+            raise MessageError(f"{name}: a sample is [time_s and {N_VALUES[name]} numbers], got shape {table.shape}")
+        if table.size:
+            found[name] = _plausible(table[:, 0], table[:, 1:])
+    return found
+
+
+# --- phyphox ----------------------------------------------------------------------------------------------------------
+
+_PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "accelerometer": (FORCE, _XYZ),
+    "linear_acceleration": (LINEAR, _XYZ),
+    "gravity": (GRAVITY, _XYZ),
+    "gyroscope": ("gyroscope", _XYZ),
+    "magnetic_field": ("magnetometer", _XYZ),
+    "pressure": ("barometer", ("x",)),
+    "location": ("location", ("lat", "lon", "z", "accuracy")),
+}
+
+
+def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
+    """Names of the buffers of each sensor, time first, from what phyphox answers at /config."""
+    try:
+        inputs: list[dict[str, Any]] = json.loads(config)["inputs"]
+        found: dict[str, tuple[str, ...]] = {}
+        for given in inputs:
+            sensor, keys = _PHYPHOX.get(given["source"], ("", ()))
+            places = {key: str(name) for output in given["outputs"] for key, name in output.items()}
+            if sensor and {"t", *keys} <= places.keys():
+                found[sensor] = tuple(places[key] for key in ("t", *keys))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
+        raise MessageError(f"/config is not that of phyphox ({printable(error)[:60]})") from None
+    if FORCE not in found and not {LINEAR, GRAVITY} <= found.keys():
+        raise MessageError(
+            f"this experiment of phyphox has no acceleration with g (found: {', '.join(found) or 'nothing'}); open one "
+            "with accelerometer and gyroscope, or make one with both under Add custom experiment"
+        )
+    return found
+
+
+def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[str, Rows]:
+    """New samples of each sensor from what phyphox answers at /get."""
+    try:
+        content: dict[str, Any] = json.loads(answer)["buffer"]
+        columns = {name: [content[buffer]["buffer"] for buffer in buffers[name]] for name in buffers}
+    except (ValueError, KeyError, TypeError) as error:
+        raise MessageError(f"/get is not that of phyphox ({printable(error)[:60]})") from None
+    found: dict[str, Rows] = {}
+    for name, lists in columns.items():
+        n = min(map(len, lists))  # one may have grown while they were read
+        if n:
+            table = _floats([column[:n] for column in lists]).T
+            found[name] = _plausible(table[:, 0], table[:, 1:])
+    return found
+
+
+# --- numbers ----------------------------------------------------------------------------------------------------------
+
+
+def _nanoseconds(times: Sequence[Any], values: Sequence[Sequence[Any]]) -> Rows:
+    try:
+        time = np.array([int(t) for t in times], dtype=np.int64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MessageError(f"a time is not whole nanoseconds ({printable(error)[:60]})") from None
+    return _plausible(time, _floats(values))
+
+
+def _floats(values: Any) -> FloatArray:
+    try:
+        return np.array(values, dtype=np.float64)  # null becomes NaN
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MessageError(f"a value is not a number ({printable(error)[:60]})") from None
+
+
+def _plausible(time: Any, values: FloatArray) -> Rows:
+    """Rows with a time; values that no sensor gives are unknown."""
+    with np.errstate(invalid="ignore"):
+        good = np.abs(time) < limits.MAX_WHOLE_TIME
+        values = np.where(np.abs(values) < _LARGEST, values, np.nan)
+    return Rows(time[good], values[good])
+
+
+def _text(item: Mapping[str, Any], key: str, otherwise: str) -> str:
+    """A short text that can be shown."""
+    value: Any = item.get(key)
+    return printable(value if isinstance(value, str | int) and value != "" else otherwise)[: limits.MAX_NAME_CHARS]
+
+
+def _whole(item: Mapping[str, Any], key: str) -> int | None:
+    value: Any = item.get(key)
+    is_number = isinstance(value, int) and not isinstance(value, bool) and abs(value) < _MAX_NUMBER
+    return value if is_number else None

@@ -1,0 +1,203 @@
+"use strict";
+// What the events say, on the page. docs/live.md describes the events.
+
+const byId = id => document.getElementById(id);
+const COLOURS = {
+  stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
+};
+const KEPT_S = 300; // of the charts
+const sessions = new Map(); // id: {about, path, now, fixes, times, contexts, speeds}
+let shown = "";
+let charts = null;
+
+const map = new WayMap(byId("map"), setHere);
+
+function session(id) {
+  if (!sessions.has(id)) sessions.set(id, { path: [], now: null, fixes: [], history: [], origin: null, about: {} });
+  return sessions.get(id);
+}
+
+const handlers = {
+  session(event) {
+    const known = session(event.id);
+    known.about = event;
+    known.origin = event.origin;
+    list();
+  },
+  track(event) {
+    const known = session(event.id);
+    known.path = event.path;
+    handlers.session(event);
+  },
+  step(event) {
+    const known = session(event.id);
+    const [[ee, en], [, nn]] = event.position_cov_m2;
+    const row = [event.time_s, ...event.position_m, ee, en, nn];
+    while (known.path.length && known.path.at(-1)[0] >= event.time_s) known.path.pop(); // told again, or better
+    known.path.push(row);
+  },
+  now(event) {
+    const known = session(event.id);
+    known.now = event;
+    known.history.push(event);
+    while (known.history.length && known.history[0].time_s < event.time_s - KEPT_S) known.history.shift();
+    if (event.received_unix_s) known.delay_s = Date.now() / 1000 - event.received_unix_s;
+  },
+  gone(event) {
+    sessions.delete(event.id);
+    list();
+  },
+};
+
+function list() {
+  const select = byId("session");
+  select.replaceChildren(...[...sessions].map(([id, known]) =>
+    new Option([known.about.device, known.about.session].filter(Boolean).join(" · ").slice(0, 60) || id, id)));
+  if (!sessions.has(shown)) shown = [...sessions.keys()].at(-1) || "";
+  select.value = shown;
+  for (const id of ["way", "numbers", "charts"]) byId(id).hidden = !shown;
+  byId("empty").hidden = Boolean(shown);
+  draw();
+}
+
+const text = (id, words) => { if (byId(id).textContent !== words) byId(id).textContent = words; };
+const largest = probabilities => {
+  const known = Object.entries(probabilities).filter(([, p]) => p !== null).sort((a, b) => b[1] - a[1]);
+  return known.length ? `${known[0][0]} ${Math.round(100 * known[0][1])} %` : "–";
+};
+
+function draw() {
+  const known = sessions.get(shown);
+  if (!known) return;
+  map.show(known);
+  const now = known.now;
+  byId("geojson").href = `sessions/${shown}/track.geojson`;
+  byId("recording").href = `sessions/${shown}/recording.zip`;
+  notes(known);
+  if (!now) return;
+  text("n_steps", String(now.n_steps));
+  text("distance", `${now.distance_m.toFixed(1)} m`);
+  text("speed", `${now.walking_speed_mps.toFixed(2)} m/s`);
+  const degrees = Math.round(((now.walking_heading_rad * 180 / Math.PI) % 360 + 360) % 360) % 360;
+  text("heading", `${degrees}°`);
+  const [[ee, en], [, nn]] = now.position_cov_m2;
+  text("within", `${(ELLIPSE_95 * Math.sqrt((ee + nn) / 2 + Math.hypot((ee - nn) / 2, en))).toFixed(1)} m`);
+  text("floor", String(now.floor));
+  text("context", largest(now.context_prob));
+  text("carrying", largest(now.carrying_prob));
+  text("latency", now.latency_s === null ? "–" : `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s`);
+  text("provisional", now.is_provisional
+    ? `The position is provisional: ${now.provisional_steps.length} steps that may still be none are in it, dashed on the map.`
+    : "The position is that of the last step.");
+  byId("rates").replaceChildren(...Object.entries(now.rates_hz).map(([name, rate]) => {
+    const row = document.createElement("tr");
+    for (const words of [name, rate === null ? "–" : rate.toFixed(0)]) row.insertCell().textContent = words;
+    return row;
+  }));
+  const lost = known.about.n_lost_messages ? `, ${known.about.n_lost_messages} messages lost` : "";
+  text("gaps", `${now.n_gaps} gaps, ${now.lost_s.toFixed(1)} s without samples${lost}`);
+  drawCharts(known);
+}
+
+function notes(known) {
+  const words = [...(known.about.refused ? [known.about.refused] : []), ...(known.now ? known.now.notes : [])];
+  const shownNow = [...byId("notes").children].map(item => item.textContent);
+  if (words.join("\n") === shownNow.join("\n")) return;
+  byId("notes").replaceChildren(...words.map((note, i) => {
+    const item = document.createElement("li");
+    item.textContent = note;
+    if (i === 0 && known.about.refused) item.className = "wrong";
+    return item;
+  }));
+}
+
+function drawCharts(known) {
+  const times = known.history.map(event => event.time_s);
+  const contexts = Object.keys(COLOURS).map(name => known.history.map(event => event.context_prob[name] ?? null));
+  const speeds = known.history.map(event => event.walking_speed_mps);
+  const width = byId("contexts").clientWidth;
+  if (!width) return;
+  if (!charts) {
+    const style = getComputedStyle(document.documentElement);
+    const ink = style.getPropertyValue("--faint").trim(), line = style.getPropertyValue("--line").trim();
+    const axis = { stroke: ink, grid: { stroke: line, width: 1 }, ticks: { stroke: line } };
+    const made = (id, series, range) => new uPlot({
+      width, height: 170, legend: { live: false }, cursor: { show: false },
+      scales: { x: { time: false }, y: { range } },
+      axes: [{ ...axis, values: (_, ticks) => ticks.map(t => `${t} s`) }, axis],
+      series: [{}, ...series],
+    }, [[]], byId(id));
+    charts = {
+      contexts: made("contexts", Object.entries(COLOURS).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
+      speeds: made("speeds", [{ label: "speed in m/s", stroke: "#0072b2", width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
+    };
+  }
+  for (const [name, data] of [["contexts", [times, ...contexts]], ["speeds", [times, speeds]]]) {
+    if (charts[name].width !== width) charts[name].setSize({ width, height: 170 });
+    charts[name].setData(data);
+  }
+}
+
+matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+  if (charts) for (const chart of Object.values(charts)) chart.destroy();
+  charts = null;
+});
+
+async function setHere(east, north) {
+  setPlacing(false);
+  const answer = await fetch(`sessions/${shown}/fix`, {
+    method: "POST", headers: { "Content-Type": "application/json" },
+    body: JSON.stringify({ east_m: east, north_m: north, std_m: 1.0 }),
+  });
+  const content = await answer.json().catch(() => ({}));
+  byId("said").className = answer.ok ? "" : "wrong";
+  text("said", answer.ok
+    ? `Fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north, within a metre or two: the filter uses it with the next steps.`
+    : content.error || "the fix was not taken");
+  const known = sessions.get(shown);
+  if (answer.ok && known) known.fixes.push([east, north]);
+  draw();
+}
+
+function setPlacing(placing) {
+  map.placing = placing;
+  byId("here").setAttribute("aria-pressed", String(placing));
+  text("said", placing ? "Click where you are on the map, or move the cross there with the arrow keys and press Enter." : "");
+  map.draw();
+}
+
+byId("here").addEventListener("click", () => setPlacing(!map.placing));
+byId("follow").addEventListener("click", () => map.setFollow(!map.follow));
+byId("nearer").addEventListener("click", () => map.zoom(1.4));
+byId("farther").addEventListener("click", () => map.zoom(1 / 1.4));
+byId("whole").addEventListener("click", () => map.whole());
+byId("map").addEventListener("followed", () => byId("follow").setAttribute("aria-pressed", String(map.follow)));
+byId("session").addEventListener("change", event => { shown = event.target.value; draw(); });
+byId("map").addEventListener("keydown", event => {
+  const keys = {
+    ArrowLeft: () => map.pan(-40, 0), ArrowRight: () => map.pan(40, 0), ArrowUp: () => map.pan(0, -40), ArrowDown: () => map.pan(0, 40),
+    "+": () => map.zoom(1.4), "-": () => map.zoom(1 / 1.4), f: () => map.setFollow(true), w: () => map.whole(),
+    h: () => setPlacing(!map.placing), Escape: () => setPlacing(false),
+    Enter: () => { if (map.placing) setHere(map.view.east, map.view.north); },
+  };
+  if (keys[event.key] && !event.ctrlKey && !event.metaKey) {
+    event.preventDefault();
+    keys[event.key]();
+  }
+});
+byId("address").textContent = new URL("data", location.href).href.split("?")[0] + location.search;
+
+const events = new EventSource("events" + location.search);
+events.onopen = () => text("connection", "connected");
+events.onerror = () => text("connection", "not connected, trying again");
+let waits = false;
+events.onmessage = message => {
+  const event = JSON.parse(message.data);
+  handlers[event.event]?.(event);
+  if (!waits) {
+    waits = true;
+    setTimeout(() => { waits = false; draw(); }, 100);
+  }
+};
+fetch("sessions" + location.search).then(answer => answer.json()).then(content => { map.tiles = content.tiles; });
+window.live = { sessions, map }; // for tests, and for whoever looks

@@ -1,0 +1,153 @@
+"""How many phones one machine tracks as they walk: real messages over real HTTP to `pdr-filter live` on this machine.
+
+usage: python -m tests.benchmarks.live_load [--phones 10 50 100 200] [--seconds 20] [--workers 2]
+
+Each phone posts what Sensor Logger would: a message a second with accelerometer and gyroscope at 100 Hz and the
+magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. What sends runs on the
+same cores, and nothing is sent to any other machine.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+from websockets.asyncio.client import connect
+
+import pdr_filter as pdr
+from tests.benchmarks.common import Tables, options
+
+sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "live"))
+from serving import Server, sensor_logger_messages
+
+_NAME = "phone-000000"
+_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
+_WARM_UP_S = 12.0
+
+
+@dataclass
+class Seen:
+    """What was measured while so many phones sent."""
+
+    answer_s: list[float] = field(default_factory=list[float])
+    shown_s: list[float] = field(default_factory=list[float])
+    late_s: list[float] = field(default_factory=list[float])  # by how much a message was sent after its time
+    refused: int = 0
+
+
+def cpu_s(pids: list[int]) -> float:
+    """Processor time of processes so far."""
+    fields = [Path(f"/proc/{pid}/stat").read_text().rsplit(")", 1)[1].split() for pid in pids]
+    return sum(int(f[11]) + int(f[12]) for f in fields) / _TICKS_PER_S
+
+
+def memory_mb(pids: list[int]) -> float:
+    """Memory that is in use."""
+    return sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids) * resource.getpagesize() / 2**20
+
+
+async def phone(number: int, n: int, address: tuple[str, int], bodies: list[bytes], end: float, seen: Seen) -> None:
+    """Post a message each second until the end."""
+    name = f"phone-{number:06d}".encode()
+    begin = time.monotonic() + number / n
+    reader, writer = await asyncio.open_connection(*address)
+    for i, body in enumerate(bodies):
+        await asyncio.sleep(max(begin + i - time.monotonic(), 0.0))
+        sent = time.monotonic()
+        if sent > end:
+            break
+        mine = body.replace(_NAME.encode(), name)
+        head = f"POST /data HTTP/1.1\r\nHost: {address[0]}:{address[1]}\r\nContent-Length: {len(mine)}\r\n\r\n"
+        writer.write(head.encode() + mine)
+        answer = await reader.readuntil(b"\r\n\r\n")
+        length = int(answer.lower().split(b"content-length:")[1].split(b"\r\n")[0])
+        await reader.readexactly(length)
+        if end - sent < end - begin - _WARM_UP_S:
+            seen.answer_s.append(time.monotonic() - sent)
+            seen.late_s.append(sent - (begin + i))
+            seen.refused += b" 200 " not in answer[:20]
+    writer.close()
+
+
+async def watch(address: tuple[str, int], seen: Seen) -> None:
+    """A page that is open: how old what it is told is."""
+    async with connect(f"ws://{address[0]}:{address[1]}/ws", max_size=None) as socket:
+        async for text in socket:
+            event = json.loads(text)
+            if event.get("received_unix_s"):
+                seen.shown_s.append(time.time() - event["received_unix_s"])
+
+
+async def crowd(n: int, server: Server, bodies: list[bytes], seconds: float, seen: Seen) -> tuple[float, float]:
+    """Processor time of server and workers in a second, and how long was measured."""
+    host, port = server.address.removeprefix("http://").split(":")
+    address = host, int(port)
+    end = time.monotonic() + _WARM_UP_S + seconds
+    watching = asyncio.create_task(watch(address, seen))
+    phones = [asyncio.create_task(phone(i, n, address, bodies, end, seen)) for i in range(n)]
+    await asyncio.sleep(_WARM_UP_S)
+    seen.shown_s.clear()
+    pids = [server.pid, *server.children]
+    before, begun = cpu_s(pids), time.monotonic()
+    await asyncio.sleep(seconds)
+    used_s, measured_s = cpu_s(pids) - before, time.monotonic() - begun
+    await asyncio.gather(*phones)
+    watching.cancel()
+    return used_s / measured_s, measured_s
+
+
+def main() -> None:
+    parser = options(__doc__ or "")
+    parser.add_argument("--phones", type=int, nargs="+", default=[10, 50, 100, 200])
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    walk = pdr.simulate.demo_walk()
+    bodies = [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0)]
+    rows: list[list[str]] = []
+    for n in given.phones:
+        seen = Seen()
+        with tempfile.TemporaryDirectory() as folder:
+            options_ = ("--record", folder, "--workers", str(given.workers), "--max-devices", str(n))
+            with Server(*options_) as server:
+                idle_mb = memory_mb(server.children)
+                cores, _ = asyncio.run(crowd(n, server, bodies, given.seconds, seen))
+                phone_mb = (memory_mb(server.children) - idle_mb) / n
+        answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
+        keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
+        rows.append(
+            [
+                str(n),
+                "yes" if keeps_up else "no",
+                f"{cores:.2f}",
+                f"{1e3 * cores / n:.1f}",
+                f"{answer[0]:.0f} / {answer[1]:.0f}",
+                f"{shown[0]:.0f} / {shown[1]:.0f}",
+                f"{phone_mb:.1f}",
+            ]
+        )
+        print(rows[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
+    columns = [
+        "phones",
+        "in real time",
+        "cores used",
+        "ms of one core a second and phone",
+        "answer p50 / p99, ms",
+        "on the page p50 / p99, ms",
+        "memory a phone, MB",
+    ]
+    load = f"{os.getloadavg()[0]:.0f} processes wanted its {os.cpu_count()} cores"
+    about = f"{given.workers} workers, {given.seconds:.0f} s each; the machine was shared: {load}."
+    Tables.of(__spec__.name, given).write("live_load", columns, rows, about)
+
+
+if __name__ == "__main__":
+    main()

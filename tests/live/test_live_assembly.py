@@ -1,0 +1,124 @@
+"""Messages of one session become the samples of its recording, in whatever order they arrive."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import pytest
+from serving import sensor_logger_messages
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.live import assembly
+from pdr_filter.live.assembly import Assembly, SessionError
+from pdr_filter.live.messages import Message, parse
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    return pdr.simulate.demo_walk()
+
+
+def assembled(messages: Iterable[dict[str, Any]], platform: str = "") -> tuple[Assembly, dict[str, np.ndarray]]:
+    """State at the end, and the rows (time, values) of each sensor."""
+    state, held, parts = Assembly(), list[Message](), list[assembly.Streams]()
+    for content in messages:
+        for message in parse(json.dumps(content).encode()):
+            state, held, ready = assembly.take(state, held, message, platform)
+            parts += ready
+    state, _, ready = assembly.finish(state, held, platform)
+    parts += ready
+    names = {name for part in parts for name in part}
+    rows = {n: [np.column_stack([p[n].time_s, p[n].values]) for p in parts if n in p] for n in names}
+    return state, {name: np.concatenate(found) for name, found in rows.items()}
+
+
+def test_messages_out_of_order_and_twice_give_the_same_samples(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:60]
+    _, expected = assembled(messages)
+    order = np.arange(60).reshape(-1, 4)[:, ::-1].ravel()  # 3, 2, 1, 0, 7, ...
+    shuffled = [messages[i] for i in order for _ in range(1 + i % 2)]
+    shuffled.insert(40, messages[3])  # long after its turn
+    state, found = assembled(shuffled)
+    assert found.keys() == expected.keys()
+    for name in found:
+        np.testing.assert_array_equal(found[name], expected[name])
+    assert state.n_repeated == 31
+    assert state.n_lost == 0
+
+
+def test_a_lost_message_is_given_up_when_three_seconds_of_later_samples_are_there(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:40]
+    state, held = Assembly(), list[Message]()
+    waited = 0
+    for content in [*messages[:10], *messages[11:]]:
+        (message,) = parse(json.dumps(content).encode())
+        state, held, _ = assembly.take(state, held, message, "")
+        waited = max(waited, len(held))
+    assert state.n_lost == 1
+    assert waited == 4  # of half a second each; the next one shows that three seconds are over
+    assert held == []
+
+
+def test_gravity_apart_gives_the_specific_force_of_the_recording(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk, ios=True)[:60]
+    _, found = assembled(messages, "ios")
+    _, expected = assembled(sensor_logger_messages(walk)[:60])
+    np.testing.assert_allclose(found["accelerometer"], expected["accelerometer"], atol=1e-12)
+
+
+def test_gravity_that_comes_in_a_later_message_is_waited_for(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk, ios=True)[:60]
+    _, expected = assembled(messages, "ios")
+    gravity = [[s for s in m["payload"] if s["name"] == "gravity"] for m in messages]
+    late = [
+        {**m, "payload": [s for s in m["payload"] if s["name"] != "gravity"] + before}
+        for m, before in zip(messages, [[], *gravity], strict=False)
+    ]
+    late.append({**messages[-1], "messageId": 60, "payload": gravity[-1]})
+    _, found = assembled(late, "ios")
+    np.testing.assert_array_equal(found["accelerometer"], expected["accelerometer"])
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_the_phones_own_attitude_says_whose_sign_it_is(walk: Recording, sign: float) -> None:
+    messages = sensor_logger_messages(walk, ios=True)[:20]
+    for message in messages:
+        for sample in message["payload"]:
+            if sample["name"] in ("gravity", "accelerometer"):
+                sample["values"] = {key: sign * value for key, value in sample["values"].items()}
+        # Of a phone that leans back so that up is where the made gravity points, turned by its own sign.
+        up = -np.array([0.5, 5.0, 8.0]) / np.linalg.norm([0.5, 5.0, 8.0])
+        half = np.array([1.0 + up[2], up[1], -up[0], 0.0])
+        attitude = dict(zip(("qw", "qx", "qy", "qz"), half / np.linalg.norm(half), strict=True))
+        times = [s["time"] for s in message["payload"] if s["name"] == "gravity"]
+        message["payload"] += [{"name": "orientation", "time": t, "values": attitude} for t in times]
+    state, _ = assembled(messages)
+    assert state.kind is not None
+    assert state.kind.scale == -sign
+
+
+def test_a_phone_of_unknown_sign_is_refused_with_what_to_do(walk: Recording) -> None:
+    with pytest.raises(SessionError, match="--platform ios"):
+        assembled(sensor_logger_messages(walk, ios=True)[:20])
+
+
+def test_a_phone_without_acceleration_is_told_so(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:40]
+    for message in messages:
+        message["payload"] = [s for s in message["payload"] if s["name"] == "gyroscope"]
+    with pytest.raises(SessionError, match="no acceleration"):
+        assembled(messages)
+
+
+def test_values_that_the_phone_remembered_are_left_out(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:20]
+    first = messages[0]["payload"][0]
+    messages[0]["payload"].append({**first, "time": first["time"] - 100_000_000_000})
+    _, found = assembled(messages)
+    _, expected = assembled(sensor_logger_messages(walk)[:20])
+    for name in found:
+        np.testing.assert_array_equal(found[name], expected[name])

@@ -1,0 +1,228 @@
+"""Sessions of devices without a web: the track of `pdr_filter.track`, whatever happens to the process meanwhile."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from serving import own_messages, sensor_logger_messages, short_walk
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.live.assembly import SessionError
+from pdr_filter.live.devices import Devices, Session, session_id
+from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
+from pdr_filter.values import Samples
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    """A minute of a walk."""
+    return short_walk(60.0)
+
+
+def taken(folder: Path, bodies: Sequence[bytes], **settings: Any) -> tuple[Session, list[Event]]:
+    """The session after these messages, and what was shown."""
+    events: list[Event] = []
+    devices = Devices(Settings(**settings), folder, events.append)
+    for body in bodies:
+        devices.take(body, "", "", "", time.time())
+    (session,) = devices.sessions.values()
+    session.save()
+    return session, events
+
+
+def encoded(messages: Sequence[Any]) -> list[bytes]:
+    return [json.dumps(message).encode() for message in messages]
+
+
+def positions(session: Session) -> np.ndarray:
+    return np.array(session.path)[:, 1:3]
+
+
+def test_the_track_is_that_of_what_was_sent_and_of_what_was_recorded(walk: Recording, tmp_path: Path) -> None:
+    session, events = taken(tmp_path, own_messages(walk), height_m=walk.subject.height_m)
+    again = pdr.track(pdr.read(session.recorder.folder))
+    np.testing.assert_array_equal(positions(session), again.position_m)
+    np.testing.assert_array_equal(again.position_m, pdr.track(walk).position_m)
+    shown = [e["position_m"] for e in events if e["event"] == "step" and e["is_final"]]
+    np.testing.assert_array_equal(shown, again.position_m)
+
+
+@pytest.mark.parametrize("n_saved", [3, 40])
+def test_a_process_that_dies_loses_nothing_that_it_took(walk: Recording, tmp_path: Path, n_saved: int) -> None:
+    """Saved after some messages, the first while it is not known yet what the session is, and gone after others."""
+    bodies = own_messages(walk)
+    expected, _ = taken(tmp_path / "whole", bodies)
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path / "broken", events.append)
+    for i, body in enumerate(bodies):
+        devices.take(body, "", "", "", 0.0)
+        if i + 1 == n_saved:
+            devices.close()
+        if i in (n_saved + 5, n_saved + 30):
+            devices = Devices(Settings(), tmp_path / "broken", events.append)
+            devices.take(body, "", "", "", 0.0)  # the answer was lost, so that it is sent again
+    devices.close()
+    (session,) = devices.sessions.values()
+    np.testing.assert_array_equal(positions(session), positions(expected))
+    assert len(session.recorder.steps()) == len(session.path)
+    for name in ("accelerometer.csv", "gyroscope.csv", "magnetometer.csv"):
+        assert (session.recorder.folder / name).read_bytes() == (expected.recorder.folder / name).read_bytes()
+
+
+def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Path) -> None:
+    bodies = own_messages(walk)[:20]
+    session, _ = taken(tmp_path, bodies[:10])
+    samples = session.recorder.folder / "accelerometer.csv"
+    whole = samples.read_bytes()
+    samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices.take(bodies[10], "", "", "", 0.0)
+    (journal,) = session.recorder.folder.glob("journal_*.bin")
+    journal.write_bytes(journal.read_bytes()[:-7])
+    (again,) = Devices(Settings(), tmp_path, lambda _: None).sessions.values()
+    assert again.assembly.next_number == 10
+    assert samples.read_bytes() == whole
+
+
+def test_a_walk_with_locations_lies_in_the_world_as_its_recording_does(walk: Recording, tmp_path: Path) -> None:
+    time_s = np.arange(0.0, 60.0, 1.0)
+    truth = np.interp(time_s, [0, 60], [0, 60])
+    place = pdr.Origin(51.5, -0.1).latitude_longitude_deg(np.column_stack([truth * 0.7, truth * 0.7]))
+    values = np.column_stack([*place, np.zeros(60), np.full(60, 5.0)])
+    located = replace(walk, location=Samples(time_s, values))
+    session, events = taken(tmp_path, own_messages(located))
+    again = pdr.track(pdr.read(session.recorder.folder))
+    np.testing.assert_allclose(positions(session), again.position_m, atol=1e-9)
+    assert session.about()["origin"] == pytest.approx([51.5, -0.1], abs=1e-3)
+    assert any(e["event"] == "track" for e in events)  # told anew while its north was sought
+
+
+def test_an_iphone_with_gravity_apart_gives_the_track_of_the_same_walk(walk: Recording, tmp_path: Path) -> None:
+    messages = sensor_logger_messages(walk, ios=True)
+    session, _ = taken(tmp_path, encoded(messages), platform="ios")
+    session.finish()
+    expected = pdr.track(replace(walk, meta={}))
+    np.testing.assert_allclose(positions(session), expected.position_m, atol=1e-3)
+
+
+def test_a_clock_that_is_set_back_gives_the_track_of_the_same_recording(walk: Recording, tmp_path: Path) -> None:
+    early = {n: Samples(np.where(s.time_s < 30, s.time_s, s.time_s - 20.0), s.values) for n, s in walk.streams.items()}
+    bodies = own_messages(walk)
+    jumped: list[bytes] = []
+    for body in bodies:
+        content = json.loads(body)
+        for rows in content["samples"].values():
+            for row in rows:
+                row[0] -= 20.0 * (row[0] >= 30.0)
+        jumped.append(json.dumps(content).encode())
+    session, _ = taken(tmp_path, jumped)
+    expected = pdr.track(replace(walk, meta={}, **early))
+    # Who listens cannot tell these twenty seconds from a backlog that is sent again: they are lost.
+    assert 0 <= expected.n_steps - len(session.path) <= 40
+    assert any("too late" in note for note in session.online.now().notes)
+    assert session.path[-1][0] > 30.0
+
+
+def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for one, two in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
+        devices.take(one, "", "", "", 0.0)
+        devices.take(two, "", "", "", 0.0)
+    one, two = devices.sessions.values()
+    np.testing.assert_array_equal(positions(one), positions(two))
+    assert one.recorder.folder != two.recorder.folder
+
+
+@pytest.mark.parametrize("name", ["../../etc", "/root/x", "a\x00b", "..", ".", "a" * 500, "con", "é\u202e", "\\\\h\\s"])
+def test_no_name_leads_out_of_the_folder(name: str, tmp_path: Path) -> None:
+    folder = tmp_path / "inside"
+    devices = Devices(Settings(), folder, lambda _: None)
+    body = json.dumps({"device": name, "session": name, "samples": {"gyroscope": [[0, 1, 2, 3]]}}).encode()
+    devices.take(body, "", "", "", 0.0)
+    assert [path.name for path in tmp_path.iterdir()] == ["inside"]
+    assert all(path.resolve().is_relative_to(folder.resolve()) for path in folder.rglob("*"))
+    assert session_id(name, "") != session_id(name, "1")
+
+
+def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path) -> None:
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    bodies = own_messages(walk)
+    for body in bodies[:90]:
+        devices.take(body, "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    unfixed = pdr.track(replace(walk, meta={}))
+    time_s = session.online.now().time_s
+    here = [float(np.interp(time_s, unfixed.time_s, axis)) for axis in unfixed.position_m.T]
+    here[1] += 3.0
+    fix = {"device": "p", "session": "s", "fix": {"east_m": here[0], "north_m": here[1], "std_m": 0.2}}
+    devices.take(json.dumps(fix).encode(), "", "", "", 0.0)
+    for body in bodies[90:]:
+        devices.take(body, "", "", "", 0.0)
+    devices.close()
+    assert positions(session)[-1, 1] - unfixed.position_m[-1, 1] > 0.5
+    lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
+    assert lines[0] == "time_s,east_m,north_m,std_m"
+    assert len(lines) == 2
+
+
+@pytest.mark.parametrize(
+    "fix",
+    [{}, {"east_m": "a", "north_m": 0}, {"east_m": float("nan"), "north_m": 0}, {"latitude_deg": 1}, {"std_m": -1}],
+)
+def test_a_fix_that_cannot_be_used_is_refused_and_changes_nothing(walk: Recording, tmp_path: Path, fix: dict) -> None:
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for body in own_messages(walk)[:20]:
+        devices.take(body, "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    before = session.online.state
+    with pytest.raises(FixError):
+        devices.take(json.dumps({"device": "p", "session": "s", "fix": fix}).encode(), "", "", "", 0.0)
+    assert session.online.state is before
+    devices.take(own_messages(walk)[20], "", "", "", 0.0)
+
+
+def test_there_is_room_for_so_many_phones_and_the_next_is_told_so(tmp_path: Path) -> None:
+    devices = Devices(Settings(max_devices=2), tmp_path, lambda _: None)
+    bodies = [json.dumps({"device": f"p{i}", "samples": {}}).encode() for i in range(3)]
+    for body in bodies[:2]:
+        devices.take(body, "", "", "", 0.0)
+    with pytest.raises(BusyError, match="max-devices"):
+        devices.take(bodies[2], "", "", "", 0.0)
+
+
+def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Recording, tmp_path: Path) -> None:
+    bodies = own_messages(walk)
+    taken(tmp_path, bodies)
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    with pytest.raises(SessionError, match="has ended"):
+        devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
+
+
+def test_each_device_belongs_to_one_worker() -> None:
+    parts = [part_of(f"phone {i}", 2) for i in range(100)]
+    assert 30 < sum(parts) < 70
+    assert parts == [part_of(f"phone {i}", 2) for i in range(100)]
+
+
+def test_a_message_of_a_minute_gives_the_same_track_as_many_short_ones(walk: Recording, tmp_path: Path) -> None:
+    short, _ = taken(tmp_path / "short", own_messages(walk))
+    long, _ = taken(tmp_path / "long", own_messages(walk, part_s=30.0))
+    np.testing.assert_array_equal(positions(long), positions(short))
+
+
+def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    with pytest.raises(SessionError, match="--platform ios"):
+        for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
+            devices.take(body, "", "", "", 0.0)
+    assert "--platform ios" in events[-1]["refused"]

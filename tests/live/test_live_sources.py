@@ -1,0 +1,194 @@
+"""Phones that are asked, listened to, or heard over a broker; other programs stand for the phones."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from typing import Any
+from urllib.parse import parse_qsl, urlsplit
+
+import numpy as np
+import pytest
+from serving import Server, sensor_logger_messages, short_walk, until
+from websockets.sync.server import ServerConnection, serve
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+
+BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
+CONFIG = {
+    "inputs": [
+        {"source": "accelerometer", "outputs": [{"x": "aX"}, {"y": "aY"}, {"z": "aZ"}, {"t": "a t"}]},
+        {"source": "gyroscope", "outputs": [{"x": "gX"}, {"y": "gY"}, {"z": "gZ"}, {"t": "g t"}]},
+    ]
+}
+
+
+@pytest.fixture(scope="module")
+def walk() -> Recording:
+    """Forty seconds of a walk with two sensors."""
+    return replace(short_walk(40.0), magnetometer=None)
+
+
+@contextmanager
+def phyphox(walk: Recording, speed: float) -> Iterator[int]:
+    """The remote interface of phyphox, on a port, with a walk that goes on from the first question."""
+    gyroscope = walk.gyroscope
+    assert gyroscope is not None
+    columns = {"a t": walk.accelerometer.time_s, "g t": gyroscope.time_s}
+    columns |= {f"a{axis}": walk.accelerometer.values[:, i] for i, axis in enumerate("XYZ")}
+    columns |= {f"g{axis}": gyroscope.values[:, i] for i, axis in enumerate("XYZ")}
+    begun: list[float] = []
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            url = urlsplit(self.path)
+            if url.path == "/config":
+                self.answer(CONFIG)
+            elif url.path == "/control":
+                begun.append(time.monotonic())
+                self.answer({"result": True})
+            else:
+                self.answer({"buffer": self.buffers(url.query), "status": {"session": "x1", "measuring": True}})
+
+        def buffers(self, query: str) -> dict[str, Any]:
+            """As phyphox reads NAME=T|OTHER: what has a larger value than T in the other buffer."""
+            until_s = (time.monotonic() - begun[0]) * speed
+            found: dict[str, Any] = {}
+            for name, asked in parse_qsl(query):
+                after, _, other = asked.partition("|")
+                by = columns[other or name]
+                inside = (by > float(after)) & (by <= until_s)
+                found[name] = {"buffer": columns[name][inside].tolist(), "size": 0, "updateMode": "partial"}
+            return found
+
+        def answer(self, content: Any) -> None:
+            body = json.dumps(content).encode()
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(body)))
+            self.end_headers()
+            self.wfile.write(body)
+
+        def log_message(self, *_: Any) -> None: ...
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.server_address[1]
+    server.shutdown()
+
+
+@contextmanager
+def sensor_server(walk: Recording, speed: float) -> Iterator[int]:
+    """SensorServer on a port: events of both sensors one by one, as time goes by."""
+    events = [
+        (t, {"type": f"android.sensor.{name}", "timestamp": round(1e9 * (1000.0 + t)), "values": v, "accuracy": 3})
+        for name in ("accelerometer", "gyroscope")
+        for t, v in zip(walk.streams[name].time_s.tolist(), walk.streams[name].values.tolist(), strict=True)
+    ]
+    events.sort(key=lambda event: event[0])
+
+    def send(connection: ServerConnection) -> None:
+        assert connection.request is not None
+        assert "android.sensor.gyroscope" in connection.request.path
+        begun = time.monotonic()
+        for at_s, event in events:
+            time.sleep(max(begun + at_s / speed - time.monotonic(), 0.0))
+            connection.send(json.dumps(event))
+        for _ in connection:  # until it is closed
+            pass
+
+    server = serve(send, "127.0.0.1", 0)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield server.socket.getsockname()[1]
+    server.shutdown()
+
+
+@contextmanager
+def broker(folder: Path) -> Iterator[tuple[int, int]]:
+    """Mosquitto, over TCP and over WebSocket as Sensor Logger needs it."""
+    ports: list[int] = []
+    for _ in range(2):
+        with socket.socket() as free:
+            free.bind(("127.0.0.1", 0))
+            ports.append(free.getsockname()[1])
+    path = folder / "mosquitto.conf"
+    path.write_text(
+        f"listener {ports[0]} 127.0.0.1\nlistener {ports[1]} 127.0.0.1\nprotocol websockets\nallow_anonymous true\n"
+    )
+    process = subprocess.Popen([BROKER, "-c", str(path)], stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
+    try:
+        yield ports[0], ports[1]
+    finally:
+        process.terminate()
+        process.wait(10)
+
+
+def check(walk: Recording, track: dict[str, Any]) -> None:
+    """It is the walk's track, but for the last steps, which wait for what follows."""
+    expected = pdr.track(replace(walk, meta={}))
+    path = np.array(track["path"])
+    assert len(path) >= expected.n_steps - 8
+    np.testing.assert_allclose(path[:, 1:3], expected.position_m[: len(path)], atol=0.02)
+
+
+def test_phyphox_and_sensor_server_give_the_track_of_the_walk(walk: Recording) -> None:
+    with (
+        phyphox(walk, 15.0) as asked,
+        sensor_server(walk, 15.0) as heard,
+        Server("--phyphox", f"127.0.0.1:{asked}", "--sensorserver", f"127.0.0.1:{heard}") as server,
+    ):
+        names = (f"phyphox 127.0.0.1:{asked}", f"SensorServer 127.0.0.1:{heard}")
+        n_steps = pdr.track(replace(walk, meta={})).n_steps
+
+        def whole() -> dict[str, Any] | None:
+            found = server.tracks()
+            return found if all(n in found and len(found[n]["path"]) >= n_steps - 8 for n in names) else None
+
+        found = until(whole)
+    for name in names:
+        check(walk, found[name])
+
+
+def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk: Recording, tmp_path: Path) -> None:
+    if not BROKER:
+        if os.environ.get("CI") == "true":
+            pytest.fail("CI needs mosquitto, which .ci/run installs")
+        pytest.skip("no mosquitto on this machine")
+    import paho.mqtt.client as mqtt
+
+    messages = sensor_logger_messages(walk, "over mqtt")
+    absent = ("--phyphox", "127.0.0.1:9", "--sensorserver", "127.0.0.1:9")
+    with broker(tmp_path) as (tcp, websocket), Server("--mqtt", f"mqtt://127.0.0.1:{tcp}/phones/+", *absent) as server:
+        client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, transport="websockets")
+        client.connect("127.0.0.1", websocket)
+        client.loop_start()
+
+        def subscribed() -> bool:
+            """QoS 0 keeps nothing for those who are not there."""
+            for message in sensor_logger_messages(walk, "probe")[:8]:
+                client.publish("phones/one", json.dumps(message))
+            return bool(server.http.get("/sessions").json()["sessions"])
+
+        until(subscribed)
+        for message in messages:
+            client.publish("phones/one", json.dumps(message)).wait_for_publish(5)
+        n_steps = pdr.track(replace(walk, meta={})).n_steps
+
+        def whole() -> dict[str, Any] | None:
+            found = server.tracks().get("over mqtt")
+            return found if found and len(found["path"]) >= n_steps - 8 else None
+
+        track = until(whole)
+        client.loop_stop()
+    check(walk, track)
+    assert "".join(server.said).count("trying again") == 2  # of the phones that are not there, once each
