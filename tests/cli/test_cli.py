@@ -645,7 +645,7 @@ def test_a_radio_map_is_fitted_on_a_folder_and_used_by_track_and_smooth(mapped: 
 def test_a_radio_map_that_cannot_be_used_is_refused_before_a_file_is_read(mapped: Path, tmp_path: Path) -> None:
     missing = run("track", mapped / "walk3.zip", "--radio", tmp_path / "none.json")
     assert (missing.exit_code, "none.json: no such file" in one_line(missing.stderr)) == (2, True)
-    many = run("track", mapped / "known", "--radio", tmp_path / "none.json")
+    many = run("track", mapped / "known", "--jobs", "2", "--out", tmp_path, "--radio", tmp_path / "none.json")
     assert (many.exit_code, "without --radio" in one_line(many.stderr)) == (2, True)
     without = run("radio", write_recording(pdr.simulate.demo_walk(), tmp_path / "w.zip"), "--out", tmp_path / "m")
     assert (without.exit_code, "no walk has Wi-Fi scans" in one_line(without.stderr)) == (2, True)
