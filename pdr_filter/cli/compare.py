@@ -1,56 +1,142 @@
-"""`pdr-filter compare`: the weightings HC, WC and IMM side by side."""
+"""`pdr-filter compare`: the weightings HC, WC and IMM, or recipes, side by side."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
 
 from pdr_filter.cli import console
 from pdr_filter.cli.console import escape
-from pdr_filter.cli.options import Files
+from pdr_filter.cli.options import AsJson, Files
+from pdr_filter.io.texts import file_name
 
 if TYPE_CHECKING:
+    from pdr_filter.io.recording import Recording
     from pdr_filter.tracks import Track
 
 
-def compare(files: Files) -> None:
-    """Compare the weightings HC, WC and IMM on recordings."""
-    import pdr_filter as pdr
+@dataclass(frozen=True)
+class Compared:
+    """Tracks of one recording by what they differ in; the others are held against the last."""
 
-    def compare_one(file: Path, progress: Callable[[float], None]) -> list[Track]:
-        return list(pdr.evaluate.weighting_tracks(pdr.read(file), progress=progress).values())
+    recording: Recording
+    tracks: dict[str, Track]
+    rmse_m: dict[str, float]  # of those for which the truth was asked for
+
+    def summary(self) -> dict[str, Any]:
+        """What is printed of it, as plain values."""
+        rows = [
+            {"track": name, **track.summary(), **({"rmse_m": self.rmse_m[name]} if name in self.rmse_m else {})}
+            for name, track in self.tracks.items()
+        ]
+        return {"name": self.recording.name, "tracks": rows}
+
+
+def compare(
+    files: Files,
+    recipe: Annotated[
+        list[str] | None, typer.Option(help="A recipe, for each once: they are compared in place of the weightings.")
+    ] = None,
+    truth: Annotated[
+        bool,
+        typer.Option("--truth", help="Also how far off each is of the truth in the file, turned and shifted to fit."),
+    ] = False,
+    out: Annotated[Path | None, typer.Option(help="Folder for NAME.compare.html: all tracks on one page.")] = None,
+    as_json: AsJson = False,
+) -> None:
+    """Compare the weightings HC, WC and IMM on recordings, or several recipes."""
+    import pdr_filter as pdr
+    from pdr_filter.report.html import write_report
+
+    written: set[str] = set()
+    replaced: list[Path] = []
+
+    def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
+        recording = pdr.read(file)
+        if recipe:
+            tracks = _recipe_tracks(recording, recipe, progress)
+        else:
+            tracks = pdr.evaluate.weighting_tracks(recording, progress=progress)
+        rmse_m = {name: _rmse_m(recording, track) for name, track in tracks.items()} if truth else {}
+        found = Compared(recording, tracks, rmse_m)
+        if out is not None:
+            named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
+            path = out / f"{console.unused(file_name(recording.name), written)}.compare.html"
+            if path.exists():
+                replaced.append(path)
+            write_report(named, path, recording)
+        if as_json:
+            console.print_json(found.summary())
+        return found
 
     with console.one_line_errors():
+        for name in recipe or ():
+            pdr.recipes.check_name(name)
         files = console.recordings_of(files)
-    compared, failed = console.each(files, compare_one)
-    if compared:
+    compared, failed = console.each(files, compare_one, as_json)
+    if compared and not as_json:
         _print(compared)
+        console.say_written(out)
+    console.say_replaced(replaced)
     console.exit_if_failed(failed, len(files))
 
 
-def _print(compared: Sequence[Sequence[Track]]) -> None:
-    columns = ("recording", "weighting", "steps", "distance", "against imm", "end east", "end north", "end apart")
-    table = console.new_table(*columns)
-    for tracks in compared:
-        reference = tracks[-1]
+def _recipe_tracks(recording: Recording, names: Sequence[str], progress: Callable[[float], None]) -> dict[str, Track]:
+    import pdr_filter as pdr
+
+    tracks: dict[str, Track] = {}
+    for i, name in enumerate(names):
+
+        def show(fraction: float, i: int = i) -> None:
+            progress((i + fraction) / len(names))
+
+        config = pdr.recipes.for_recording(name, recording)
+        tracks[name] = pdr.track(recording, config, progress=show, gnss="off")
+    return tracks
+
+
+def _rmse_m(recording: Recording, track: Track) -> float:
+    """Root of the mean squared distance to the truth, after the turn and the shift that fit best."""
+    import numpy as np
+
+    import pdr_filter as pdr
+
+    known = recording.truth.position if recording.truth.position is not None else recording.truth.waypoints
+    if known is None:
+        raise ValueError(f"{recording.name} has no true positions or waypoints: leave out --truth")
+    reference_m = np.column_stack([known["east_m"], known["north_m"]])
+    at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"])
+    return pdr.evaluate.position_rmse_m(at_m, reference_m, "all")
+
+
+def _print(compared: Sequence[Compared]) -> None:
+    columns = ["recording", "track", "steps", "distance", "against the last", "end east", "end north", "end apart"]
+    has_truth = any(found.rmse_m for found in compared)
+    table = console.new_table(*columns, *(["off the truth"] if has_truth else []))
+    for found in compared:
+        *_, reference = found.tracks.values()
         reference_end = reference.summary()
-        for i, result in enumerate(tracks):
-            end = result.summary()
+        for i, (name, track) in enumerate(found.tracks.items()):
+            end = track.summary()
             apart_east_m = end["end_east_m"] - reference_end["end_east_m"]
             apart_north_m = end["end_north_m"] - reference_end["end_north_m"]
-            is_reference = result is reference
+            is_reference = track is reference
             table.add_row(
-                escape(result.name) if i == 0 else "",
-                result.weighting,
-                str(result.n_steps),
-                console.in_m(result.distance_m),
-                "" if is_reference else console.in_m(result.distance_m - reference.distance_m, "+.1f"),
+                escape(found.recording.name) if i == 0 else "",
+                name,
+                str(track.n_steps),
+                console.in_m(track.distance_m),
+                "" if is_reference else console.in_m(track.distance_m - reference.distance_m, "+.1f"),
                 console.in_m(end["end_east_m"]),
                 console.in_m(end["end_north_m"]),
                 "" if is_reference else console.in_m((apart_east_m**2 + apart_north_m**2) ** 0.5),
+                *([console.in_m(found.rmse_m[name])] if has_truth else []),
                 end_section=is_reference,
             )
     console.print_table(table)
-    for tracks in compared:
-        console.print_notes(tracks[-1])
+    for found in compared:
+        console.print_notes(list(found.tracks.values())[-1])

@@ -55,6 +55,12 @@ def say_error(words: str) -> None:
     stderr().print(f"[bold red]error:[/] {escape(words)}")
 
 
+def say_replaced(paths: Sequence[Path]) -> None:
+    """Name the files that were there before."""
+    if paths:
+        stderr().print(f"replaced, as they were there before: {escape(', '.join(map(str, paths)))}")
+
+
 def say_written(folder: Path | None) -> None:
     """Where files were written, if any were."""
     if folder is not None:
@@ -203,3 +209,12 @@ def write_track(result: Track, folder: Path, name: str) -> None:
     """The table and the picture of a track."""
     result.to_csv(folder / f"{name}.csv")
     result.plot(folder / f"{name}.png")
+
+
+def unused(name: str, written: set[str]) -> str:
+    """The name for the files of a track: a second recording of the same name gets a number."""
+    found = name
+    while found in written:
+        found = f"{name}_{len(written) + 1}"
+    written.add(found)
+    return found

@@ -272,7 +272,7 @@ def track(
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
             result.person.save(method.person)
-        name = _unused(file_name(result.name), written)
+        name = console.unused(file_name(result.name), written)
         replaced.extend(output.write(result, recording, name))
         listed[name] = result
         if as_json:
@@ -280,8 +280,7 @@ def track(
         return result
 
     tracks, failed = console.each(files, track_one, as_json)
-    if replaced:
-        console.stderr().print(f"replaced, as they were there before: {console.escape(', '.join(map(str, replaced)))}")
+    console.say_replaced(replaced)
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
             write_index(listed, failed, output.out / "index.html")
@@ -326,12 +325,3 @@ def _track_many(files: Sequence[Path], method: Method, source: Source, table: Pa
         console.say_error(f"{path}: {reason}")
     typer.echo(f"{len(rows) - len(failed)} recordings tracked, {len(failed)} failed: {table}")
     console.exit_if_failed(failed, len(rows))
-
-
-def _unused(name: str, written: set[str]) -> str:
-    """The name for the files of a track: a second recording of the same name gets a number."""
-    unused = name
-    while unused in written:
-        unused = f"{name}_{len(written) + 1}"
-    written.add(unused)
-    return unused

@@ -18,6 +18,7 @@ import pdr_filter as pdr
 from pdr_filter.classifiers.model import load_model
 from pdr_filter.cli.app import app
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.io.recording import Truth
 from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.sensing.contexts.learned import LearnedContexts
@@ -325,6 +326,35 @@ def test_compare_shows_the_three_weightings_and_their_difference(walk: Path) -> 
     assert f"{tracks['hc'].distance_m - tracks['imm'].distance_m:+.1f} m" in rows["hc"]
     apart_m = np.hypot(*(tracks["wc"].position_m[-1] - tracks["imm"].position_m[-1]))
     assert f"{apart_m:.1f} m" in rows["wc"]
+
+
+def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_path: Path) -> None:
+    recipes = ("--recipe", "susi2013", "--recipe", "default")
+    result = run("compare", walk, *recipes, "--truth", "--out", tmp_path, "--json")
+    (found,) = map(json.loads, result.stdout.splitlines())
+    recording = pdr.read(walk)
+    for row, name in zip(found["tracks"], ("susi2013", "default"), strict=True):
+        track = pdr.track(recording, pdr.recipes.for_recording(name, recording))
+        assert (row["track"], row["n_steps"]) == (name, track.n_steps)
+        known = recording.truth.position
+        at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"])
+        reference_m = np.column_stack([known["east_m"], known["north_m"]])
+        assert row["rmse_m"] == pytest.approx(pdr.evaluate.position_rmse_m(at_m, reference_m, "all"))
+    (page,) = tmp_path.glob("*.compare.html")
+    text = page.read_text()
+    assert "demo_walk, susi2013" in text and "demo_walk, default" in text
+    again = run("compare", walk, *recipes, "--out", tmp_path)
+    assert "replaced" in again.stderr and "off the truth" not in again.stdout
+    table = run("compare", walk, *recipes, "--truth")
+    assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
+
+
+def test_compare_without_the_truth_or_with_no_such_recipe_says_what_to_do(walk: Path, tmp_path: Path) -> None:
+    recording = replace(pdr.read(walk), truth=Truth())
+    without = run("compare", write_recording(recording, tmp_path / "w.zip"), "--truth")
+    assert (without.exit_code, "leave out --truth" in one_line(without.stderr)) == (2, True)
+    unknown = run("compare", walk, "--recipe", "none")
+    assert (unknown.exit_code, "there are default" in one_line(unknown.stderr)) == (2, True)
 
 
 def test_the_same_seed_simulates_the_same_walk(tmp_path: Path) -> None:
