@@ -20,8 +20,9 @@ class Terrain:
     """Costs of a step, minus logarithms of how much less probable it is than one in the open.
 
     Nothing is impossible: plans lack doors, and people enter shops. A hundredth for each wall and each room lets a walk
-    that goes on for some ten metres where the plan says no win against one that would have to turn there. How dear they are matters little: with 2.3,
-    4.6 and 9 for wall and room the median error on storey F1 of the mall was 2.70, 2.60 and 2.61 m.
+    that goes on for some ten metres where the plan says no win against one that would have to turn there. How dear
+    they are matters little: with 2.3, 4.6 and 9 for wall and room the median error on storey F1 of the mall was 2.70,
+    2.60 and 2.61 m.
     """
 
     wall: float = 4.6
