@@ -5,8 +5,8 @@ usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [-
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone. The other
 storeys and humolire are other walks, but not untouched: what being outside costs is a judgement made after a look at
-humolire, and a term of the filter was dropped because it did not help on the other storeys. Waypoints are good to a metre, which is added to
-the covariances that are compared with them.
+humolire, and a term of the filter was dropped because it did not help on the other storeys. Waypoints are good to a
+metre, which is added to the covariances that are compared with them.
 """
 
 from __future__ import annotations
