@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt
 
-from pdr_filter.maps.storey import CELL_M, OUTSIDE, ROOM, STAIRS, WALL, Storey
+from pdr_filter.maps.storey import CELL_M, LIFT, OUTSIDE, ROOM, STAIRS, WALL, Storey
 from pdr_filter.values import BoolArray, FloatArray, check_numbers
 
 _Field = NDArray[np.float32]
+_STEP_M = 0.7
 
 
 @dataclass(frozen=True)
@@ -56,6 +57,21 @@ class Ground:
         top = np.zeros(OUTSIDE + 1)
         top[[ROOM, WALL, OUTSIDE]] = terrain.room, terrain.wall, terrain.outside
         return np.asarray(top[cells] * np.where(closed, share, 1.0), dtype=np.float32).ravel()
+
+    @cached_property
+    def of_anybody(self) -> float:
+        """What a step costs on average that knows nothing of the plan: from anywhere, in any direction.
+
+        Minus the logarithm of the mean probability, as particles pay that are spread over the storey.
+        """
+        row, column = np.nonzero(self.storey.cells <= LIFT)
+        # some thousand cells, and directions that are as even in any run of them: golden angles
+        at = np.arange(0, len(row), max(len(row) // 10_000, 1))
+        angle_rad = np.pi * (3.0 - np.sqrt(5.0)) * np.arange(len(at))
+        from_m = self.storey.middles_m[row[at], column[at]]
+        to_m = from_m + _STEP_M * np.column_stack([np.sin(angle_rad), np.cos(angle_rad)])
+        cost, _ = self.costs(from_m, to_m, np.zeros(len(at), dtype=bool))
+        return -float(np.log(np.exp(-cost).mean())) if len(at) else 0.0
 
     def heights(self, position_m: FloatArray) -> FloatArray:
         """Cost of being at positions (..., 2)."""

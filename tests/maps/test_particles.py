@@ -14,6 +14,7 @@ from scipy.stats import truncnorm
 
 import pdr_filter as pdr
 from pdr_filter.maps.clusters import groups, n_needed, on_plan
+from pdr_filter.maps.storey import FREE
 from pdr_filter.maps.terrain import Ground, Terrain
 
 WALK = round_the_block()
@@ -67,6 +68,9 @@ def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
     assert_allclose(place.position_cov_m2, np.cov(places.T, bias=True))
     assert_allclose(place.effective_sample_size, 400)
     assert len(set(groups(places))) == 2
+    # of what may be elsewhere no cluster has a share
+    doubted = on_plan(places, np.full(400, 1 / 400), np.zeros(400), elsewhere=0.2)
+    assert_allclose([c.share for c in doubted.clusters], [0.6, 0.2])
 
 
 def test_more_particles_are_needed_where_they_are_spread_further() -> None:
@@ -75,6 +79,15 @@ def test_more_particles_are_needed_where_they_are_spread_further() -> None:
     assert needed[0] == 100 and needed[0] < needed[1] < needed[2]
     # Fox 2003: 27 cells, e = 0.05, 99 %: half of the 0.99 quantile of chi-square with 26 degrees, 45.64, over 0.05
     assert_allclose(needed[1], 45.64 / (2 * 0.05), rtol=0.01)
+
+
+def test_a_step_costs_anybody_what_it_costs_on_average_over_the_storey(plan: pdr.FloorPlan) -> None:
+    ground, rng, n = Ground(plan.storeys[0], Terrain()), np.random.default_rng(0), 200_000
+    places, angle = rng.uniform([-1.2, -1.2], [41.2, 19.2], (n, 2)), rng.uniform(0, 2 * math.pi, n)
+    places, angle = (of[ground.storey.kind_at(places) == FREE] for of in (places, angle))
+    to_m = places + 0.7 * np.column_stack([np.sin(angle), np.cos(angle)])
+    cost, _ = ground.costs(places, to_m, np.zeros(len(places), dtype=bool))
+    assert_allclose(ground.of_anybody, -np.log(np.exp(-cost).mean()), rtol=0.05)
 
 
 # --- invariances ------------------------------------------------------------------------------------------------------
@@ -154,10 +167,21 @@ def test_a_walk_with_an_unknown_direction_finds_it_in_the_corridors(plan: pdr.Fl
     assert len(track.clusters[-1]) == 1
 
 
-def test_a_walk_that_began_anywhere_is_found_or_is_said_to_be_in_several_places(plan: pdr.FloorPlan) -> None:
+def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorPlan) -> None:
     track = pdr.track(WALK, plan=plan, start="anywhere")
-    near = errors_m(track, WALK)[-1] < 3.0
-    assert near or len(track.clusters[-1]) > 1 or track.uncertainty_95_m[-1] > errors_m(track, WALK)[-1]
+    share = np.array([clusters[0].share for clusters in track.clusters])
+    assert sum(c.share for c in track.clusters[0]) == pytest.approx(0.5, abs=0.01)  # few particles for many places
+    assert share[-1] > 0.95 and errors_m(track, WALK)[-1] < 2.0
+    assert np.all(errors_m(track, WALK)[share > 0.95] < 3.0)
+
+
+def test_a_walk_that_did_not_begin_where_it_was_said_to_is_lost_and_doubted(plan: pdr.FloorPlan) -> None:
+    wrong = pdr.PositionFix(0.0, [25.0, 18.0], 0.25 * np.eye(2))
+    track = pdr.track(WALK, plan=plan, start=wrong)
+    assert sum(c.share for c in track.clusters[0]) == pytest.approx(0.99, abs=0.005)
+    assert any("nothing on the plan fits" in note for note in track.notes)
+    smoothed = pdr.smooth(WALK, plan=plan, start=wrong).track
+    assert smoothed.clusters[-1][0].share == pytest.approx(sum(c.share for c in track.clusters[-1]), abs=0.2)
 
 
 def test_a_walk_begins_in_the_room_that_is_named(plan: pdr.FloorPlan) -> None:
