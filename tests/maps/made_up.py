@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,7 @@ def in_degrees(features: list[dict[str, Any]], origin: pdr.Origin) -> list[dict[
     return found
 
 
+@cache
 def round_the_block(seed: int = 0) -> pdr.Recording:
     """From (0, 0) east along the south corridor, round the block, and back into the south corridor."""
     turn = -math.pi / 2  # counter-clockwise

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +12,7 @@ from made_up import box, errors_m, feature, write
 
 import pdr_filter as pdr
 from pdr_filter.simulate import BAROMETER, Gait, Leg, SensorErrors, simulate
+from pdr_filter.values import Fix
 
 # 18 steps up with a landing after half of them, on which the walk turns back
 FLIGHT_M = 9 * 0.29
@@ -31,9 +34,13 @@ ABOVE = [
 ]
 
 
-def tracked(folder: Path, features: list, **given: object) -> pdr.Track:
+def tracked(
+    folder: Path, features: list, fixes: Sequence[Fix], start: pdr.PositionFix | None = None, n_most: int = 4000
+) -> pdr.Track:
     plan = pdr.FloorPlan.read(write(folder / "plan.geojson", features))
-    return pdr.track(WALK, pdr.recipes.default().in_world_frame(), plan=plan, **given)  # type: ignore[arg-type]
+    config = pdr.recipes.default().in_world_frame().with_plan(plan, start)
+    assert config.on_plan is not None
+    return pdr.track(WALK, replace(config, on_plan=replace(config.on_plan, n_most=n_most)), fixes=fixes)
 
 
 def test_after_stairs_the_walls_are_those_of_the_storey_above(tmp_path: Path) -> None:
