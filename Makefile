@@ -1,5 +1,6 @@
 # make demo [FILE=walk.zip] [OUT=folder]   track a walk and draw it
-# make test                                run the tests
+# make test                                run what protects, in three minutes of one core
+# make test-all                            run every test
 # make check                               lint, format and types
 # make docs                                build the documentation
 # make clean                               remove what these made
@@ -14,12 +15,15 @@ OUT ?= demo_output
 BIN := $(VENV)/bin
 PIP_INSTALL := $(BIN)/python -m pip install -qq --disable-pip-version-check
 
-.PHONY: demo test check docs clean
+.PHONY: demo test test-all check docs clean
 
 demo: $(VENV)/.installed
 	@$(BIN)/pdr-filter demo $(if $(FILE),"$(FILE)") --out "$(OUT)"
 
 test: $(VENV)/.installed-test
+	@$(BIN)/python -m pytest -q -n auto --dist worksteal -m "not slow"
+
+test-all: $(VENV)/.installed-test
 	@$(BIN)/python -m pytest -q -n auto --dist worksteal
 
 check: $(VENV)/.installed-dev

@@ -1,4 +1,4 @@
-"""Run every notebook of a folder, after checking that its outputs are stripped."""
+"""Check that the notebooks of a folder are stored without outputs; the documentation runs them."""
 
 from __future__ import annotations
 
@@ -6,17 +6,13 @@ import sys
 from pathlib import Path
 
 import nbformat
-from nbclient import NotebookClient
 
 
 def check(path: Path) -> None:
-    """Run one notebook; raises if it has outputs or an error."""
-    notebook = nbformat.read(path, as_version=4)
-    for cell in notebook.cells:
+    """Raise if a notebook has outputs."""
+    for cell in nbformat.read(path, as_version=4).cells:
         if cell.cell_type == "code" and (cell.outputs or cell.execution_count is not None):
             raise SystemExit(f"{path} has outputs; strip them: jupyter nbconvert --clear-output --inplace {path}")
-    NotebookClient(notebook, timeout=300, resources={"metadata": {"path": str(path.parent)}}).execute()
-    print(f"{path} runs")
 
 
 if __name__ == "__main__":

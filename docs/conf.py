@@ -7,6 +7,7 @@ import inspect
 import json
 import re
 from dataclasses import is_dataclass
+from importlib.metadata import files
 from pathlib import Path
 from typing import Any
 
@@ -17,10 +18,21 @@ author = "The pdr_filter developers"
 copyright = f"2026, {author}"
 version = release = pdr_filter.__version__
 
-extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
 myst_enable_extensions = ["amsmath", "dollarmath", "substitution"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "tables"]  # tables are included by the pages
+# Notebooks run once, and again when they have changed or docs/_build is gone; one that fails breaks the build.
+nb_execution_mode = "cache"
+nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
+nb_execution_timeout = 300
+nb_execution_raise_on_error = True
+nb_execution_show_tb = True
+nb_merge_streams = True
+# Formulas without network: one file with the program and its fonts, beside the pages.
+(mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
+html_static_path = [str(mathjax.locate())]
+mathjax_path = "tex-svg.js"
 html_theme = "furo"
 html_title = f"pdr_filter {version}"
 

@@ -3,6 +3,7 @@
 from . import batch as batch
 from . import datasets as datasets
 from . import evaluate as evaluate
+from . import plot as plot
 from . import recipes as recipes
 from . import simulate as simulate
 from .calibration import Calibration as Calibration

@@ -261,7 +261,7 @@ class Calibration:
 
         People are compared by the length in m of one and the same step, at one height.
         """
-        from pdr_filter.report.calibration import plot_calibration
+        from pdr_filter import plot
 
         main = self.main_context
         model, people = self.models[main], self.subjects
@@ -269,7 +269,7 @@ class Calibration:
         # A parameter that is each person's own without a tie has an infinite spread: there is no band then.
         spread = np.where(np.isfinite(self.between[main]), self.between[main], np.nan)
         population = typical_step_m(model, self.k[main], spread)
-        return plot_calibration(self.segments, main, lengths, population, path)
+        return plot.calibration(self.segments, main, lengths, population, path)
 
     def save(self, path: str | Path) -> Path:
         """Write `<name>.npz` (plain arrays) and `<name>.json` (the card) and return the path of the .json."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from math import isfinite
 from operator import attrgetter
 
@@ -37,6 +37,7 @@ from pdr_filter.values import (
     Standstill,
     Step,
     received_s,
+    replace,
 )
 
 # How old a fix of an app may be: the remembered steps (`pedestrian.TRAIL_STEPS`) are half a minute of walking, and a
@@ -87,7 +88,7 @@ class StepCounts:
         return StepCounts(self.n + 1, self.untrusted + is_untrusted, self.quick_and_soft + step.is_quick_and_soft)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class State:
     """Everything about a filter that changes."""
 
@@ -117,7 +118,7 @@ class State:
         return self.sensing.conditioner.clock.offset_s
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Output:
     """What one block of samples brought."""
 

@@ -59,6 +59,6 @@ class Track(TrackRows):
 
     def plot(self, path: str | Path | None = None) -> Figure:
         """Draw the track with covariance ellipses above its context probabilities; saved if a path is given."""
-        from pdr_filter.report import plotting
+        from pdr_filter import plot
 
-        return plotting.plot_track(self, path)
+        return plot.track(self, path)

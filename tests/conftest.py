@@ -7,6 +7,8 @@ from pathlib import Path
 
 import pytest
 
+# Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core.
+SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
 DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
@@ -18,3 +20,10 @@ def data_dir() -> Path:
             pytest.fail(f"CI needs the recordings at {DATA}")
         pytest.skip(f"no recordings at {DATA}")
     return DATA
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Mark what is slow."""
+    for item in items:
+        if item.nodeid.partition("[")[0] in SLOW:
+            item.add_marker(pytest.mark.slow)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Sequence
 from dataclasses import fields
 from itertools import pairwise
-from typing import TypeVar
+from pathlib import Path
+from typing import Any, TypeVar
 
 import numpy as np
 
@@ -16,10 +18,12 @@ from pdr_filter.filter.tracker import TrackerOutput
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, ConditionerState, UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, ImuBlock, Step, Windows
 
 T = TypeVar("T")
@@ -193,3 +197,43 @@ def tracker_of(weighting: str, model: PedestrianModel) -> ImmTracker | WeightedT
     if weighting == "imm":
         return ImmTracker(model)
     return WeightedTracker(model, HC if weighting == "hc" else 0.8)
+
+
+def from_hand_to_pocket() -> Recording:
+    """Two minutes through all contexts of the simulator; the phone is put away on the way."""
+    right = np.pi / 2
+    legs = [
+        Leg("stationary", duration_s=5.0),
+        Leg("walking", distance_m=30.0),
+        Leg("walking", distance_m=34.0, turn_rad=right),
+        Leg("stationary", duration_s=5.0, carrying_mode="pocket"),
+        Leg("upstairs", distance_m=5.22),
+        Leg("walking", distance_m=16.0, turn_rad=right),
+        Leg("sideways", distance_m=6.0),
+        Leg("stationary", duration_s=6.0),
+        Leg("running", distance_m=28.0, turn_rad=right),
+        Leg("downstairs", distance_m=5.22),
+        Leg("stationary", duration_s=4.0),
+        Leg("walking", distance_m=14.0, turn_rad=-right),
+        Leg("stationary", duration_s=5.0),
+    ]
+    return simulate(legs, Gait(height_m=1.86), name="from_hand_to_pocket")
+
+
+def a_plan(folder: Path) -> FloorPlan:
+    """A square of 60 m with a room and a wall."""
+
+    def feature(kind: str, shape: str, corners: Any) -> dict[str, Any]:
+        return {"type": "Feature", "properties": {"type": kind}, "geometry": {"type": shape, "coordinates": corners}}
+
+    def square(low: float, high: float) -> list[list[list[float]]]:
+        return [[[low, low], [high, low], [high, high], [low, high], [low, low]]]
+
+    features = [
+        feature("wall", "LineString", [[0.0, 0.0], [5.0, 0.0]]),
+        feature("room", "Polygon", square(2.0, 8.0)),
+        feature("floor", "Polygon", square(-10.0, 50.0)),
+    ]
+    path = folder / "plan.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return FloorPlan.read(path)

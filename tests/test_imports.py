@@ -35,6 +35,12 @@ def test_importing_the_online_filter_does_not_load(module: str) -> None:
     assert module not in loaded_by("import pdr_filter.online")
 
 
+def test_the_first_online_filter_loads_neither_scipy_nor_what_only_other_recipes_need() -> None:
+    loaded = loaded_by("import pdr_filter; pdr_filter.OnlineFilter()")
+    assert "vqf" in loaded
+    assert loaded.isdisjoint({"scipy", "pywt", "sklearn"})
+
+
 @pytest.mark.parametrize("module", ["gtsam", "matplotlib", "sklearn", "scipy", "vqf", "pymap3d"])
 def test_the_help_of_the_command_does_not_load(module: str) -> None:
     statement = (
@@ -86,6 +92,7 @@ ROOMS = [
     "serialise",
     "online",
     "report",
+    "plot",
     "calibration",
     "tracks",
     "aligned",

@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from helpers import cut, cut_randomly
+from helpers import cut, cut_randomly, from_hand_to_pocket
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -18,7 +18,7 @@ import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.filtering import MAX_CLIMBS
 from pdr_filter.io.recording import Recording
-from pdr_filter.simulate import Leg, demo_walk, simulate
+from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
 from pdr_filter.values import ImuBlock, PositionFix, Samples, step_table, wrap_angle
 
@@ -32,7 +32,7 @@ REAL = (
 
 @pytest.fixture(scope="module")
 def demo() -> Recording:
-    return demo_walk()
+    return from_hand_to_pocket()
 
 
 @pytest.fixture(scope="module")
@@ -573,7 +573,7 @@ def test_a_recipe_that_needs_a_sensor_says_which_one_is_missing(short_walk: Reco
 
 def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
     """With a rejected fix, a person of unknown height, and a fix that comes too late."""
-    walk = demo_walk()
+    walk = from_hand_to_pocket()
     stranger = replace(walk, meta={k: v for k, v in walk.meta.items() if k != "subject"})
     fixes = [
         PositionFix(20.0, np.array([900.0, 0.0]), np.eye(2)),
@@ -592,7 +592,7 @@ def test_an_app_gets_the_notes_of_the_whole_recording() -> None:
 
 @pytest.mark.parametrize("height_m", [None, 1.60, 1.93])
 def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_track(height_m: float | None) -> None:
-    walk = demo_walk()
+    walk = from_hand_to_pocket()
     walk = replace(walk, meta={**walk.meta, "subject": {"height_m": height_m}})
     track, samples = pdr.track(walk), pdr.merge_streams(walk)
     updates = [u for u in stream(pdr.OnlineFilter(height_m=height_m), [samples]) if u.is_final]

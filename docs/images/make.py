@@ -20,7 +20,6 @@ from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
 from pdr_filter.report.palette import BLUE, FAINT, INK, ORANGE
-from pdr_filter.report.plotting import plot_track
 
 HERE = Path(__file__).resolve().parent
 REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"
@@ -118,12 +117,12 @@ def demo_track() -> Figure:
     """The walk of `pdr-filter demo` with its truth."""
     walk = pdr.simulate.demo_walk()
     truth = walk.truth.position
-    return plot_track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
+    return pdr.plot.track(pdr.track(walk), None, np.column_stack([truth.east_m, truth.north_m]))
 
 
 def real_track() -> Figure | None:
     """A real walk, where it is at hand."""
-    return plot_track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
+    return pdr.plot.track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
 
 
 PICTURES: dict[str, Callable[[], Figure | None]] = {

@@ -42,8 +42,10 @@ class Familiarity(Stored):
     def distance(self, standardised: FloatArray) -> FloatArray:
         """Distances (...) of windows' standardised features (..., F)."""
         z = np.clip(standardised, -_CUT, _CUT)
-        along = z @ self.axes.T
-        narrow, wide = (z * z).sum(axis=-1) / _LEAST_VARIANCE, along**2 @ (1 / self.variance - 1 / _LEAST_VARIANCE)
+        # window by window: products of a batch have other bits than those of a row
+        along = z[..., None, :] @ self.axes.T
+        narrow = (z * z).sum(axis=-1) / _LEAST_VARIANCE
+        wide = (along * along @ (1 / self.variance - 1 / _LEAST_VARIANCE))[..., 0]
         return np.sqrt(np.maximum(narrow + wide, 0.0) / z.shape[-1])
 
     def unknown_share(self, standardised: FloatArray) -> FloatArray:

@@ -134,25 +134,31 @@ class ContextModel:
 
     def assess(self, features: FloatArray) -> Assessment:
         """Probabilities as `predict` gives them, and how much is unknown (`Familiarity`)."""
-        values = np.asarray(features, dtype=np.float64)
-        if values.shape != (len(self.feature_names),):
+        return self.assess_all(np.asarray(features)[None])[0]
+
+    def assess_all(self, features: FloatArray) -> list[Assessment]:
+        """What `assess` says of each of many windows, from their features (W, F): the same bits."""
+        values = np.ascontiguousarray(features, dtype=np.float64)  # sums along another axis have other bits
+        if values.ndim != 2 or values.shape[1] != len(self.feature_names):
             raise ValueError(
-                f"model {self.name!r} takes {len(self.feature_names)} features of one window, got shape {values.shape}"
+                f"model {self.name!r} takes {len(self.feature_names)} features of a window, got shape "
+                f"{values.shape[1:]}"
             )
         finite = np.isfinite(values)
         if not finite.all():
-            index = int(np.argmin(finite))
+            window, index = np.argwhere(~finite)[0].tolist()
             raise ValueError(
-                f"feature {index} ({self.feature_names[index]}) is {values[index]}: "
+                f"feature {index} ({self.feature_names[index]}) is {values[window, index]}: "
                 "leave such windows out or fill in a value"
             )
         standardised = self.standardised(values)
         unknown, unlike_stairs = (
-            0.0 if known is None else float(known.unknown_share(standardised))
+            np.zeros(len(values)) if known is None else known.unknown_share(standardised)
             for known in (self.familiarity, self.stairs)
         )
-        prob = not_told_apart(self._of_standardised(standardised[None])[0], unlike_stairs)
-        return Assessment(prob / prob.sum(), unknown, unlike_stairs)
+        prob = not_told_apart(self._of_standardised(standardised), unlike_stairs)
+        prob = prob / prob.sum(axis=1, keepdims=True)
+        return [Assessment(*each) for each in zip(prob, unknown.tolist(), unlike_stairs.tolist(), strict=True)]
 
     def standardised(self, features: FloatArray) -> FloatArray:
         """Features (..., F) as shares of the training windows' spread, not yet cut at the limit."""

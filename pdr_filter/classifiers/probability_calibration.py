@@ -6,8 +6,6 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize, minimize_scalar
-from scipy.special import expit
 
 from pdr_filter.classifiers.softmax import softmax
 from pdr_filter.values import BoolArray, FloatArray, IntArray
@@ -30,6 +28,8 @@ def fit_temperature(prob: FloatArray, label: IntArray) -> float:
 
     The probabilities must be of people whom the classifier has not seen; of its own people it would find T = 1 or less.
     """
+    from scipy.optimize import minimize_scalar  # here, because who only classifies does not fit
+
     log_prob = np.log(np.maximum(prob, 1e-300))
 
     def log_loss(log_temperature: float) -> float:
@@ -53,6 +53,9 @@ def fit_calibration(prob: FloatArray, label: IntArray) -> tuple[float, float]:
     A temperature alone pays for the few windows that are something else (a landing among the stairs) by making all the
     others unsure: calibration error 0.018 instead of 0.003.
     """
+    from scipy.optimize import minimize
+    from scipy.special import expit
+
     chosen = np.arange(len(label)), label
 
     def log_loss(parameters: FloatArray) -> float:

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.classifiers.machine import Machine, row_by_row
+from pdr_filter.classifiers.machine import Machine
 from pdr_filter.values import FloatArray
 
 
@@ -44,7 +44,5 @@ class SoftmaxRegression(Machine):
         return len(self.weights)
 
     def _of_rows(self, rows: FloatArray) -> FloatArray:
-        return row_by_row(self._of_row, rows, self.n_classes)
-
-    def _of_row(self, row: FloatArray) -> FloatArray:
-        return softmax((self.weights * row).sum(axis=1) + self.intercept)
+        # sums along the last axis: a row has the same bits alone and among others
+        return softmax((self.weights * rows[:, None, :]).sum(axis=2) + self.intercept)

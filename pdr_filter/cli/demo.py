@@ -10,13 +10,14 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
+from pdr_filter import plot
 from pdr_filter.cli.console import escape, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.texts import file_name
 from pdr_filter.recording_run import GnssUse, track
+from pdr_filter.report.html import write_report
 from pdr_filter.report.palette import context_colours
-from pdr_filter.report.plotting import plot_track
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray
@@ -31,6 +32,7 @@ class Demo:
     recording: Recording
     track: Track
     is_simulated: bool
+    report: Path
     picture: Path
     geojson: Path
     csv: Path
@@ -48,23 +50,20 @@ class Demo:
         console.print()
         console.print(_context_bars(result))
         console.print()
-        if self.is_simulated:
-            console.print("note: the models know nobody who walks sideways: side steps pass for something else")
         for note in result.notes:
             console.print(f"note: {escape(note)}")
         if result.notes:
             console.print()
         for what, path, remark in (
+            ("report", self.report, "open it in a browser"),
             ("picture", self.picture, ""),
             ("map", self.geojson, _placed(result)),
             ("table", self.csv, "one line a step"),
         ):
             console.print(f"  {what:<10} {escape(str(path))}{remark and f' ({remark})'}", soft_wrap=True)
-        console.print()
-        placed = "" if result.origin else " --origin LAT,LON --heading DEG"
-        console.print(
-            f"Next, with your own recording:  pdr-filter track YOUR.zip --out results{placed}", soft_wrap=True
-        )
+        if self.is_simulated:
+            console.print()
+            console.print("Next, with your own recording:  pdr-filter demo YOUR.zip", soft_wrap=True)
 
 
 def run_demo(
@@ -73,17 +72,18 @@ def run_demo(
     progress: Callable[[float], None] | None = None,
     gnss: GnssUse | None = None,
 ) -> Demo:
-    """Track a file, or the simulated walk, and write picture, map file and table to a folder."""
+    """Track a file, or the simulated walk, and write report, picture, map file and table to a folder."""
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     result = track(recording, progress=progress, gnss=gnss)
     name = file_name(result.name)
     picture = out_dir / f"{name}.png"
-    plot_track(result, picture, _true_way(recording) if is_simulated else None)
+    plot.track(result, picture, _true_way(recording) if is_simulated else None)
     return Demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
+        report=write_report(result, out_dir / f"{name}.html", recording),
         picture=picture,
         geojson=write_map(result, out_dir / f"{name}.geojson"),
         csv=result.to_csv(out_dir / f"{name}.csv"),
@@ -121,10 +121,11 @@ def _true_facts(recording: Recording, end_m: FloatArray) -> tuple[str, str, str]
     truth = recording.truth
     assert truth.steps is not None and truth.segments is not None  # of every simulated recording
     apart_m = float(np.hypot(*(end_m - _true_way(recording)[-1])))
+    distance_m = float(truth.segments.distance_m.sum())
     return (
         f"(truth: {len(truth.steps)})",
-        f"(truth: {float(truth.segments.distance_m.sum()):.1f} m)",
-        f"({apart_m:.1f} m from the truth)",
+        f"(truth: {distance_m:.1f} m)",
+        f"({apart_m:.1f} m from the truth, {100 * apart_m / distance_m:.1f} % of the way)",
     )
 
 

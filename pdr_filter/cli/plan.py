@@ -22,12 +22,12 @@ def plan(
 ) -> None:
     """Say what a floor plan was understood to be, and draw it as NAME.png into the folder of --out."""
     import pdr_filter as pdr
-    from pdr_filter.report.plotting import plot_plan
+    from pdr_filter import plot
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)
         if out is not None:
-            plot_plan(read, out / f"{file_name(read.name)}.png")
+            plot.plan(read, out / f"{file_name(read.name)}.png")
     if as_json:
         console.print_json(read.summary())
     else:

@@ -52,4 +52,4 @@ from pdr_filter.evaluate.tracks import position_errors_m as position_errors_m
 from pdr_filter.evaluate.tracks import position_rmse_m as position_rmse_m
 from pdr_filter.evaluate.tracks import positions_at as positions_at
 from pdr_filter.evaluate.tracks import relative_error_m as relative_error_m
-from pdr_filter.evaluate.tracks import rigid_fit as rigid_fit
+from pdr_filter.values import rigid_fit as rigid_fit

@@ -14,7 +14,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import ArrayLike
 
-from pdr_filter.values import BoolArray, FloatArray, wrap_angle
+from pdr_filter.values import BoolArray, FloatArray, rigid_fit, wrap_angle
 
 Alignment = Literal["none", "origin", "first", "all"]
 
@@ -53,18 +53,6 @@ def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
     """Points (N,) in the first fraction of the path through (N, 2), and never fewer than three: two make no corner."""
     along_m = path_m(reference_m)
     return along_m <= max(fraction * along_m[-1], along_m[min(2, len(along_m) - 1)])
-
-
-def rigid_fit(a_m: FloatArray, b_m: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Rotation R (2, 2) and shift t (2,) so that a R^T + t fits b best, both (N, 2); no scale, no mirror.
-
-    Least squares by the SVD of sum (a_i - a)(b_i - b)^T, the last singular vector turned round where it would mirror
-    (Kabsch, Acta Cryst. A32, 1976; Umeyama 1991, eq. 40 and 41 with c = 1).
-    """
-    a, b = a_m.mean(axis=0), b_m.mean(axis=0)
-    u, _, vt = np.linalg.svd((a_m - a).T @ (b_m - b))
-    rotation = (u @ np.diag([1, np.sign(np.linalg.det(u @ vt))]) @ vt).T
-    return rotation, b - rotation @ a
 
 
 def fitted(estimate_m: FloatArray, reference_m: FloatArray, use: BoolArray) -> FloatArray:

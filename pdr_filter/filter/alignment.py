@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import chi2
 
 from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE
 from pdr_filter.values import FloatArray, Origin, read_only, wrap_angle
@@ -405,6 +404,13 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
     return float(_squares(pairs, _least_squares(pairs), north_var_rad2).min())
 
 
+def agreement_limit(n_free: int) -> float:
+    """Chi-square that one in a thousand sets of good fixes exceeds."""
+    from scipy.special import chdtri  # which takes as long to load as all the rest of a filter
+
+    return float(chdtri(n_free, _DISAGREE_PROB)) if n_free > 0 else math.inf
+
+
 def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf) -> tuple[PairedPoint, ...]:
     """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
 
@@ -415,7 +421,7 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
         return least_squares_error(some, north_var_rad2)
 
     while len(pairs) > 1:
-        limit = chi2.isf(_DISAGREE_PROB, 2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
+        limit = agreement_limit(2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
         if best(pairs) <= limit:
             break
         pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=best)

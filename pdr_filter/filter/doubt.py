@@ -17,9 +17,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from scipy.stats import chi2
-
-from pdr_filter.filter.alignment import Alignment, PairedPoint, align, least_squares_error
+from pdr_filter.filter.alignment import Alignment, PairedPoint, agreement_limit, align, least_squares_error
 
 # T: somebody who walks leaves a reflection behind after some tens of seconds.
 EPISODE_S = 20.0
@@ -30,7 +28,6 @@ LOG_ODDS_BEFORE = math.log(30.0)
 MAX_DOUBTS = 12
 # Two of them agree whatever they are, or nearly.
 _MIN_DOUBTS = 3
-_DISAGREE_PROB = 1e-3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -67,7 +64,7 @@ class Doubt:
             return None
         # a heading that is known exactly divides nothing
         turn_var = max(heading_var_rad2, 1e-12)
-        if least_squares_error(pairs, turn_var) - least_squares_error(pairs) > _limit(1):
+        if least_squares_error(pairs, turn_var) - least_squares_error(pairs) > agreement_limit(1):
             if not can_turn:
                 return None
             turn_var = math.inf
@@ -79,9 +76,4 @@ class Doubt:
 
 def _agree(pairs: Sequence[PairedPoint]) -> bool:
     """Whether all of them can be right, for a track that may be shifted and turned."""
-    return least_squares_error(pairs) <= _limit(2 * len(pairs) - 3)
-
-
-def _limit(n_free: int) -> float:
-    """Chi-square that one in a thousand sets of good fixes exceeds."""
-    return float(chi2.isf(_DISAGREE_PROB, n_free)) if n_free > 0 else math.inf
+    return least_squares_error(pairs) <= agreement_limit(2 * len(pairs) - 3)

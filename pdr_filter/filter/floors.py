@@ -7,12 +7,12 @@ building among them. A storey is left when the next one is clearly nearer.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.values import FloorPassage, HowClimbed
+from pdr_filter.values import FloorPassage, HowClimbed, replace
 
 # The one height that makes one storey of all from 2.6 to 5.5 m, the limits being half of it and one and a half with
 # the same to spare: their geometric mean.
@@ -39,7 +39,7 @@ _STEPS_PER_M = 4.0
 _ESCALATOR_MPS = 0.45
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Level:
     """Where one storey is."""
 
@@ -48,7 +48,7 @@ class Level:
     std_m: float
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Climbing:
     """What happened since a storey was left."""
 
@@ -70,7 +70,7 @@ class Climbing:
         return "escalator" if self.n_steps > height_m or rate_mps < _ESCALATOR_MPS else "lift"
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class FloorState:
     """Storeys that are known, the present one, and how far somebody is on the way to another."""
 

@@ -16,7 +16,7 @@ stairs.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -38,7 +38,7 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
-from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, read_only
+from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, read_only, replace
 
 CLIMBED, RATE, SLOPED, AIR = range(4)
 LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)
@@ -116,7 +116,7 @@ _STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "
 _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Known:
     """What is known of the height at one time: estimates of the modes, their sum, and the storeys."""
 
@@ -139,7 +139,7 @@ class Known:
         return math.sqrt(max(self.height_var_m2, 0.0))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Second:
     """One second of the barometer, and what was known before it."""
 
@@ -149,7 +149,7 @@ class Second:
     n_steps: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class HeightState:
     """What is known, the last seconds, of which steps may still become known, and what waits for the next one."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -26,14 +26,14 @@ from pdr_filter.filter.pedestrian import (
 from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
 from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, Step
+from pdr_filter.values import Fix, FixOutcome, Step, replace
 
 # Evidence of a known standstill against every mode that moves: a hundred thousand to one, because a window that is sure
 # of walking says a hundred to one for it (`evidence_floor`), and the step itself seven to one.
 _STANDSTILL_LOG_EVIDENCE = 12.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ImmState:
     """Estimates of all modes, and the windows that are their evidence."""
 

@@ -14,10 +14,20 @@ import numpy as np
 
 from pdr_filter.filter.imm import predict_cov
 from pdr_filter.filter.step_length import StepLengthFit
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, check_numbers, wrap_angle
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    HeadingDrift,
+    Step,
+    check_numbers,
+    read_only,
+    wrap_angle,
+)
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
+_IDENTITY = read_only(np.eye(N_STATES))
 # Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
 IRREGULAR = "irregular"
 
@@ -202,7 +212,8 @@ def advance(
     predicted_mean = mean.copy()
     predicted_mean[..., :2] += move.displacement_m
     predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
-    F = np.broadcast_to(np.eye(N_STATES), (*mean.shape, N_STATES)).copy()
+    F = np.empty((*mean.shape, N_STATES))
+    F[...] = _IDENTITY
     F[..., :2, HEADING_OFFSET] = move.length_m[..., None] * move.across
     F[..., :2, LOG_SCALE] = move.displacement_m
     F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
@@ -211,7 +222,7 @@ def advance(
     Q[..., :2, :2] = (
         move.var_along_m2[..., None, None] * move.along[..., :, None] * move.along[..., None, :]
         + move.var_across_m2[..., None, None] * move.across[..., :, None] * move.across[..., None, :]
-        + directions.extra_var_m2[..., None, None] * np.eye(2)
+        + directions.extra_var_m2[..., None, None] * _IDENTITY[:2, :2]
     )
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
@@ -249,10 +260,13 @@ def step_motion(
     """`StepMotion` of lengths (..., M); the variances are multiplied by a weight, a mode's probability in a mixture."""
     scaled_m = length_m * np.exp(log_scale)
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
-    along = np.stack([np.sin(psi), np.cos(psi)], axis=-1)
+    along, across = np.empty((2, *psi.shape, 2))
+    along[..., 0] = sine = np.sin(psi)
+    along[..., 1] = across[..., 0] = np.cos(psi)
+    across[..., 1] = -sine
     return StepMotion(
         along=along,
-        across=np.stack([along[..., 1], -along[..., 0]], axis=-1),
+        across=across,
         length_m=scaled_m,
         displacement_m=scaled_m[..., None] * along,
         var_along_m2=weight * (np.exp(2 * log_scale) * length_var_m2),

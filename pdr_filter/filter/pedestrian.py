@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -22,7 +22,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
-from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, wrap_angle
+from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, replace, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -33,7 +33,7 @@ TRAIL_POSITION = slice(1, 3)
 _ALONG, _ACROSS, _PARAMETERS = 0, 1, slice(2, None)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepUpdate:
     """The track after one step.
 
@@ -69,7 +69,7 @@ class StepUpdate:
         return as_plain({"time_s": self.step.time_s, **named, "context_prob": contexts})
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PedestrianState:
     """Estimates of F filters (one for each mode with `imm`, one alone with `hc` and `wc`) and what goes with them."""
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
@@ -12,7 +12,7 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import N_STATES, MotionNoise, grow_over_gap
 from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, shared_cov
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -38,7 +38,7 @@ def over_gap(before: PedestrianState, gap_s: float, noise: MotionNoise) -> tuple
     return after, Passage(known, transition, shared_cov(after), is_step=False)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TrackerOutput:
     """What one event brought."""
 

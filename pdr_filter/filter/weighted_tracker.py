@@ -6,7 +6,7 @@ contain it: the provisional and the final distance of Martinelli et al. 2018, Al
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -32,10 +32,10 @@ from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, win
 from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
-from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers
+from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WeightedState:
     """The estimate after the last final step, and the steps that wait for their windows."""
 

@@ -120,7 +120,7 @@ class Session:
         if self.online is not None:
             events += self._stepped(self.online.finish())
         self.refused = _ENDED
-        return [*events, *self._turned(is_due=True), *self._now(math.nan, is_due=True)]
+        return [*events, self.about(), *self._turned(is_due=True), *self._now(math.nan, is_due=True)]
 
     def _filtered(self, ready: Sequence[assembly.Streams], received_s: float) -> list[Event]:
         events: list[Event] = []
@@ -312,7 +312,13 @@ class Devices:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
             if part_of(message.device, self.n_parts) != self.part:
                 raise MessageError("one body is of one device; send messages of different devices apart")
-            for event in self._session(message).take(message, received_s):
+            taken_by = self._session(message)
+            try:
+                events = taken_by.take(message, received_s)
+            except SessionError:
+                self.emit(taken_by.about())  # the page says why, too
+                raise
+            for event in events:
                 self.emit(event)
             n += message.n_samples
         return {"samples": n}

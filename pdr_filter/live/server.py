@@ -31,6 +31,7 @@ from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Answer, Take, Workers
 
 PAGE = Path(__file__).parent / "page"
+_ASSETS = Path(__file__).parents[1] / "report" / "assets"  # uPlot, which reports hold, too
 # Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
 _MAX_WAITING = 500
 _MAX_READERS = 100
@@ -160,7 +161,8 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         return FileResponse(PAGE / name, headers=_policy(tiles))
 
     async def asset(request: Request) -> Response:
-        path = PAGE / request.path_params["name"]
+        name = request.path_params["name"]
+        path = next((p for p in (PAGE / name, _ASSETS / name) if p.is_file()), PAGE / name)
         known = path.suffix in (".js", ".css", ".txt") and path.is_file()
         return FileResponse(path, headers=_policy(tiles)) if known else PlainTextResponse("not found", 404)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import numpy as np
-from scipy.ndimage import label
 
 from pdr_filter.values import Cluster, FloatArray, IntArray, OnPlan, read_only
 
@@ -42,6 +41,8 @@ def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, Flo
 
 def groups(position_m: FloatArray) -> IntArray:
     """Number of the group of each position (N, 2): those that hang together."""
+    from scipy.ndimage import label  # here, because a filter without a plan need not load SciPy
+
     cell = np.floor(position_m / _CELL_M).astype(np.int64)
     cell -= cell.min(axis=0)
     columns, rows = cell.max(axis=0) + 1

@@ -7,7 +7,6 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import distance_transform_edt
 
 from pdr_filter.maps.storey import CELL_M, LIFT, OUTSIDE, ROOM, STAIRS, WALL, Storey
 from pdr_filter.values import BoolArray, FloatArray, check_numbers
@@ -51,6 +50,8 @@ class Ground:
     @cached_property
     def height(self) -> _Field:
         """Cost of being in each cell, flat: a step pays for what it climbs, and goes down for nothing."""
+        from scipy.ndimage import distance_transform_edt  # here, because a filter without a plan need not load SciPy
+
         cells, terrain = self.storey.cells, self.terrain
         closed = (cells == ROOM) | (cells == OUTSIDE)
         share = np.minimum(CELL_M / terrain.soft_m * np.asarray(distance_transform_edt(closed)), 1.0)

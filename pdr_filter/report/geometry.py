@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 
 import numpy as np
 
+from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.maps.storey import Storey
 from pdr_filter.values import RADIUS_95, FloatArray, Windows
 
 N_ELLIPSES = 8
@@ -31,6 +34,12 @@ def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
 def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
     """How far 95 % ellipses reach to the east and to the north, (N, 2) in m, of (N, 2, 2)."""
     return RADIUS_95 * np.sqrt(np.maximum(np.diagonal(cov_m2, axis1=1, axis2=2), 0.0))
+
+
+def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:
+    """The storeys that a track was on; of a plan with one storey that one, without a plan none."""
+    seen = set(floors)
+    return [s for s in plan.storeys if len(plan.storeys) == 1 or s.floor in seen] if plan is not None else []
 
 
 def round_up(value: float) -> float:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any
 
@@ -18,7 +18,7 @@ from vqf import VQF
 
 from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers, replace
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
@@ -44,7 +44,7 @@ class AttitudeBlock:
     quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (N, 4) wxyz, sensor to the attitude's frame
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AttitudeState:
     """The state of vqf as plain values, the heading turned so far, and the bias of the gyroscope."""
 
@@ -155,10 +155,11 @@ class AttitudeEstimator:
         up = _up_in_sensor_frame(quat)
         state, heading_rad = _follow_heading(state, quat, up, known, -_dot(rate[:1], up[:1])[0] / self.rate_hz)
         bias_std = np.sqrt(_variance_along(up, state.bias.bias_cov_radps2))
-        flags = np.column_stack([known, block.magnetic_field_known[piece]]).astype(float)
-        rows = np.column_stack(
-            [block.angular_rate_radps[piece], force, up, block.magnetic_field_ut[piece], quat, heading_rad, flags]
-        )
+        rows = np.empty((len(up), _NO_SAMPLES.shape[1]))
+        rows[:, _RATE], rows[:, _FORCE], rows[:, _UP] = block.angular_rate_radps[piece], force, up
+        rows[:, _FIELD], rows[:, _QUAT] = block.magnetic_field_ut[piece], quat
+        rows[:, _HEADING], rows[:, _RATE_KNOWN] = heading_rad, known
+        rows[:, _FIELD_KNOWN] = block.magnetic_field_known[piece]
         window = np.concatenate([state.window, rows]) if len(state.window) else rows
         errors = np.full(len(up), state.bias.heading_error_rad), np.full(len(up), state.bias.heading_error_var_rad2)
         found = (quat, up, heading_rad, bias_std, *errors)

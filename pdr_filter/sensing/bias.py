@@ -28,12 +28,12 @@ tests/benchmarks/heading_drift.py.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import FloatArray, check_numbers
+from pdr_filter.values import FloatArray, check_numbers, replace
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
@@ -55,7 +55,7 @@ class BiasWindow:
     magnetic_field_known: bool  # in all samples
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StraightWalk:
     """Windows of somebody who walks and has not turned a corner, newest last."""
 
@@ -75,7 +75,7 @@ class FieldScatter:
     direction_rad: float  # in the last window
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class GyroBiasState:
     """A bank of Kalman filters, and what the measurements need of the windows before."""
 

@@ -7,7 +7,7 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
 from pdr_filter.sensing.units import UnitsState, look, units
 from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, replace
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
@@ -47,7 +47,7 @@ class UniformBlock:
     gap_before_s: float  # 0 if it continues the block before; inf for the very first
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class IntakeReport:
     """What the conditioner did to the samples it received."""
 
@@ -119,7 +119,7 @@ class IntakeReport:
         return tuple(found)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ConditionerState:
     """Rows not yet used up, where the uniform grid is, and the report so far."""
 
@@ -201,16 +201,18 @@ class Conditioner:
             )
             wild_field = (np.abs(raw[:, _FIELD]) > MAX_FIELD_UT).any(axis=1)
         raw[wild_field, _FIELD] = np.nan
-        usable = raw[finite & ~wild]
+        is_usable = finite & ~wild
+        usable = raw if is_usable.all() else raw[is_usable]
         clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
         watched, motion = watch(state.watchdog, followed[:, 0], followed[:, _MOTION])
         is_dead = np.isnan(motion[:, 0])
         n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
-        kept = np.column_stack([followed[:, 0], motion, followed[:, _FIELD]])[~is_dead]
-        rows = np.empty((len(kept), _N_COLUMNS))
-        rows[:, :4] = kept[:, :4]
-        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], kept[:, _RATE], state.last_rate)
-        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], kept[:, _FIELD], state.last_field)
+        if is_dead.any():
+            followed, motion = followed[~is_dead], motion[~is_dead]
+        rows = np.empty((len(motion), _N_COLUMNS))
+        rows[:, 0], rows[:, _FORCE] = followed[:, 0], motion[:, :3]
+        rows[:, _RATE], rows[:, _RATE_AGE], last_rate = _hold(rows[:, 0], motion[:, 3:], state.last_rate)
+        rows[:, _FIELD], rows[:, _FIELD_AGE], last_field = _hold(rows[:, 0], followed[:, _FIELD], state.last_field)
         old = state.report
         report = replace(
             old,
@@ -289,6 +291,9 @@ class Conditioner:
 
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values with missing rows replaced by the last finite one, the age of each (0 if measured), and the new last."""
+    if np.isfinite(values).all():
+        newest = np.concatenate([time_s[-1:], values[-1]]) if len(values) else last
+        return values, np.zeros(len(values)), newest
     stack = np.vstack([last, np.column_stack([time_s, values])])
     finite = np.isfinite(stack[:, 1:]).all(axis=1)
     index = np.maximum.accumulate(np.where(finite, np.arange(len(stack)), 0))
@@ -305,13 +310,16 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     # All knots inside the grid in order: grid points go in before the first sample at or after them.
     inside = slice(int(np.searchsorted(time_s, grid_s[0])), int(np.searchsorted(time_s, grid_s[-1])))
     position = np.searchsorted(time_s[inside], grid_s)
-    knots_s = np.insert(time_s[inside], position, grid_s)
-    knots = np.insert(values[inside], position, at_grid, axis=0)
-    width = np.diff(knots_s)[:, None]
-    areas = 0.5 * (knots[1:] + knots[:-1]) * width
+    of_grid = position + np.arange(len(grid_s))
+    is_sample = np.ones(inside.stop - inside.start + len(grid_s), dtype=bool)
+    is_sample[of_grid] = False
+    knots_s, knots = np.empty(len(is_sample)), np.empty((len(is_sample), values.shape[1]))
+    knots_s[of_grid], knots_s[is_sample] = grid_s, time_s[inside]
+    knots[of_grid], knots[is_sample] = at_grid, values[inside]
+    areas = 0.5 * (knots[1:] + knots[:-1]) * (knots_s[1:] - knots_s[:-1])[:, None]
     first = position[:-1] + np.arange(len(grid_s) - 1)
     # reduceat adds row by row within each interval: the same numbers in the same order however blocks were cut
-    return np.add.reduceat(areas, first, axis=0) / np.diff(grid_s)[:, None]
+    return np.add.reduceat(areas, first, axis=0) / (grid_s[1:] - grid_s[:-1])[:, None]
 
 
 def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -21,7 +22,7 @@ from pdr_filter.sensing.rattle import Rattle, RattleState
 from pdr_filter.sensing.steps.detector import ContextBlock, StepDetector
 from pdr_filter.sensing.steps.even import EvenSteps
 from pdr_filter.sensing.steps.gate import StepGate
-from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step
+from pdr_filter.values import FloatArray, ImuBlock, IntArray, Step, replace
 
 
 @dataclass(frozen=True, slots=True)
@@ -38,7 +39,7 @@ Event = Step | WindowContext | Gap
 _CADENCE_STEPS, _CADENCE_S = 3, 5.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class SensingState:
     """States of the stages, and the time up to which events are out."""
 
@@ -99,7 +100,7 @@ class Sensing:
         if len(rates) > 1:
             raise ValueError(f"all stages must have one rate_hz, got {sorted(rates)}")
 
-    @property
+    @cached_property
     def _rattle(self) -> Rattle:
         return Rattle(self.conditioner.rate_hz)
 

@@ -7,13 +7,14 @@ a phone pauses. Figures: docs/methods/steps.md.
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers
+from pdr_filter.values import FloatArray, Step, check_numbers, replace
 
 _JITTER_HZ = 50.0
 # The first steps of a bout become known up to 4 s after their contacts, and a contact ends a step of a second.
@@ -22,7 +23,7 @@ _WAIT_S = 5
 _STEP_S = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class RattleState:
     """The seconds whose steps may still come, the run of rattling ones, and the sums."""
 
@@ -78,12 +79,14 @@ class Rattle:
             n_samples=state.n_samples + len(block.time_s),
             start_s=float(block.time_s[0]) if state.n_samples == 0 else state.start_s,
             rest=magnitude[n_whole * n :],
-            steps=(*state.steps, *((number, step.time_s) for number, step in steps)),
         )
+        found, n_known = [(number, step.time_s) for number, step in steps], 0
         for second in range(n_whole):
             waiting_mps2 = (*state.waiting_mps2, self._jitter(magnitude[second * n : (second + 1) * n]))
-            state = self._judge(replace(state, waiting_mps2=waiting_mps2), first + second)
-        return state
+            until = bisect_left(found, ((first + second + 1) * n,), lo=n_known)
+            state = replace(state, waiting_mps2=waiting_mps2, steps=(*state.steps, *found[n_known:until]))
+            state, n_known = self._judge(state, first + second), until
+        return replace(state, steps=(*state.steps, *found[n_known:]))
 
     def _jitter(self, magnitude: FloatArray) -> float:
         """Jitter of a second."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray
+from pdr_filter.values import BoolArray, FloatArray, read_only
 
 # Rows that are judged at once: 0.1 to 2.5 s.
 _WINDOW_ROWS = 50
@@ -21,7 +21,9 @@ _DEAD_S = 1.0
 _CONSTANT = 1e-9
 # Motion of somebody who carries a phone: a tenth of the range of strolling. Noise at rest is a hundred times less.
 _MOVING = np.array([1.0, 1.0, 1.0, 0.2, 0.2, 0.2])
-_FORCE, _RATE = slice(0, 3), slice(3, 6)
+# Of specific force and angular rate.
+_AXES = [0, 1, 2], [3, 4, 5]
+_NEVER_S = read_only(np.full(2, np.nan))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,37 +49,52 @@ def watch(state: WatchdogState, time_s: FloatArray, motion: FloatArray) -> tuple
 
     A window is judged when it is whole, so that the result does not depend on how rows were cut into blocks.
     """
-    result, start = motion, 0
-    while start < len(motion):
-        end = min(start + _WINDOW_ROWS - state.n_rows, len(motion))
-        part = motion[start:end]
-        if any(state.dead):
+    if len(motion) == 0:
+        return state, motion
+    begins = np.arange(-state.n_rows, len(motion), _WINDOW_ROWS)
+    begins[0] = 0
+    low, high = np.minimum.reduceat(motion, begins), np.maximum.reduceat(motion, begins)
+    low[0], high[0] = np.minimum(low[0], state.low), np.maximum(high[0], state.high)
+    n_whole, n_rows = divmod(state.n_rows + len(motion), _WINDOW_ROWS)
+    change = high - low
+    constant, moving = np.asarray(change <= _CONSTANT), np.asarray(change > _MOVING)
+    is_constant, result, ends = np.asarray(constant.any(axis=1)), motion, [*begins[1:].tolist(), len(motion)]
+    since_s, moved, dead, start_s = state.still_since_s, state.moved, state.dead, state.start_s
+    for k, begin in enumerate(begins.tolist()):
+        missing = [c for axes, is_dead in zip(_AXES, dead, strict=True) if is_dead for c in axes]
+        if missing:
             result = result.copy() if result is motion else result
-            for sensor, columns in enumerate((_FORCE, _RATE)):
-                if state.dead[sensor]:
-                    result[start:end, columns] = np.nan
-        start_s = float(time_s[start]) if state.n_rows == 0 else state.start_s
-        low, high = np.minimum(state.low, part.min(axis=0)), np.maximum(state.high, part.max(axis=0))
-        state = WatchdogState(
-            state.n_rows + end - start, low, high, state.still_since_s, state.moved, state.dead, start_s
-        )
-        if state.n_rows == _WINDOW_ROWS:
-            state = _judged(state, float(time_s[end - 1]))
-        start = end
-    return state, result
+            result[begin : ends[k], missing] = np.nan
+        start_s = start_s if k == 0 and state.n_rows else float(time_s[begin])
+        if k < n_whole and is_constant[k]:
+            end_s = float(time_s[ends[k] - 1])
+            since_s, moved, dead = _judged(constant[k], moving[k], since_s, moved, start_s, end_s)
+        elif k < n_whole:
+            since_s, moved, dead = _NEVER_S, (False, False), (False, False)
+    fresh = watchdog()
+    if n_rows == 0:
+        return WatchdogState(0, fresh.low, fresh.high, since_s, moved, dead), result
+    return WatchdogState(n_rows, low[-1], high[-1], since_s, moved, dead, start_s), result
 
 
-def _judged(state: WatchdogState, end_s: float) -> WatchdogState:
-    """State after a whole window. Where values are missing nothing is constant, and nothing moves."""
-    change = state.high - state.low
-    constant, moving = change <= _CONSTANT, change > _MOVING
-    since_s, moved, dead = state.still_since_s.copy(), list(state.moved), [False, False]
-    for sensor, (columns, witnesses) in enumerate(((_FORCE, _RATE), (_RATE, _FORCE))):
+def _judged(
+    constant: BoolArray,
+    moving: BoolArray,
+    since_s: FloatArray,
+    moved_before: tuple[bool, bool],
+    start_s: float,
+    end_s: float,
+) -> tuple[FloatArray, tuple[bool, bool], tuple[bool, bool]]:
+    """Since when sensors stand still, whether the phone moved since, and which are dead, after a whole window.
+
+    Where values are missing nothing is constant, and nothing moves.
+    """
+    since_s, moved, dead = since_s.copy(), list(moved_before), [False, False]
+    for sensor, (columns, witnesses) in enumerate((_AXES, _AXES[::-1])):
         if not constant[columns].any():
             since_s[sensor], moved[sensor] = np.nan, False
             continue
-        since_s[sensor] = np.fmin(since_s[sensor], state.start_s)
+        since_s[sensor] = np.fmin(since_s[sensor], start_s)
         moved[sensor] = moved[sensor] or bool(moving[witnesses].any())
-        dead[sensor] = moved[sensor] and end_s - since_s[sensor] >= _DEAD_S
-    fresh = watchdog()
-    return WatchdogState(0, fresh.low, fresh.high, since_s, (moved[0], moved[1]), (dead[0], dead[1]))
+        dead[sensor] = moved[sensor] and bool(end_s - since_s[sensor] >= _DEAD_S)
+    return since_s, (moved[0], moved[1]), (dead[0], dead[1])

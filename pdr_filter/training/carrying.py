@@ -177,6 +177,7 @@ class RawSignals:
 
     name: str = "signals"
     names: tuple[str, ...] = invariant.SIGNALS
+    low_pass_hz: None = None
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Samples (W, 12 N) of the signals of windows (W, N_SIGNALS, N)."""

@@ -33,6 +33,8 @@ from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.on_plan import Cluster, OnPlan
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.plain import as_plain
+from pdr_filter.values.replace import replace
+from pdr_filter.values.rigid import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
 from pdr_filter.values.step import HARDLY_AGREE, TRUSTED, Step, step_table, steps_of
 from pdr_filter.values.track_rows import TrackRows
@@ -90,6 +92,8 @@ __all__ = [
     "loudness",
     "read_only",
     "received_s",
+    "replace",
+    "rigid_fit",
     "step_table",
     "steps_of",
     "table",

@@ -22,6 +22,8 @@ def as_floats(values: ArrayLike, name: str) -> FloatArray:
 
     ValueError for dates and durations, whose numbers are in units of their own, and for complex numbers.
     """
+    if type(values) is np.ndarray and values.dtype == np.float64:
+        return values
     array: Any = np.asanyarray(values)
     if array.dtype.kind in "mM":
         raise ValueError(f"{name} holds {array.dtype}; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")

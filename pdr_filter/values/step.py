@@ -18,7 +18,7 @@ TRUSTED, HARDLY_AGREE = 0.5, 0.2
 _QUICK_HZ, _SOFT_MPS2 = 2.4, 5.0
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Step:
     """One step: from a contact of one foot to the next contact of the other.
 

@@ -8,7 +8,6 @@ from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.ndimage import uniform_filter1d
 
 from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
@@ -204,8 +203,11 @@ class TrackRows:
     @property
     def is_quick_and_soft(self) -> BoolArray:
         """Where most of the steps about each are (`Step.is_quick_and_soft`), shape (K,)."""
-        each = np.array([step.is_quick_and_soft for step in steps_of(self.steps)], dtype=float)
-        return uniform_filter1d(each, _ABOUT_STEPS, mode="nearest") > 0.5 if self.n_steps else each > 0.5
+        each = np.array([step.is_quick_and_soft for step in steps_of(self.steps)], dtype=int)
+        if not self.n_steps:
+            return each > 0
+        number = np.convolve(np.pad(each, _ABOUT_STEPS // 2, mode="edge"), np.ones(_ABOUT_STEPS, int), mode="valid")
+        return 2 * number > _ABOUT_STEPS
 
     @property
     def heading_source(self) -> tuple[str, ...]:

@@ -1,21 +1,98 @@
-"""How fast the whole pipeline is: an hour of 100 Hz data at once, and the cost of one pushed block of 0.1 s.
+"""How fast the whole pipeline is: recordings of all sets, an hour at once, a day in blocks, a pushed block, a start.
 
-usage: python -m tests.benchmarks.throughput [--hours 1]
+usage: python -m tests.benchmarks.throughput [recordings] [hour] [costs] [day] [start] [--before TREE] [--every 4]
 
-The hour is the embedded simulated walk repeated in time. One core: BLAS threads are set to one.
+The hour is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
+out or put in. `--before` is another checkout of the project: its recordings and starts are timed in turns with ours,
+ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
 """
 
 from __future__ import annotations
 
+import argparse
+import json
+import os
+import resource
+import subprocess
+import sys
 import time
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 import pdr_filter as pdr
+from pdr_filter.filter.modes import context_modes, context_transitions
+from pdr_filter.filter.step_length import bounce_fit
 from pdr_filter.recipes import default
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
-from pdr_filter.values import Samples
-from tests.benchmarks.common import Tables, options
+from pdr_filter.values import PositionFix, Samples
+from tests.benchmarks.common import ROOT, Tables, options, paths
+
+SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
+# In another process, so that trees can be compared: reads nothing but the package and the recordings.
+_OF_RECORDINGS = """
+import json, sys, time
+import pdr_filter as pdr
+found = []
+for path in sys.argv[1:]:
+    recording, best = pdr.read(path), float("inf")
+    for _ in range(2):
+        start = time.process_time()
+        pdr.track(recording)
+        best = min(best, time.process_time() - start)
+    found.append((recording.duration_s, best))
+print(json.dumps(found))
+"""
+_OF_START = """
+import json, sys, time
+start = time.perf_counter(), time.process_time()
+import pdr_filter
+pdr_filter.OnlineFilter()
+print(json.dumps((time.perf_counter() - start[0], time.process_time() - start[1])))
+"""
+
+
+def best_s(run: Callable[[], object], times: int = 3) -> float:
+    """Least processor time of some runs."""
+    taken: list[float] = []
+    for _ in range(times):
+        start = time.process_time()
+        run()
+        taken.append(time.process_time() - start)
+    return min(taken)
+
+
+def in_tree(tree: Path, code: str, *arguments: str) -> np.ndarray:
+    """What code prints in a fresh interpreter that imports the package of a checkout."""
+    environment = {**os.environ, "PYTHONPATH": str(tree)}
+    command = [sys.executable, "-c", code, *arguments]
+    done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=True)
+    return np.array(json.loads(done.stdout))
+
+
+def trees(before: Path | None) -> dict[str, Path]:
+    """Checkouts that are timed in turns, by what the tables call them."""
+    return {"now": ROOT} if before is None else {"before": before, "now": ROOT, "now, again": ROOT}
+
+
+def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
+    """Times real time of real recordings with all their sensors, for each set."""
+    rows: list[list[str]] = []
+    every: dict[str, list[np.ndarray]] = {name: [] for name in trees(args.before)}
+    for site in SITES:
+        chosen = [str(path) for path in paths(args.data, site)[:: args.every]]
+        times = {name: in_tree(tree, _OF_RECORDINGS, *chosen) for name, tree in trees(args.before).items()}
+        for name, found in times.items():
+            every[name].append(found)
+        rows.append([site, str(len(chosen)), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in times.values())])
+    all_of = {name: np.concatenate(found) for name, found in every.items()}
+    n = len(next(iter(all_of.values())))
+    rows.append(["all", str(n), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in all_of.values())])
+    rows.append(["all, time by time", str(n), *(f"{t[:, 0].sum() / t[:, 1].sum():.0f}" for t in all_of.values())])
+    about = "Times real time, the mean over the recordings; one core."
+    tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
 
 
 def long_walk(hours: float) -> pdr.Recording:
@@ -45,45 +122,145 @@ def features_s(recording: pdr.Recording) -> tuple[float, int]:
     for part in uniform:
         state, attitude = sensing.attitude.step(state, part)
         parts.append((part, attitude))
-    start, n, windows = time.perf_counter(), 0, stage.init()
+    start, n, windows = time.process_time(), 0, stage.init()
     for part, attitude in parts:
         windows, found = stage.step(windows, part, attitude)
         n += len(found)
-    return time.perf_counter() - start, n
+    return time.process_time() - start, n
 
 
-def main() -> None:
-    parser = options(__doc__)
-    parser.add_argument("--hours", type=float, default=1.0)
-    args = parser.parse_args()
+def pushed_ms(block: pdr.ImuBlock, n_samples: int = 10, most: int = 60_000) -> np.ndarray:
+    """Cost of each pushed block, ms."""
+    online, cost = pdr.OnlineFilter(), []
+    for i in range(0, min(len(block.time_s), most), n_samples):
+        part = slice(i, i + n_samples)
+        start = time.process_time()
+        online.push(block.time_s[part], block.specific_force_mps2[part], block.angular_rate_radps[part])
+        cost.append(1e3 * (time.process_time() - start))
+    return np.array(cost)
+
+
+def of_an_hour(tables: Tables, args: argparse.Namespace) -> None:
+    """The simulated hour, a pushed block, a saved filter."""
     recording, rows = long_walk(args.hours), []
     pdr.track(pdr.simulate.demo_walk())  # loads models, fills caches
     for weighting in ("imm", "wc", "hc"):
-        best = np.inf
-        for _ in range(3):
-            start = time.perf_counter()
-            track = pdr.track(recording, weighting=weighting)
-            best = min(best, time.perf_counter() - start)
-        times = recording.duration_s / best
-        rows.append([f"an hour, `{weighting}`, {track.n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
+        best = best_s(lambda w=weighting: pdr.track(recording, weighting=w))
+        times, n_steps = recording.duration_s / best, pdr.track(recording, weighting=weighting).n_steps
+        rows.append([f"an hour, `{weighting}`, {n_steps} steps", f"{best:.1f} s, {times:.0f} times real time"])
     best, n_windows = min(features_s(recording) for _ in range(3))
     rows.append([f"{len(ATTITUDE_FREE.names)} features of its {n_windows} windows", f"{best:.2f} s"])
     block = pdr.merge_streams(recording)
-    online = pdr.OnlineFilter()
-    cost: list[float] = []
-    for i in range(0, min(len(block.time_s), 60_000), 10):
-        part = slice(i, i + 10)
-        start = time.perf_counter()
-        online.push(block.time_s[part], block.specific_force_mps2[part], block.angular_rate_radps[part])
-        cost.append(1e3 * (time.perf_counter() - start))
+    cost = np.min([pushed_ms(block) for _ in range(3)], axis=0)
     high = np.percentile(cost, 99)
     rows.append(["one pushed block of 0.1 s", f"mean {np.mean(cost):.2f} ms, 99th percentile {high:.1f} ms"])
+    online = pdr.OnlineFilter()
+    online.push(block.time_s[:3000], block.specific_force_mps2[:3000], block.angular_rate_radps[:3000])
     blob = online.save()
-    start = time.perf_counter()
-    pdr.OnlineFilter.load(blob)
-    loaded_ms = 1e3 * (time.perf_counter() - start)
+    loaded_ms = 1e3 * best_s(lambda: pdr.OnlineFilter.load(blob))
     rows.append(["a saved filter, models included", f"{len(blob) / 1e3:.0f} kB, loaded in {loaded_ms:.0f} ms"])
-    Tables.of(__spec__.name, args).write("throughput", ["what", "result"], rows, "One core.")
+    tables.write("throughput", ["what", "result"], rows, "One core.")
+
+
+def of_parts(tables: Tables, args: argparse.Namespace) -> None:
+    """A real walk with parts of the filter left out or put in."""
+    recording = pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
+    track = pdr.track(recording)
+    n_steps = track.n_steps
+    config, fix_cov = default(recording.subject), 9.0 * np.eye(2)
+    sensing, modes = config.sensing, context_modes(bounce_fit())
+
+    def with_modes(n: int) -> pdr.Config:
+        chosen = (*modes, *(replace(m, name=f"{m.name} {k}") for k in range(1, 5) for m in modes))[1 : n + 1]
+        rows = np.full((n, n), 0.1 / max(n - 1, 1)) + (0.9 if n > 1 else 1.0 - 0.1) * np.eye(n)
+        rows = rows / rows.sum(axis=1, keepdims=True)
+        return config.with_model(modes=chosen, transition_prob=rows if n != len(modes) else context_transitions())
+
+    fixes = [PositionFix(float(t), p, fix_cov) for t, p in zip(track.time_s[::2], track.position_m[::2], strict=True)]
+    time_s = np.arange(0.0, recording.duration_s, 0.1)
+    climbing = replace(recording, barometer=Samples(time_s, 1000.0 + 0.01 * np.sin(0.1 * time_s)[:, None]))
+    runs: list[tuple[str, Callable[[], object]]] = [
+        ("the default, 6 modes", lambda: pdr.track(recording)),
+        *((f"{n} modes", lambda n=n: pdr.track(recording, with_modes(n))) for n in (1, 2, 12, 24)),
+        ("without contexts", lambda: pdr.track(recording, replace(config, sensing=replace(sensing, contexts=None)))),
+        (
+            "without walking direction",
+            lambda: pdr.track(recording, replace(config, sensing=replace(sensing, heading=None))),
+        ),
+        ("without the gate", lambda: pdr.track(recording, replace(config, sensing=replace(sensing, gate=None)))),
+        ("with a barometer, 10 Hz", lambda: pdr.track(climbing)),
+        ("with a fix for every second step", lambda: pdr.track(recording, config, fixes=fixes)),
+        ("with magnetic north", lambda: pdr.track(recording, north="magnetic")),
+        ("steps alone (`detect_steps`)", lambda: pdr.detect_steps(recording)),
+    ]
+    taken = np.min([[best_s(run, 1) for _, run in runs] for _ in range(4)], axis=0)
+    rows = [
+        [
+            name,
+            f"{1e3 * t / recording.duration_s:.2f}",
+            f"{1e3 * (t - taken[0]) / n_steps:+.2f}" if i else "",
+            f"{recording.duration_s / t:.0f}",
+        ]
+        for i, ((name, _), t) in enumerate(zip(runs, taken, strict=True))
+    ]
+    about = (
+        f"{recording.duration_s:.0f} s of walking, {n_steps} steps, processor time; the least of four runs in turns."
+    )
+    tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
+
+
+def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
+    """A day in blocks of a minute: whether its cost is that of its length, and its memory that of an hour."""
+    block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
+    period_s, used_s, n_steps = float(block.time_s[-1]) + 0.01, 0.0, 0
+    for hour in range(args.day_hours):
+        for i in range(0, len(block.time_s), 6000):
+            part = slice(i, i + 6000)
+            time_s = block.time_s[part] + hour * period_s
+            start = time.process_time()
+            updates = online.push(time_s, block.specific_force_mps2[part], block.angular_rate_radps[part])
+            used_s += time.process_time() - start
+            n_steps += len(updates)
+        if hour + 1 in (1, 2, 6, 12, 24, 48, 168):
+            peak_mb, saved_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3, len(online.save()) / 1e3
+            each_s = used_s / (hour + 1)
+            rows.append(
+                [hour + 1, n_steps, f"{used_s:.0f} s", f"{each_s:.2f} s", f"{peak_mb:.0f} MB", f"{saved_kb:.0f} kB"]
+            )
+    columns = ["hours", "steps", "processor time", "for each hour", "largest memory of the process", "saved filter"]
+    tables.write("throughput_day", columns, rows, "Pushed in blocks of a minute, whose updates were let go.")
+
+
+def of_start(tables: Tables, args: argparse.Namespace) -> None:
+    """From the first import to the first filter."""
+    found = {name: [] for name in trees(args.before)}
+    for _ in range(7):
+        for name, tree in trees(args.before).items():
+            found[name].append(in_tree(tree, _OF_START))
+    rows = [[name, *(f"{v:.2f} s" for v in np.min(taken, axis=0))] for name, taken in found.items()]
+    about = "`import pdr_filter; pdr_filter.OnlineFilter()` in a fresh interpreter; the least of seven, in turns."
+    tables.write("throughput_start", ["", "from start to end", "processor time"], rows, about)
+
+
+PARTS: dict[str, Callable[[Tables, argparse.Namespace], None]] = {
+    "recordings": of_recordings,
+    "hour": of_an_hour,
+    "costs": of_parts,
+    "day": of_a_day,
+    "start": of_start,
+}
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    parser = options(__doc__, *PARTS)
+    parser.add_argument("--hours", type=float, default=1.0)
+    parser.add_argument("--day-hours", type=int, default=24)
+    parser.add_argument("--every", type=int, default=4, help="take every so many-th recording of a set")
+    parser.add_argument("--before", type=Path, help="another checkout to compare with")
+    args = parser.parse_args(arguments)
+    tables = Tables.of(__spec__.name, args)
+    for part in args.parts:
+        PARTS[part](tables, args)
 
 
 if __name__ == "__main__":

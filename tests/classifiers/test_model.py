@@ -397,3 +397,14 @@ def test_a_description_of_something_else_is_refused(
     description = json.loads(json_path.read_text(encoding="utf-8"))
     json_path.write_text(json.dumps(description | {key: value}), encoding="utf-8")
     assert_refused(path, "not usable as context model")
+
+
+@pytest.mark.parametrize("name", ["context", "context_accelerometer", "carrying"])
+def test_what_a_shipped_model_says_of_a_window_has_the_same_bits_alone_and_among_others(name: str) -> None:
+    model = load_model(name)
+    rng = np.random.default_rng(4)
+    X = model.feature_mean + 2.0 * model.feature_scale * rng.normal(size=(33, len(model.feature_names)))
+    for row, among_others in zip(X, model.assess_all(X), strict=True):
+        alone = model.assess(row)
+        assert alone[1:] == among_others[1:]
+        np.testing.assert_array_equal(alone.prob, among_others.prob)

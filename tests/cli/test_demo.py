@@ -1,4 +1,4 @@
-"""The demonstration: three files and a summary that is true."""
+"""The demonstration: four files and a summary that is true."""
 
 from __future__ import annotations
 
@@ -27,7 +27,8 @@ def printed(demo: Demo) -> str:
     return capture.get()
 
 
-def test_the_demo_writes_a_picture_a_map_file_and_a_table(simulated: Demo) -> None:
+def test_the_demo_writes_a_report_a_picture_a_map_file_and_a_table(simulated: Demo) -> None:
+    assert simulated.report.read_text().startswith("<!DOCTYPE html>")
     assert simulated.picture.read_bytes().startswith(b"\x89PNG")
     assert len(simulated.csv.read_text().splitlines()) == simulated.track.n_steps + 1
     (feature,) = json.loads(simulated.geojson.read_text())["features"]
@@ -46,7 +47,7 @@ def test_a_map_file_without_a_place_says_so_in_its_name_and_content_and_on_scree
 
 def test_the_picture_of_the_simulated_walk_shows_the_true_way(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     drawn: list[np.ndarray | None] = []
-    monkeypatch.setattr("pdr_filter.cli.demo.plot_track", lambda track, path, reference_m: drawn.append(reference_m))
+    monkeypatch.setattr("pdr_filter.plot.track", lambda track, path, reference_m: drawn.append(reference_m))
     demo = run_demo(None, tmp_path)
     truth = demo.recording.truth.position
     run_demo(write_recording(demo.recording, tmp_path / "mine.zip"), tmp_path)
@@ -65,12 +66,27 @@ def test_the_summary_says_that_the_walk_is_simulated_and_what_is_true(simulated:
     assert f"{simulated.track.distance_m:.1f} m" in text
 
 
+def test_the_demo_convinces(simulated: Demo) -> None:
+    """All contexts are there, the end is near, nothing is asked for."""
+    track, truth = simulated.track, simulated.recording.truth
+    middle_s = track.windows.time_s - 1.0
+    true = truth.labels.context[np.searchsorted(truth.labels.end_s, middle_s)]
+    best = np.array(track.contexts)[track.windows.context_prob.argmax(axis=1)]
+    for context in ("stationary", "walking", "upstairs", "downstairs", "running"):
+        assert (best[true == context] == context).mean() > 0.8, context
+    end_m = np.array([truth.position.east_m[-1], truth.position.north_m[-1]])
+    assert np.linalg.norm(track.end_position_m - end_m) < 0.03 * truth.segments.distance_m.sum()
+    assert track.floor_changes()[0].to_floor == 1
+    assert track.floor[-1] == 0
+    assert track.notes == ()
+
+
 def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated: Demo) -> None:
     text = printed(simulated)
-    for path in (simulated.picture, simulated.geojson, simulated.csv):
+    for path in (simulated.report, simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
     assert f"within {simulated.track.uncertainty_95_m[-1]:.1f} m (95 %)" in text
-    assert "pdr-filter track YOUR.zip" in text
+    assert "pdr-filter demo YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen
 
 
@@ -82,6 +98,7 @@ def test_the_demo_of_a_file_tracks_that_file_and_claims_no_truth(tmp_path: Path)
     text = printed(demo)
     assert str(file) in text
     assert "truth" not in text
+    assert "Next" not in text  # it ends with the own walk
 
 
 def test_the_map_is_where_the_locations_of_the_recording_say(tmp_path: Path) -> None:

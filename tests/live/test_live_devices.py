@@ -217,3 +217,12 @@ def test_a_message_of_a_minute_gives_the_same_track_as_many_short_ones(walk: Rec
     short, _ = taken(tmp_path / "short", own_messages(walk))
     long, _ = taken(tmp_path / "long", own_messages(walk, part_s=30.0))
     np.testing.assert_array_equal(positions(long), positions(short))
+
+
+def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    with pytest.raises(SessionError, match="--platform ios"):
+        for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
+            devices.take(body, "", "", "", 0.0)
+    assert "--platform ios" in events[-1]["refused"]

@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import from_hand_to_pocket
 from numpy.testing import assert_allclose, assert_array_equal
 from typer.testing import CliRunner
 
@@ -20,7 +21,7 @@ BIAS = np.array([0.004, -0.006, 0.02])
 @pytest.fixture(scope="module")
 def walk() -> Recording:
     """A walk with a phone whose gyroscope is off."""
-    return biased(pdr.simulate.demo_walk())
+    return biased(from_hand_to_pocket())
 
 
 def biased(recording: Recording) -> Recording:
@@ -43,7 +44,7 @@ def test_a_recording_teaches_the_bias_and_the_next_one_begins_with_it(walk: Reco
 def test_a_known_phone_needs_no_time_to_learn(walk: Recording) -> None:
     """With a well known device the first legs are as straight as without a bias."""
     known = pdr.Device(BIAS, 1e-8 * np.eye(3))
-    clean = pdr.track(pdr.simulate.demo_walk(), device=pdr.Device(np.zeros(3), 1e-8 * np.eye(3)))
+    clean = pdr.track(from_hand_to_pocket(), device=pdr.Device(np.zeros(3), 1e-8 * np.eye(3)))
     with_device = pdr.track(walk, device=known)
     without = pdr.track(walk)
     n = min(clean.n_steps, with_device.n_steps, without.n_steps)

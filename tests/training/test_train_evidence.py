@@ -515,7 +515,8 @@ def test_a_bad_transitions_file_is_one_line_and_code_2(mine: Path, tmp_path: Pat
     result = run(["track", str(sorted(mine.glob("*.zip"))[0]), "--transitions", str(path)])
     assert result.exit_code == 2
     assert "evidence_exponent must be finite" in " ".join(result.stderr.split())
-    many = run(["track", str(mine), "--transitions", str(some().save(tmp_path))])
+    into = ["--jobs", "2", "--out", str(tmp_path / "out")]
+    many = run(["track", str(mine), *into, "--transitions", str(some().save(tmp_path))])
     assert many.exit_code == 2 and "--transitions" in many.stderr
 
 

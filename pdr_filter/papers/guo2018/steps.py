@@ -14,7 +14,7 @@ doi:10.1145/2493432.2493449, with the poses of the forest; people 7 to 13 had no
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -31,7 +31,7 @@ from pdr_filter.sensing.steps.detector import (
     specific_force_magnitude,
     vertex,
 )
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6
 # The signal of each carrying mode, and last of an unknown one, which index -1 finds.
@@ -43,7 +43,7 @@ _SIGNAL_OF_MODE = np.array(
 )
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class PoseStepState(DetectorState):
     """The last signals, filter memories, filtered signals, and the last accepted maximum."""
 

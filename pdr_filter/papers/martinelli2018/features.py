@@ -79,6 +79,8 @@ class MagnitudeFeatures:
 
     name: str = "martinelli"
     names: tuple[str, ...] = NAMES
+    # Table II does not give the cutoff: 5 Hz keeps the first harmonics of a step.
+    low_pass_hz: float = 5.0
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, 28) of the signals of windows (W, N_SIGNALS, N)."""

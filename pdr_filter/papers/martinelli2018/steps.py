@@ -9,27 +9,25 @@ Deviations: docs/methods/martinelli2018.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, cast
 
 import numpy as np
-import pywt
-from scipy.signal import butter, sosfilt
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
+from pdr_filter.sensing.filters import butterworth, low_pass_kernel, with_unit_gain
 from pdr_filter.sensing.steps.detector import (
     ContextBlock,
     ResponseState,
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WaveletDetectorState(ResponseState):
     """The last magnitudes and their power, the last values of the transform, filter memory, and the last peaks."""
 
@@ -86,7 +84,7 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
     @cached_property
     def _power_sos(self) -> FloatArray:
-        return np.asarray(butter(1, 0.4, fs=self.rate_hz, output="sos"))
+        return butterworth(1, 0.4, self.rate_hz)
 
     @property
     def _delay_samples(self) -> int:
@@ -109,6 +107,8 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
     ) -> tuple[WaveletDetectorState, FloatArray]:
         """Magnitude and its power, (2, N)."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
+        from scipy.signal import sosfilt
+
         power, power_zi = sosfilt(self._power_sos, (magnitude - STANDARD_GRAVITY_MPS2) ** 2, zi=state.power_zi)
         return replace(state, power_zi=power_zi), np.stack([magnitude, power])
 
@@ -131,6 +131,8 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
 def wavelet_kernel(wavelet: str, frequency_hz: float, rate_hz: float) -> FloatArray:
     """Wavelet sampled at a rate: odd length, zero mean (eq. 2), unit gain at its frequency."""
+    import pywt  # with SciPy, what a filter of another recipe need not load
+
     scale = float(pywt.frequency2scale(wavelet, frequency_hz / rate_hz))
     psi, t = cast(Any, pywt).ContinuousWavelet(wavelet).wavefun(10)
     # Beyond four scales the Mexican hat is below 0.5 % of its peak; a longer kernel only adds latency.

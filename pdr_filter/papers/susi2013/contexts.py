@@ -28,13 +28,13 @@ the four ways to hold a device stay equally probable.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pdr_filter.papers.susi2013.features import NAMES, MotionWindow, MotionWindows, MotionWindowState
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers, check_transition_prob
+from pdr_filter.values import FloatArray, check_numbers, check_transition_prob, replace
 
 MODES: tuple[str, ...] = ("static", "arm_at_rest", "swinging", "irregular")
 TREE_FEATURES: tuple[str, ...] = (

@@ -17,7 +17,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.signal.windows import hann
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
@@ -57,7 +56,7 @@ def dominant_frequencies(signal: FloatArray, rate_hz: float) -> FloatArray:
 
     They are multiples of rate_hz / N; zero stands for a maximum that does not exist.
     """
-    taper: FloatArray = np.asarray(hann(len(signal), sym=False))
+    taper = _taper(len(signal))
     # scaled so that a sinusoid in the middle of a bin has its amplitude
     amplitude = np.abs(np.fft.rfft(signal * taper)) / (0.5 * taper.sum())
     padded = np.concatenate([[-1.0], amplitude, [-1.0]])
@@ -78,8 +77,14 @@ def dominance(norms: FloatArray) -> FloatArray:
     return np.array([_dominance(row) for row in norms])
 
 
+def _taper(n: int) -> FloatArray:
+    from scipy.signal.windows import hann
+
+    return np.asarray(hann(n, sym=False))
+
+
 def _dominance(signal: FloatArray) -> float:
-    power = np.abs(np.fft.rfft((signal - signal.mean()) * np.asarray(hann(len(signal), sym=False)))) ** 2
+    power = np.abs(np.fft.rfft((signal - signal.mean()) * _taper(len(signal)))) ** 2
     total = float(power.sum())
     if total < (_MIN_AMPLITUDE * len(signal)) ** 2:
         return 0.0

@@ -16,7 +16,7 @@ that of the window around it; both take 1.28 s of waiting.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -26,7 +26,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, phase_delay_s
 from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, BoolArray, FloatArray, Step, check_numbers, replace
 
 _STATIONARY, _SWINGING = CONTEXTS.index("stationary"), CARRYING_MODES.index("swinging")
 # Step frequency at which the first minimum of a walk, which has none before it, is delayed.
@@ -36,7 +36,7 @@ _MAX_STEP_S = 1.0
 _FORCE, _RATE = 0, 1
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class Trough:
     """What is known of the minimum that a norm goes through."""
 
@@ -47,7 +47,7 @@ class Trough:
     before: int = -1  # number of the lowest sample of the trough before; negative without
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class NormMinimaState(DetectorState):
     """The last window of signals (`NormMinimaStepDetector._signals`), filter memory, and the troughs of the norms."""
 

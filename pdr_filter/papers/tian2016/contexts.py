@@ -10,7 +10,7 @@ Thresholds are in the convention of iOS (`steps.ios_acceleration`). Deviations: 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,12 +27,12 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.stage import WindowContext, known_context
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers
+from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, check_numbers, replace
 
 _CARRYING_MODE: Mapping[int, str] = {HOLDING: "texting", SWING: "swinging", POCKET: "pocket"}
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class MachineState:
     """Where the machine is, and what it has seen of the window that decides what comes next."""
 
@@ -176,7 +176,7 @@ def _first(condition: BoolArray, start: int, stop: int) -> int:
     return start + int(found[0]) if len(found) else stop
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TianContextsState:
     """The machine, its steps, and the last report."""
 

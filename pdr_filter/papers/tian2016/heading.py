@@ -10,7 +10,7 @@ its x axis; elsewhere it is the turn about the vertical, whose unknown zero the 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from pdr_filter.papers.tian2016.steps import HOLDING, POCKET, SWING, TRANS, Carr
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, wrap_angle
+from pdr_filter.values import FloatArray, Step, check_numbers, circular_mean, replace, wrap_angle
 
 # Standard deviation of an angle of which nothing is known: uniform over the circle.
 _ANY_ANGLE_RAD = float(np.pi / np.sqrt(3.0))
@@ -51,7 +51,7 @@ def viewing_direction(specific_force_mps2: FloatArray, attitude: AttitudeBlock) 
     return np.asarray(wrap_angle(np.arctan2(ahead, right) - np.arctan2(north, east)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class OffsetCompensationState:
     """What the samples of the last seconds showed, and the offset or its training."""
 

@@ -13,7 +13,7 @@ Deviations: docs/methods/tian2016.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -31,6 +31,7 @@ from pdr_filter.values import (
     IntArray,
     Step,
     check_numbers,
+    replace,
 )
 
 # The states of the paper's machine; the first three are also the rows of `step_signals`.
@@ -107,7 +108,7 @@ class Carried:
         return CarriedState(int(main[-1]), min(int(n_unknown[-1]), self._n_transition)), states
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class TianDetectorState(DetectorState):
     """The samples that wait for their future, filter memories, and the transition that is on."""
 

@@ -10,11 +10,11 @@ the change was classified; windows of 2 s follow each other every second.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 from pdr_filter.papers.zhou2019.features import BehaviourState, BehaviourWindow, BehaviourWindows
 from pdr_filter.sensing.contexts.stage import WindowContext, WindowStage, known_context
-from pdr_filter.values import FloatArray, check_numbers
+from pdr_filter.values import FloatArray, check_numbers, replace
 
 BEHAVIOURS: tuple[str, ...] = ("standing", "walking", "running", "irregular")
 # In irregular swing nobody moves.

@@ -12,7 +12,7 @@ amplitude.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -22,7 +22,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import low_pass_kernel
 from pdr_filter.sensing.steps.detector import specific_force_magnitude
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
 
 NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")
 
@@ -59,7 +59,7 @@ class BehaviourWindow(DescribedWindow):
     max_mps2: float  # of the filtered acceleration: what Condition 1 of Table 1 compares
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class BehaviourState:
     """The bias, or the samples that it waits for; the filter's delay line; samples that later windows still need."""
 

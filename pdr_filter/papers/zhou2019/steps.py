@@ -13,7 +13,7 @@ Deviations, with reasons and figures: docs/methods/zhou2019.md.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -28,7 +28,7 @@ from pdr_filter.sensing.steps.detector import (
     local_maxima,
     specific_force_magnitude,
 )
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace
 
 _STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")
 # Spectrum lines 0.1 Hz apart: half a sample of a period of 0.7 s, far below what its width allows.
@@ -55,7 +55,7 @@ class EventSearch:
         check_numbers(self)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ReferenceLines:
     """The lines of a window, and the event that is under way."""
 
@@ -65,7 +65,7 @@ class ReferenceLines:
     last_end: float = -np.inf  # filtered sample of the END of the last event
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ReferenceLineState(DetectorState):
     """The last acceleration, the window that is being filled, its lines, and events of unknown behaviour."""
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
 
@@ -41,6 +42,12 @@ class LearnedContexts(WindowStage[WindowState, FeatureWindow, FloatArray]):
     def assess(self, memory: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities, and the context of a window."""
         return self.models.step(memory, window)
+
+    def assess_all(
+        self, memory: FloatArray, windows: Sequence[FeatureWindow]
+    ) -> tuple[FloatArray, list[WindowContext]]:
+        """New carrying-mode probabilities, and the contexts of windows."""
+        return self.models.step_all(memory, windows)
 
 
 @cache

@@ -5,20 +5,20 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from functools import lru_cache
 from typing import Any, Generic, Protocol, TypeVar
 
 import numpy as np
 
-from pdr_filter.classifiers.model import ContextModel, to_be_told_apart
+from pdr_filter.classifiers.model import Assessment, ContextModel, to_be_told_apart
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irregular_prob
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
 from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only, replace
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -30,7 +30,7 @@ _POCKET = CARRYING_MODES.index("pocket")
 _EVEN = read_only(np.full(len(CARRYING_MODES), 1 / len(CARRYING_MODES)))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WindowContext:
     """The classifiers' result for a window: for the samples from `start_s` to `time_s`."""
 
@@ -88,7 +88,7 @@ class ContextStage(Protocol):
 M = TypeVar("M")  # what lasts from window to window
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WindowStageState(Generic[W, M]):
     """Samples of open windows, and what lasts from window to window."""
 
@@ -120,6 +120,14 @@ class WindowStage(ABC, Generic[W, X, M]):
     def assess(self, memory: M, window: X) -> tuple[M, WindowContext]:
         """New memory, and the result for a window."""
 
+    def assess_all(self, memory: M, windows: Sequence[X]) -> tuple[M, list[WindowContext]]:
+        """New memory, and the results for windows that became known together."""
+        contexts: list[WindowContext] = []
+        for window in windows:
+            memory, context = self.assess(memory, window)
+            contexts.append(context)
+        return memory, contexts
+
     def memory_after_gap(self, memory: M) -> M:
         """What lasts over a time without samples: nothing."""
         return self.first_memory()
@@ -137,11 +145,13 @@ class WindowStage(ABC, Generic[W, X, M]):
     ) -> tuple[WindowStageState[W, M], list[tuple[int, WindowContext]]]:
         """New state and the windows that became known, each with the number of its last sample."""
         windows, found = self.windows.step(state.windows, block, attitude)
-        memory, contexts = state.memory, list[tuple[int, WindowContext]]()
-        for last, window in found:
-            memory, context = self.assess(memory, window)
-            contexts.append((last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s)))
-        return WindowStageState(windows, memory), contexts
+        if not found:
+            return WindowStageState(windows, state.memory), []
+        memory, contexts = self.assess_all(state.memory, [window for _, window in found])
+        return WindowStageState(windows, memory), [
+            (last, replace(context, start_s=window.start_s, hop_s=self.windows.hop_s))
+            for (last, window), context in zip(found, contexts, strict=True)
+        ]
 
 
 def known_context(
@@ -200,11 +210,30 @@ class ContextModels:
 
     def step(self, carrying_prob: FloatArray, window: FeatureWindow) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities (5,), and the result for the window."""
+        carrying_prob, (context,) = self.step_all(carrying_prob, [window])
+        return carrying_prob, context
+
+    def step_all(
+        self, carrying_prob: FloatArray, windows: Sequence[FeatureWindow]
+    ) -> tuple[FloatArray, list[WindowContext]]:
+        """The same for windows that follow each other, with the same bits: models look at all of them at once."""
+        of_contexts = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
+        of_carrying = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
+        contexts: list[WindowContext] = []
+        for i, window in enumerate(windows):
+            carrying_prob, context = self._judged(carrying_prob, window, of_contexts[i], of_carrying.get(i))
+            contexts.append(context)
+        return carrying_prob, contexts
+
+    def _judged(
+        self, carrying_prob: FloatArray, window: FeatureWindow, of_context: Assessment, of_carrying: Assessment | None
+    ) -> tuple[FloatArray, WindowContext]:
+        """New carrying-mode probabilities (5,), and the result for a window of which this is known."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
-        prob, unknown, unlike_stairs = model.assess(_features(model, window))
+        prob, unknown, unlike_stairs = of_context
         prob = (1 - unknown) * prob + unknown * model.training_prior
         irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
-        carrying_prob = self._follow(carrying_prob, window, moving=1.0 - float(prob[_STATIONARY]))
+        carrying_prob = self._follow(carrying_prob, window, of_carrying, moving=1.0 - float(prob[_STATIONARY]))
         if model.stairs is not None and self.carrying_with_gyroscope is not None:
             unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
         return carrying_prob, WindowContext(
@@ -219,12 +248,14 @@ class ContextModels:
             has_gyroscope=window.has_gyroscope,
         )
 
-    def _follow(self, carrying_prob: FloatArray, window: FeatureWindow, moving: float) -> FloatArray:
+    def _follow(
+        self, carrying_prob: FloatArray, window: FeatureWindow, found: Assessment | None, moving: float
+    ) -> FloatArray:
         """Carrying-mode probabilities after one window more; a window counts by how much of it is known motion."""
         model = self.carrying_with_gyroscope if window.has_gyroscope else self.carrying_without_gyroscope
-        if model is None:
+        if model is None or found is None:
             return carrying_prob
-        prob, unknown, _ = model.assess(_features(model, window))
+        prob, unknown, _ = found
         exponent = self.carrying_exponent * moving * (1 - unknown)
         return follow_mode(carrying_prob, prob, model.training_prior, self.carrying_stay_prob, exponent)
 
@@ -303,8 +334,18 @@ def _gated(names: tuple[str, ...]) -> bool:
     return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
 
 
-def _features(model: ContextModel, window: FeatureWindow) -> FloatArray:
-    return window.features[_columns(model.feature_names, window.names)]
+def _assessed(
+    with_gyroscope: ContextModel | None, without_gyroscope: ContextModel | None, windows: Sequence[FeatureWindow]
+) -> dict[int, Assessment]:
+    """What the model for its sensors says of each window, by number; nothing where there is none."""
+    found: dict[int, Assessment] = {}
+    for model, has_gyroscope in ((with_gyroscope, True), (without_gyroscope, False)):
+        mine = [i for i, window in enumerate(windows) if window.has_gyroscope == has_gyroscope]
+        if model is not None and mine:
+            columns = _columns(model.feature_names, windows[0].names)
+            assessed = model.assess_all(np.stack([windows[i].features[columns] for i in mine]))
+            found |= zip(mine, assessed, strict=True)
+    return found
 
 
 @lru_cache

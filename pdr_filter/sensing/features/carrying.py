@@ -97,10 +97,11 @@ def carrying_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A missing gyroscope is three rows of zeros: the features named in `WITHOUT_GYROSCOPE` do not use it.
     """
-    return in_groups(_of_group, windows, rate_hz, len(NAMES))
+    return in_groups(features_of, windows, rate_hz, len(NAMES))
 
 
-def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+def features_of(windows: FloatArray, rate_hz: float) -> FloatArray:
+    """The same of few windows."""
     n = windows.shape[2]
     force, rate, up = windows[:, :3], windows[:, 3:6], windows[:, 6:9]
     yaw_rate = (rate * up).sum(axis=1)

@@ -144,14 +144,15 @@ def invariant_features(windows: FloatArray, rate_hz: float) -> FloatArray:
     the same bits alone and among others: sums run along the last axis of contiguous arrays, products of matrices and
     transforms are made window by window.
     """
-    return in_groups(_of_group, windows, rate_hz, len(NAMES))
+    return in_groups(lambda group, hz: features_of(group, swing_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
-def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
+    """The same of few windows, whose swing is known."""
     n = windows.shape[2]
     vertical = about_mean(windows[:, 0])
     horizontal = about_mean(windows[:, 1:3])
-    rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
+    rate, up = windows[:, 3:6], windows[:, 6:9]
 
     forward, lateral = _main_axes(horizontal)
     yaw_rate = -(rate * up).sum(axis=1)
@@ -198,7 +199,7 @@ def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
         np.abs((main_axis * up.mean(axis=2)).sum(axis=1)),
         np.log(_swing(up) + 0.01),
         np.abs(_moments(centred[:, 6], std[:, 6], _FLOOR_RADPS)[:, 0]),
-        *_swing_timing(rate, up, sensor_force, lagged, std[:, 0], velocity, rate_hz),
+        *_swing_timing(swing, lagged, std[:, 0], velocity, rate_hz),
     ]
     return np.column_stack([*force, *turning])
 
@@ -290,8 +291,9 @@ class SwingLines:
     along: FloatArray  # (W, N) force along it
 
 
-def swing_lines(rate: FloatArray, up: FloatArray, sensor_force: FloatArray) -> SwingLines:
-    """Of angular rate, up and specific force of windows, (W, 3, N) each."""
+def swing_lines(windows: FloatArray) -> SwingLines:
+    """Of windows of `SIGNALS`, (W, 12, N)."""
+    rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
     mean_up = up.mean(axis=2)
     mean_up = mean_up / np.sqrt((mean_up * mean_up).sum(axis=1))[:, None]
     level_rate = about_mean(rate - mean_up[:, :, None] * _along(mean_up, rate)[:, None])
@@ -308,17 +310,14 @@ def swing_lines(rate: FloatArray, up: FloatArray, sensor_force: FloatArray) -> S
 
 
 def _swing_timing(
-    rate: FloatArray,
-    up: FloatArray,
-    sensor_force: FloatArray,
+    swing: SwingLines,
     lagged_vertical: FloatArray,
     vertical_std: FloatArray,
     velocity: FloatArray,
     rate_hz: float,
 ) -> list[FloatArray]:
     """How the limb's swing, and the force along and across its axis, follow the vertical within a step."""
-    n = rate.shape[2]
-    swing = swing_lines(rate, up, sensor_force)
+    n = swing.rate.shape[1]
     swing_rate, across_force, along_force = swing.rate, swing.across, swing.along
     angle = np.cumsum(swing_rate, axis=1) / rate_hz
     # from its first to its last value a straight line is taken away: a window cannot show whether it is drift

@@ -15,7 +15,7 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.sensing.features.invariant import about_mean, hann_taper, in_groups, swing_lines
+from pdr_filter.sensing.features.invariant import SwingLines, about_mean, hann_taper, in_groups, swing_lines
 from pdr_filter.values import FloatArray
 
 # Slow walkers make 0.5 strides a second, sprinters 1.6; 5 % apart, less than the tenth of a cycle that a window of
@@ -65,7 +65,7 @@ def stride_features(windows: FloatArray, rate_hz: float) -> FloatArray:
 
     A window has the same bits alone and among others.
     """
-    return in_groups(_of_group, windows, rate_hz, len(NAMES))
+    return in_groups(lambda group, hz: features_of(group, swing_lines(group), hz), windows, rate_hz, len(NAMES))
 
 
 @cache
@@ -86,11 +86,10 @@ def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(basis * root[:, None] / scale), np.ascontiguousarray(to_coefficients)
 
 
-def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
+    """The same of few windows, whose swing is known."""
     n_windows, n = len(windows), windows.shape[2]
-    rate, up, sensor_force = windows[:, 3:6], windows[:, 6:9], windows[:, 9:12]
-    swing = swing_lines(rate, up, sensor_force)
-    yaw_rate = about_mean((rate * swing.mean_up[:, :, None]).sum(axis=1))
+    yaw_rate = about_mean((windows[:, 3:6] * swing.mean_up[:, :, None]).sum(axis=1))
     vertical = about_mean(windows[:, 0])
     lines = np.stack([vertical, swing.across, swing.along, swing.rate, yaw_rate, swing.roll_rate], axis=1)
     taper = hann_taper(n)

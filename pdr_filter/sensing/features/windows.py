@@ -39,6 +39,11 @@ class FeatureSet(Protocol):
         """Names of the features."""
         ...
 
+    @property
+    def low_pass_hz(self) -> float | None:
+        """Cutoff of the low-passed |f|; None if no feature is of it: then it is zeros."""
+        ...
+
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, F) of the signals of windows (W, N_SIGNALS, N); of a missing sensor they are zeros."""
         ...
@@ -49,13 +54,23 @@ class AttitudeFreeFeatures:
     """Features that do not change with the phone's attitude, then those of the carrying mode, then of the stride."""
 
     name: str = "invariant"
+    low_pass_hz: None = None
     names: tuple[str, ...] = (*invariant.NAMES, *carrying.NAMES, *stride.NAMES)
 
     def describe(self, windows: FloatArray, rate_hz: float) -> FloatArray:
         """Features (W, F) of the signals of windows (W, N_SIGNALS, N)."""
-        signals = windows[:, N_MAGNITUDES:]
-        parts = invariant.invariant_features, carrying.carrying_features, stride.stride_features
-        return np.hstack([part(signals, rate_hz) for part in parts])
+        return invariant.in_groups(_of_group, windows[:, N_MAGNITUDES:], rate_hz, len(self.names))
+
+
+def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
+    swing = invariant.swing_lines(windows)
+    return np.hstack(
+        [
+            invariant.features_of(windows, swing, rate_hz),
+            carrying.features_of(windows, rate_hz),
+            stride.features_of(windows, swing, rate_hz),
+        ]
+    )
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
@@ -74,27 +89,20 @@ class FeatureWindow(DescribedWindow):
 class WindowState:
     """Filter memory, and samples that later windows still need."""
 
-    zi: FloatArray | None  # (1, 1, 2); None before the first sample
+    zi: FloatArray | None  # (1, 1, 2); None before the first sample, and where nothing is filtered
     buffer: WindowBuffer  # of the angular rate known or not, and N_SIGNALS signals
 
 
 @dataclass(frozen=True)
 class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
-    """Windows and their features.
-
-    Parameters
-    ----------
-    low_pass_hz : float
-        Cutoff of the low-pass of Table II of Martinelli et al. 2018, which does not give it: 5 Hz keeps the first
-        harmonics of a step.
-    """
+    """Windows and their features."""
 
     features: FeatureSet = field(kw_only=True)
-    low_pass_hz: float = 5.0
 
     @cached_property
-    def _sos(self) -> FloatArray:
-        return butterworth(2, self.low_pass_hz, self.rate_hz)
+    def _sos(self) -> FloatArray | None:
+        low_pass_hz = self.features.low_pass_hz
+        return None if low_pass_hz is None else butterworth(2, low_pass_hz, self.rate_hz)
 
     def init(self) -> WindowState:
         """State at the start of a segment."""
@@ -105,7 +113,9 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
     ) -> tuple[WindowState, list[tuple[int, FeatureWindow]]]:
         """New state and the windows that became complete, each with the index of its last sample."""
         force = specific_force_magnitude(block.specific_force_mps2)
-        low_passed, zi = filtered(self._sos, force[None], state.zi)
+        low_passed, zi = np.zeros((1, len(force))), None
+        if self._sos is not None:
+            low_passed, zi = filtered(self._sos, force[None], state.zi)
         signals = np.vstack(
             [
                 block.angular_rate_known.astype(float),

@@ -14,18 +14,19 @@ nothing. So the drift of a walk is known after some corners, and with it all of 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_numbers, wrap_angle
+from pdr_filter.values import FloatArray, check_numbers, replace, wrap_angle
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
+_IDENTITY = np.eye(4)
 _RIGHT_ANGLE = 0.5 * math.pi
 _OF_HEADING = np.array([1.0, 0.0, 1.0, 0.0])  # a heading along an axis is axis and drift
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class CorridorState:
     """A bank of Kalman filters of drift, its rate and the direction of the axes, and the odds of there being axes."""
 
@@ -150,7 +151,7 @@ class Corridors:
         return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
-        transition = np.eye(4)
+        transition = _IDENTITY.copy()
         transition[_DRIFT, _RATE], transition[_DRIFT, _SCALE] = elapsed_s, turned_rad
         cov = transition @ state.cov @ transition.T
         cov[:, _DRIFT, _DRIFT] += self.wander_rad_per_sqrt_s**2 * elapsed_s

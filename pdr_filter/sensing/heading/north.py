@@ -16,13 +16,13 @@ witness.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step
+from pdr_filter.values import FloatArray, Step, replace
 
 # Mean readings are over half a second, about a step.
 _READING_S = 0.5
@@ -34,7 +34,7 @@ _MAX_LATENCY_S = 20.0
 _M, _B = slice(0, 3), slice(3, 6)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MagneticNorthState:
     """Readings that wait, and the sums of the regression."""
 

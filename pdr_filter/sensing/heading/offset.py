@@ -62,8 +62,10 @@ class Offset:
         `stay` is the share of the systematic error that is left, and `systematic_rad2` the variance that it keeps.
         """
         keep = np.array([1.0, 1.0, stay])
-        cov = self.cov * np.outer(keep, keep)
-        return Offset(self.mean * keep, cov + np.diag([var_rad2, 0.0, (1.0 - stay * stay) * systematic_rad2]))
+        cov = self.cov * (keep[:, None] * keep)
+        cov[OFFSET, OFFSET] += var_rad2
+        cov[SYSTEMATIC, SYSTEMATIC] += (1.0 - stay * stay) * systematic_rad2
+        return Offset(self.mean * keep, cov)
 
     def seen(self, of: FloatArray, toward: complex, var_rad2: float) -> Offset:
         """After a direction was seen: `of` says of which sum, `toward` points there, with a length of 1 on average.
@@ -77,7 +79,7 @@ class Offset:
         turn = toward * cmath.exp(-1j * predicted_rad)
         innovation_rad = cmath.phase(1.0 / variance + turn / var_rad2)
         mean = self.mean + gain / variance * innovation_rad
-        return Offset(mean, self.cov - np.outer(gain, gain) / (variance + var_rad2))
+        return Offset(mean, self.cov - gain[:, None] * gain / (variance + var_rad2))
 
     def moved(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
         """In another place: the offset goes there with a variance more, and strides are off by something else."""

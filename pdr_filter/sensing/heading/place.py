@@ -8,12 +8,12 @@ however it is called.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from pdr_filter.sensing.heading.strides import Stride
-from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers
+from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers, replace
 
 _SWINGING = CARRYING_MODES.index("swinging")
 _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
@@ -31,7 +31,7 @@ _SWAY_LEAK = 0.3
 _LABELLED_STEP_SHARE = 1.3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Place:
     """What was learnt since the phone came to where it is. Angles are clockwise from the reference axis."""
 

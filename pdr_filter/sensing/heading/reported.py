@@ -9,10 +9,10 @@ Where the device's heading itself was lost, by a time without angular rate or a 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.offset import UNKNOWN_VAR_RAD2
-from pdr_filter.values import HeadingDrift, Step, wrap_angle
+from pdr_filter.values import HeadingDrift, Step, replace, wrap_angle
 
 # Less is not worth a report, and its measurement would be far from everything.
 _MIN_GAIN = 1e-3
@@ -21,7 +21,7 @@ _MAX_INNOVATION_RAD = 2.5
 _MAX_LOST_VAR_RAD2 = 1.0
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Reported:
     """Walking less device heading, as a filter knows it that believes all measurements so far."""
 

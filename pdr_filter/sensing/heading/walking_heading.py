@@ -19,7 +19,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -40,7 +40,16 @@ from pdr_filter.sensing.heading.strides import (
     power,
 )
 from pdr_filter.sensing.steps.detector import ContextBlock
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, HeadingDrift, Step, check_numbers, wrap_angle
+from pdr_filter.values import (
+    CARRYING_MODES,
+    CONTEXTS,
+    FloatArray,
+    HeadingDrift,
+    Step,
+    check_numbers,
+    replace,
+    wrap_angle,
+)
 
 _TEXTING = CARRYING_MODES.index("texting")
 _HELD = (_TEXTING, CARRYING_MODES.index("calling"))
@@ -84,7 +93,7 @@ class Former:
     direction: FloatArray  # (3,) of walking, across it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class WalkingHeadingState:
     """Signals of the last seconds, the last contacts, and what was learnt."""
 
@@ -351,7 +360,7 @@ class WalkingHeading:
         axis = pointing_axis(mean_up) if state.up is None else carry_axis(state.axis, state.up, mean_up)
         right = cross(axis, mean_up)
         # complex numbers: forward along the axis, and right of it
-        device = in_mean_frame(samples[_FORCE], up, np.stack([axis, right, mean_up]))
+        device = in_mean_frame(samples[_FORCE], up, np.array([axis, right, mean_up]))
         world = samples[_NORTH] + 1j * samples[_EAST]
         # Both are one vector, so their angle is that of the axis, clockwise from north. Where there is no horizontal
         # force, none is known, and the samples around decide.
@@ -360,7 +369,7 @@ class WalkingHeading:
         pointing = pointing_axis(mean_up)
         pointing_rad = math.atan2(float(pointing @ right), float(pointing @ axis))
         once, twice = harmonics(
-            np.stack([device.real, device.imag, samples[_VERTICAL]]), samples.shape[1] / self.rate_hz
+            np.array([device.real, device.imag, samples[_VERTICAL]]), samples.shape[1] / self.rate_hz
         )
         runs = context == _RUNNING or abs(twice[2]) > self.running_mps2
         phase_rad = self.running_phase_rad if runs else self.phase_rad
@@ -371,7 +380,7 @@ class WalkingHeading:
             device_heading_rad=float(samples[_HEADING].mean()),
             pointing_rad=pointing_rad,
             runs=runs,
-            vectors=np.stack(
+            vectors=np.array(
                 [in_phase(once, 0.0), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
             ),
             powers=np.array([power(once[:2]), power(twice[:2]), power(once[2:])]),

@@ -19,7 +19,7 @@ Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
@@ -33,7 +33,7 @@ from pdr_filter.sensing.steps.detector import (
     ResponseStepDetector,
     specific_force_magnitude,
 )
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
@@ -47,7 +47,7 @@ class Rhythm:
     n_intervals: int
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class AdaptiveDetectorState(ResponseState):
     """The last |f| less gravity, the last values of transform, R and frequency, and the last intervals."""
 
@@ -159,7 +159,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         frequency_hz = np.maximum(frequency_hz, self._sine_hz(line[0]))
         return np.stack([self._transform(line[0], frequency_hz), rms, frequency_hz])
 
-    @property
+    @cached_property
     def _box(self) -> FloatArray:
         n = round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
         return np.full(n, 1.0 / n)
@@ -184,7 +184,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower
         response: FloatArray = np.zeros(len(frequency_hz))
-        for k in np.unique(np.concatenate([lower, lower + 1])):
+        has = np.bincount(lower, minlength=len(_BANK_HZ)).astype(bool)
+        for k in np.flatnonzero(has | np.roll(has, 1)).tolist():
             kernel = self._bank[k]
             half = len(kernel) // 2
             first = self._n_before - half

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from dataclasses import dataclass, replace
-from functools import cached_property
+from dataclasses import dataclass
+from functools import cached_property, lru_cache
 from math import exp, log
 from typing import Generic, TypeVar
 
@@ -12,7 +12,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step, check_numbers
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, Step, check_numbers, replace
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -29,7 +29,7 @@ def unknown_contexts(n_samples: int) -> ContextBlock:
     return ContextBlock(unknown, unknown)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepLogState:
     """The signals of the last seconds, and the last contact."""
 
@@ -159,7 +159,7 @@ def _with_turn(step: Step, before: tuple[float, float]) -> Step:
     return replace(step, turn_rate_radps=rate)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class DetectorState:
     """What every detector remembers; each adds its own."""
 
@@ -254,7 +254,7 @@ class StepDetector(ABC, Generic[S]):
         return replace(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ResponseState(DetectorState):
     """Its last signals, and the last values of the response."""
 
@@ -342,16 +342,19 @@ def describe_step(
 ) -> Step:
     """The step that ends at a contact, from its samples (6, n), rows as in `StepLogState.signals`."""
     _, magnitude, vertical, heading, _, bias_std = signals
+    (_, magnitude_max, vertical_max), (_, magnitude_min, vertical_min) = (
+        extreme.reduce(signals[:3], axis=1).tolist() for extreme in (np.maximum, np.minimum)
+    )
     return Step(
         time_s=contact_s,
         detected_time_s=detected_s,
         duration_s=duration_s,
         frequency_hz=1.0 / duration_s,
-        variance=float(np.var(magnitude)),
-        vertical_max_mps2=float(vertical.max()),
-        vertical_min_mps2=float(vertical.min()),
-        magnitude_max_mps2=float(magnitude.max()),
-        magnitude_min_mps2=float(magnitude.min()),
+        variance=float(magnitude.var()),
+        vertical_max_mps2=vertical_max,
+        vertical_min_mps2=vertical_min,
+        magnitude_max_mps2=magnitude_max,
+        magnitude_min_mps2=magnitude_min,
         mean_abs_mps2=float(np.abs(magnitude - STANDARD_GRAVITY_MPS2).mean()),
         heading_change_rad=float(heading[-1] - heading[0]),
         device_heading_rad=float(heading.mean()),
@@ -363,7 +366,13 @@ def describe_step(
 
 def amplitude_of_one_period(values: FloatArray) -> float:
     """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
-    n = len(values)
-    phase = 2 * np.pi * np.arange(n) / n
+    cosine, sine = _one_period(len(values))
     centred = values - values.mean()
-    return 2 / n * float(np.hypot((centred * np.cos(phase)).sum(), (centred * np.sin(phase)).sum()))
+    return 2 / len(values) * float(np.hypot((centred * cosine).sum(), (centred * sine).sum()))
+
+
+@lru_cache(maxsize=512)
+def _one_period(n: int) -> tuple[FloatArray, FloatArray]:
+    """Cosine and sine (n,) of one period in n samples."""
+    phase = 2 * np.pi * np.arange(n) / n
+    return np.cos(phase), np.sin(phase)

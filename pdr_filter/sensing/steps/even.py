@@ -12,9 +12,9 @@ mean t_0 / 4 + t_1 / 2 + t_2 / 4 takes of the middle one. The estimates, each wi
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-from pdr_filter.values import Step
+from pdr_filter.values import Step, replace
 
 # Intervals that differ by more are not left and right: a step is missing or a pause lies between.
 _MAX_RATIO = 1.8
@@ -26,7 +26,7 @@ _MAX_SHIFT_S, _MAX_SHARE = 0.1, 0.2
 _PRIOR_STEPS = 0.5
 
 
-@dataclass(frozen=True, slots=True)
+@dataclass(frozen=True)
 class EvenStepsState:
     """The last contacts as they were found, and the unevenness."""
 

@@ -21,14 +21,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from functools import cached_property
 from itertools import pairwise
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, read_only
+from pdr_filter.values import FloatArray, Step, check_numbers, read_only, replace
 
 # Rate at which the evidence looks at the force: steps are below 5 Hz.
 _EVIDENCE_HZ = 25.0
@@ -88,7 +89,7 @@ class JudgedStep:
     slowness: float  # of the steps up to it
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StepGateState:
     """Belief in walking, the force of the last seconds, and the steps whose fate is open."""
 
@@ -162,19 +163,19 @@ class StepGate:
         if self.rate_hz % _EVIDENCE_HZ:
             raise ValueError(f"rate_hz must be a multiple of {_EVIDENCE_HZ:g}, got {self.rate_hz}")
 
-    @property
+    @cached_property
     def _samples_per_row(self) -> int:
         return round(self.rate_hz / _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_before(self) -> int:
         return round(self.before_s * _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_after(self) -> int:
         return round(self.after_s * _EVIDENCE_HZ)
 
-    @property
+    @cached_property
     def _n_rows_kept(self) -> int:
         return round(_MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
 
@@ -353,14 +354,14 @@ def evidence_features(force_mps2: FloatArray, intervals_s: Sequence[float]) -> t
     bounce_mps2 = (float(magnitude.std()) + 0.02) * stretch
     n_box = min(2 * round(9 * stretch) + 1, len(x) - 1)
     box = np.full(n_box, 1.0 / n_box)
-    slow = sum(float(np.convolve(np.ascontiguousarray(c), box, mode="valid").var()) for c in (x, y, z))
+    slow = np.array([np.convolve(c, box, mode="valid") for c in np.ascontiguousarray(force_mps2.T)])
     # fewer than three intervals keep no rhythm: as uneven as handling
     unevenness = float(np.std(np.log(intervals_s))) if len(intervals_s) > 2 else 0.5
     max_lag_s = max(_MAX_LAG_S, _MAX_LAG_STEPS * _USUAL_INTERVAL_S * stretch)
     return (
         repetition(force_mps2, max_lag_s),
         unevenness,
-        math.log((math.sqrt(slow) + 0.05) / bounce_mps2),
+        math.log((math.sqrt(sum(slow.var(axis=1).tolist())) + 0.05) / bounce_mps2),
         repetition(magnitude[:, None], max_lag_s),
     )
 
@@ -376,9 +377,9 @@ def repetition(signal: FloatArray, max_lag_s: float = _MAX_LAG_S) -> float:
     n_lags = min(round(max_lag_s * _EVIDENCE_HZ) + 1, n - 11)
     columns = [np.ascontiguousarray(c) for c in centred.T]
     product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
-    energy = np.concatenate([[0.0], np.cumsum((centred * centred).sum(axis=1))])
-    lag = np.arange(n_lags)
-    correlation = product / np.sqrt(energy[n - lag] * (energy[n] - energy[lag]) + 1e-6)
+    energy = np.concatenate([[0.0], np.add.accumulate((centred * centred).sum(axis=1))])
+    # of the samples up to each lag before the end, and from each lag on
+    correlation = product / np.sqrt(energy[: n - n_lags : -1] * (energy[n] - energy[:n_lags]) + 1e-6)
     negative = np.flatnonzero(correlation < 0)
     return max(0.0, float(correlation[negative[0] :].max())) if len(negative) else 0.0
 

@@ -1,4 +1,4 @@
-"""Pictures of a track: the way in the plane with its uncertainty, above the context probabilities over time."""
+"""A walk: its way in the plane with its uncertainty, heights, step lengths, context probabilities over time."""
 
 from __future__ import annotations
 
@@ -7,31 +7,34 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from pdr_filter.io.files import whole_file
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.plot.figures import given_or_new, lined, new_figure, save
+from pdr_filter.plot.plans import draw_storey
 from pdr_filter.report import palette
-from pdr_filter.report.geometry import MIN_EXTENT_M, ellipse_axes, ellipse_extent, ellipse_rows, window_starts
-from pdr_filter.report.palette import FAINT, GRID, INK, context_colours, floor_colours
-from pdr_filter.report.plans import draw_storey, storeys_of
+from pdr_filter.report.geometry import (
+    MIN_EXTENT_M,
+    ellipse_axes,
+    ellipse_extent,
+    ellipse_rows,
+    storeys_of,
+    window_starts,
+)
+from pdr_filter.report.palette import FAINT, INK, context_colours, floor_colours
 from pdr_filter.values import FloatArray, TrackRows, Windows
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
-# Journals refuse the Type 3 fonts that matplotlib makes of its own accord: this embeds the font itself.
-_TRUETYPE = 42
 # A context that never has this probability is a hair line in the stack and has no place in the legend.
 _VISIBLE_PROB = 0.1
 
 
-def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
+def track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
     """Figure of the track, coloured by context with 95 % ellipses, above the context probabilities over time.
 
     A track over several storeys is coloured by storey, and one that left the height of its start has a profile.
@@ -39,16 +42,17 @@ def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: Fl
     whose suffix says the format; folders are created. `reference_m` (N, 2) is the true way, east and north in
     the frame of the track, drawn as it is.
     """
-    figure = Figure(figsize=_SIZE_IN, layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = new_figure(_SIZE_IN)
     if track.is_level:
         plane, time = figure.subplots(2, 1, height_ratios=[3.4, 1.0])
     else:
         plane, profile, time = figure.subplots(3, 1, height_ratios=[3.0, 1.0, 0.8])
-        plot_heights(profile, track)
+        heights(track, profile)
         profile.sharex(time)
-    plot_plane(plane, track, reference_m)
-    plot_contexts(time, track)
+        profile.set_xlabel("")
+        profile.tick_params(labelbottom=False)
+    way(track, plane, reference_m)
+    contexts(track, time)
     _write_title(plane, track)
     _write_notes(figure, track.notes)
     if path is not None:
@@ -56,41 +60,21 @@ def plot_track(track: TrackRows, path: str | Path | None = None, reference_m: Fl
     return figure
 
 
-def save(figure: Figure, path: str | Path) -> None:
-    """Save a figure with its fonts; the suffix gives the format, folders are created."""
-    ending = Path(path).suffix.removeprefix(".") or None
-    with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}), whole_file(path) as file:
-        figure.savefig(file, dpi=120, format=ending)
+def way(
+    track: TrackRows,
+    ax: Axes | None = None,
+    reference_m: FloatArray | None = None,
+    plan: FloorPlan | None = None,
+) -> Axes:
+    """Draw the way from the start through all steps with 95 % ellipses, east to the right and north up, in metres.
 
-
-def plot_plan(plan: FloorPlan, path: str | Path | None = None) -> Figure:
-    """Figure of all storeys of a plan, with the names of its areas; saved if a path is given."""
-    figure = Figure(figsize=(_SIZE_IN[0], 0.75 * _SIZE_IN[0] * len(plan.storeys)), layout="constrained")
-    FigureCanvasAgg(figure)
-    for axes, storey in zip(np.atleast_1d(figure.subplots(len(plan.storeys), 1)), plan.storeys, strict=True):
+    `reference_m` (N, 2) is the true way, and `plan` lies below it, that of the track if none is given; both are in the
+    frame of the track.
+    """
+    axes = given_or_new(ax, (5.6, 5.0))
+    for storey in storeys_of(plan or track.plan, track.floor):
         draw_storey(axes, storey)
-        points = np.concatenate([ring for f in storey.features for ring in f.lines])
-        axes.update_datalim(points)
-        axes.autoscale_view()
-        for feature in storey.features:
-            if feature.name and feature.kind != "floor":
-                middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
-                axes.annotate(feature.name[:20], middle, ha="center", va="center", fontsize=6, color=INK, clip_on=True)
-        axes.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
-        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK)
-        kinds = [kind for kind in palette.PLAN_COLOURS if any(f.kind == kind for f in storey.features)]
-        handles = [Patch(facecolor=palette.PLAN_COLOURS[kind], edgecolor=palette.WALL, label=kind) for kind in kinds]
-        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
-    if path is not None:
-        save(figure, path)
-    return figure
-
-
-def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = None) -> None:
-    """Draw the way from the start through all steps into axes, east to the right and north up, in metres."""
-    way = np.vstack([track.start_position_m, track.position_m])
-    for storey in storeys_of(track.plan, track.floor) if track.plan is not None else ():
-        draw_storey(axes, storey)
+    way_m = np.vstack([track.start_position_m, track.position_m])
     if reference_m is not None:
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:
@@ -100,16 +84,16 @@ def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = No
         if len(colours) == 1:
             of_context = context_colours(track.contexts)
             colour = [of_context[track.contexts[i]] for i in track.context_prob.argmax(axis=1)]
-        parts = np.stack([way[:-1], way[1:]], axis=1)
+        parts = np.stack([way_m[:-1], way_m[1:]], axis=1)
         # A dark line under the coloured one: light colours stay visible on white.
-        axes.plot(*way.T, color=INK, linewidth=4.2, solid_capstyle="round", zorder=3)
+        axes.plot(*way_m.T, color=INK, linewidth=4.2, solid_capstyle="round", zorder=3)
         axes.add_collection(LineCollection(list(parts), colors=colour, linewidths=3.0, capstyle="round", zorder=4))
     else:
         axes.text(0.5, 0.75, "no steps", transform=axes.transAxes, ha="center", color=FAINT, fontsize=14)
     marker: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markeredgewidth": 1.5, "zorder": 6}
-    axes.plot(*way[0], marker="o", markersize=9, markerfacecolor="white", **marker)
-    axes.plot(*way[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
-    _frame_plane(axes, way if reference_m is None else np.vstack([way, reference_m]))
+    axes.plot(*way_m[0], marker="o", markersize=9, markerfacecolor="white", **marker)
+    axes.plot(*way_m[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
+    _frame_plane(axes, way_m if reference_m is None else np.vstack([way_m, reference_m]))
     axes.legend(
         handles=_plane_legend(track, reference_m is not None),
         loc="upper left",
@@ -117,27 +101,49 @@ def plot_plane(axes: Axes, track: TrackRows, reference_m: FloatArray | None = No
         borderaxespad=0.0,
         frameon=False,
     )
+    return axes
 
 
-def plot_heights(axes: Axes, track: TrackRows) -> None:
+def heights(track: TrackRows, ax: Axes | None = None) -> Axes:
     """Draw the height above the start over time with its 95 % interval, each step in the colour of its storey."""
-    unit_s = 60.0 if track.duration_s > 600 else 1.0
+    axes = given_or_new(ax, (5.6, 2.4))
+    unit_s, unit = _time_unit(track)
     at, half = track.time_s / unit_s, 1.96 * track.height_std_m
     colours = floor_colours(track.floor)
     axes.fill_between(at, track.height_m - half, track.height_m + half, color=palette.ELLIPSE, alpha=0.2, linewidth=0)
     axes.plot(at, track.height_m, color=FAINT, linewidth=0.8)
     axes.scatter(at, track.height_m, s=5, c=[colours[floor] for floor in track.floor], zorder=3)
-    axes.set(ylabel="height (m)")
-    axes.tick_params(labelbottom=False)
-    axes.grid(color=GRID, linewidth=0.7)
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.set(xlabel=f"time ({unit})", ylabel="height (m)")
+    lined(axes)
+    return axes
 
 
-def plot_contexts(axes: Axes, track: TrackRows) -> None:
+def step_lengths(track: TrackRows, ax: Axes | None = None) -> Axes:
+    """Draw the length of each step beside those of its context, with the median and the middle half of each context."""
+    axes = given_or_new(ax)
+    colours, best = context_colours(track.contexts), track.context_prob.argmax(axis=1)
+    occurring = np.unique(best)
+    rng = np.random.default_rng(0)  # so that a figure is the same again
+    for place, context in enumerate(occurring):
+        length_m = track.step_length_m[best == context]
+        low, median, high = np.quantile(length_m, [0.25, 0.5, 0.75])
+        at = place + rng.uniform(-0.3, 0.3, len(length_m))
+        axes.scatter(at, length_m, s=10, color=colours[track.contexts[context]], edgecolors=INK, linewidths=0.2)
+        axes.hlines(median, place - 0.38, place + 0.38, color=INK, linewidth=1.8)
+        axes.hlines([low, high], place - 0.38, place + 0.38, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
+    names = [f"{track.contexts[c]}\n{(best == c).sum()} steps" for c in occurring]
+    axes.set_xticks(range(len(occurring)), names)
+    axes.set(xlim=(-0.6, max(len(occurring), 1) - 0.4), ylabel="step length (m)")
+    axes.set_ylim(bottom=0.0)
+    lined(axes)
+    return axes
+
+
+def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
     """Draw the context probabilities of the windows as a stack over time, steps as ticks above it."""
+    axes = given_or_new(ax, (5.6, 2.0))
     windows = track.windows
-    in_minutes = track.duration_s > 600
-    unit_s = 60.0 if in_minutes else 1.0
+    unit_s, unit = _time_unit(track)
     if len(windows):
         edge_s, prob = _stairs(windows, track.start_time_s)
         upper = np.cumsum(prob, axis=1)
@@ -152,8 +158,12 @@ def plot_contexts(axes: Axes, track: TrackRows) -> None:
     end_s = max([track.start_time_s + track.duration_s, *track.time_s[-1:], *windows.time_s[-1:]])
     axes.set_xlim(track.start_time_s / unit_s, max(end_s, track.start_time_s + 1.0) / unit_s)
     axes.set(ylim=(0.0, 1.18), yticks=[0.0, 0.5, 1.0], ylabel="context\nprobability")
-    axes.set_xlabel(f"time ({'min' if in_minutes else 's'}); ticks on top are steps")
-    axes.spines[["top", "right"]].set_visible(False)
+    axes.set_xlabel(f"time ({unit}); ticks on top are steps")
+    return axes
+
+
+def _time_unit(track: TrackRows) -> tuple[float, str]:
+    return (60.0, "min") if track.duration_s > 600 else (1.0, "s")
 
 
 def _stairs(windows: Windows, start_time_s: float) -> tuple[FloatArray, FloatArray]:
@@ -198,9 +208,7 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     axes.margins(0.05)
     axes.autoscale_view()
     axes.set(xlabel="east (m)", ylabel="north (m)")
-    axes.grid(color=GRID, linewidth=0.7)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    lined(axes)
 
 
 def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]:

@@ -14,8 +14,8 @@ from helpers import windows_of
 from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.stats import chi2
 
+from pdr_filter import plot
 from pdr_filter.report.palette import context_colours
-from pdr_filter.report.plotting import plot_track
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, Step, step_table
 
@@ -68,18 +68,18 @@ def texts(figure) -> str:
 )
 def test_any_number_of_steps_and_windows_can_be_drawn(tmp_path: Path, n_steps: int, n_windows: int) -> None:
     path = tmp_path / "new" / "track.png"
-    plot_track(make_track(n_steps, n_windows), path)
+    plot.track(make_track(n_steps, n_windows), path)
     assert path.read_bytes().startswith(PNG)
     assert path.stat().st_size < 1_000_000
 
 
 def test_the_suffix_gives_the_format(tmp_path: Path) -> None:
-    plot_track(make_track(3, 2), tmp_path / "track.svg")
+    plot.track(make_track(3, 2), tmp_path / "track.svg")
     assert "<svg" in (tmp_path / "track.svg").read_text()
 
 
 def test_a_pdf_has_the_fonts_that_journals_take(tmp_path: Path) -> None:
-    plot_track(make_track(3, 2), tmp_path / "track.pdf")
+    plot.track(make_track(3, 2), tmp_path / "track.pdf")
     content = (tmp_path / "track.pdf").read_bytes()
     assert b"/FontFile2" in content
     assert b"/Type3" not in content
@@ -97,19 +97,19 @@ def test_drawing_opens_no_window_and_leaves_no_figure_behind() -> None:
 
 def test_the_title_tells_name_steps_distance_duration_and_weighting() -> None:
     track = make_track(200, 100)
-    written = texts(plot_track(track))
+    written = texts(plot.track(track))
     for fact in ("made_up", "200 steps", f"{track.distance_m:.1f} m", "1 min 41 s", "imm"):
         assert fact in written or fact.replace("41", "40") in written, fact
 
 
 def test_a_single_step_is_not_called_steps() -> None:
-    assert "1 step " in texts(plot_track(make_track(1, 1)))
+    assert "1 step " in texts(plot.track(make_track(1, 1)))
 
 
 def test_notes_are_shown_and_many_are_counted() -> None:
-    assert texts(plot_track(make_track(5, 5))).endswith("\n")  # no note, nothing written
+    assert texts(plot.track(make_track(5, 5))).endswith("\n")  # no note, nothing written
     notes = tuple(f"remark number {i}" for i in range(5))
-    written = texts(plot_track(make_track(5, 5, notes)))
+    written = texts(plot.track(make_track(5, 5, notes)))
     assert "remark number 0" in written
     assert "remark number 4" not in written
     assert "2 more" in written
@@ -118,7 +118,7 @@ def test_notes_are_shown_and_many_are_counted() -> None:
 def test_the_legend_names_the_contexts_that_occur_and_no_others() -> None:
     track = make_track(20, 0)
     walking = np.tile(np.eye(6)[CONTEXTS.index("walking")], (20, 1))
-    figure = plot_track(replace(track, context_prob=walking))
+    figure = plot.track(replace(track, context_prob=walking))
     legend = {t.get_text() for t in figure.axes[0].get_legend().get_texts()}
     assert legend & set(CONTEXTS) == {"walking"}
     assert {"start", "end"} <= legend
@@ -126,7 +126,7 @@ def test_the_legend_names_the_contexts_that_occur_and_no_others() -> None:
 
 def test_each_step_is_drawn_in_the_colour_of_its_context() -> None:
     track = make_track(12, 3)
-    lines = [c for c in plot_track(track).axes[0].collections if isinstance(c, LineCollection)]
+    lines = [c for c in plot.track(track).axes[0].collections if isinstance(c, LineCollection)]
     (way,) = lines
     expected = [context_colours()[CONTEXTS[i]] for i in track.context_prob.argmax(axis=1)]
     drawn = [f"#{''.join(f'{round(255 * part):02X}' for part in rgba[:3])}" for rgba in way.get_colors()]
@@ -135,7 +135,7 @@ def test_each_step_is_drawn_in_the_colour_of_its_context() -> None:
 
 def test_ellipses_hold_95_percent() -> None:
     track = make_track(40, 10)
-    (ellipses,) = [c for c in plot_track(track).axes[0].collections if isinstance(c, EllipseCollection)]
+    (ellipses,) = [c for c in plot.track(track).axes[0].collections if isinstance(c, EllipseCollection)]
     offsets = np.asarray(ellipses.get_offsets())
     np.testing.assert_allclose(offsets[-1], track.position_m[-1])  # the last one is at the end
     half_m = np.array([ellipses.get_widths()[-1], ellipses.get_heights()[-1]]) / 2
@@ -146,14 +146,14 @@ def test_ellipses_hold_95_percent() -> None:
 
 
 def test_metres_are_as_long_to_the_north_as_to_the_east() -> None:
-    assert plot_track(make_track(30, 10)).axes[0].get_aspect() == 1.0
+    assert plot.track(make_track(30, 10)).axes[0].get_aspect() == 1.0
 
 
 def test_time_without_windows_stays_empty() -> None:
     track = make_track(10, 10)
     keep = np.array([True] * 4 + [False] * 4 + [True] * 2)  # windows end at 2, 3, 4, 5 and 10, 11 s
     windows = replace(track.windows, time_s=track.windows.time_s[keep], context_prob=track.windows.context_prob[keep])
-    figure = plot_track(replace(track, windows=windows))
+    figure = plot.track(replace(track, windows=windows))
     stack = [c for c in figure.axes[1].collections if not isinstance(c, LineCollection)]
     drawn = [path for collection in stack for path in collection.get_paths()]
 
@@ -165,7 +165,7 @@ def test_time_without_windows_stays_empty() -> None:
 
 def test_the_true_way_is_drawn_where_it_is_given() -> None:
     reference_m = np.array([[0.0, 0.0], [3.0, 4.0]])
-    plane = plot_track(make_track(8, 4), reference_m=reference_m).axes[0]
+    plane = plot.track(make_track(8, 4), reference_m=reference_m).axes[0]
     assert any(np.array_equal(line.get_xydata(), reference_m) for line in plane.lines)
     assert "truth" in {t.get_text() for t in plane.get_legend().get_texts()}
 

@@ -1,4 +1,4 @@
-"""The figure of a calibration."""
+"""A calibration: errors of its segments, and its people."""
 
 from __future__ import annotations
 
@@ -8,42 +8,36 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
+from pdr_filter.plot.figures import given_or_new, new_figure, save
 from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
-from pdr_filter.report.plotting import save
 from pdr_filter.values import Table
 
 _MAX_POINTS, _MAX_PEOPLE = 5000, 60
 
 
-def plot_calibration(
+def calibration(
     segments: Table,
     context: str,
     people_m: Mapping[str, tuple[float, float]],
     population_m: tuple[float, float],
     path: str | Path | None = None,
 ) -> Figure:
-    """Errors of segments (each left out) over their known lengths, and the people with 95 % intervals.
-
-    `segments` are those of `Calibration`; `people_m` has the length of a typical step of each person in the context and
-    its standard deviation, `population_m` the mean of all people and their spread, NaN for none. Saved if a path is
-    given.
-    """
-    figure = Figure(figsize=(10.0, 4.8), layout="constrained")
-    FigureCanvasAgg(figure)
+    """Draw `residuals` beside `people`: what `Calibration.plot` shows. Saved if a path is given."""
+    figure = new_figure((10.0, 4.8))
     left, right = figure.subplots(1, 2)
-    _draw_segments(left, segments)
-    _draw_people(right, context, dict(list(people_m.items())[:_MAX_PEOPLE]), *population_m)
-    for axes in (left, right):
-        axes.spines[["top", "right"]].set_visible(False)
+    residuals(segments, left)
+    people(context, people_m, population_m, right)
     if path is not None:
         save(figure, path)
     return figure
 
 
-def _draw_segments(axes: Axes, rows: Any) -> None:
+def residuals(segments: Table, ax: Axes | None = None) -> Axes:
+    """Draw the errors of segments (each left out) over their known lengths; `segments` are those of `Calibration`."""
+    axes = given_or_new(ax)
+    rows: Any = segments
     if len(rows) > _MAX_POINTS:
         rows = rows[np.linspace(0, len(rows) - 1, _MAX_POINTS).astype(int)]
     error = 100 * (rows.left_out_m / rows.distance_m - 1)
@@ -58,13 +52,24 @@ def _draw_segments(axes: Axes, rows: Any) -> None:
     axes.axhline(0.0, color=INK, linewidth=0.8)
     axes.set(xlabel="known length (m)", ylabel="error with this segment left out (%)")
     axes.legend(frameon=False)
+    return axes
 
 
-def _draw_people(
-    axes: Axes, context: str, people_m: dict[str, tuple[float, float]], centre_m: float, between_m: float
-) -> None:
-    length_m, std_m = np.array(list(people_m.values())).reshape(-1, 2).T
-    number = np.arange(len(people_m))
+def people(
+    context: str,
+    people_m: Mapping[str, tuple[float, float]],
+    population_m: tuple[float, float],
+    ax: Axes | None = None,
+) -> Axes:
+    """Draw people with 95 % intervals: length of a typical step of each in the context, and its standard deviation.
+
+    `population_m` is the mean of all people and their spread, NaN for none.
+    """
+    axes = given_or_new(ax)
+    shown = dict(list(people_m.items())[:_MAX_PEOPLE])
+    centre_m, between_m = population_m
+    length_m, std_m = np.array(list(shown.values())).reshape(-1, 2).T
+    number = np.arange(len(shown))
     interval: dict[str, Any] = {"fmt": "o", "color": BLUE, "markersize": 4, "linewidth": 1}
     axes.errorbar(length_m, number, xerr=1.96 * std_m, label="person, 95 % interval", **interval)
     if between_m > 0:
@@ -72,6 +77,7 @@ def _draw_people(
         axes.axvspan(*band, color=BLUE, alpha=0.1, linewidth=0, label="95 % of all people")
     axes.axvline(centre_m, color=INK, linewidth=0.8, label="population")
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9, columnspacing=1.0)
-    names = [n if len(n) <= 22 else f"{n[:9]}...{n[-10:]}" for n in people_m]
+    names = [n if len(n) <= 22 else f"{n[:9]}...{n[-10:]}" for n in shown]
     axes.set_yticks(number, names, fontsize=8 if len(names) < 25 else 5)
     axes.set(xlabel=f"length of a typical step, {context} (m)", ylim=(len(names) - 0.5, -0.5))
+    return axes

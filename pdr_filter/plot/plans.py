@@ -1,0 +1,57 @@
+"""Floor plans in axes, under what else is drawn there."""
+
+from __future__ import annotations
+
+import pathlib
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.collections import LineCollection, PathCollection
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+from matplotlib.path import Path
+
+from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.maps.storey import Feature, Storey
+from pdr_filter.plot.figures import new_figure, save
+from pdr_filter.report.palette import INK, PLAN_COLOURS, WALL
+
+
+def draw_storey(axes: Axes, storey: Storey) -> None:
+    """Draw a storey into axes, which stay as wide as they are."""
+    for kind, colour in PLAN_COLOURS.items():
+        areas = [f for f in storey.features if f.kind == kind and f.is_area]
+        axes.add_collection(
+            PathCollection([_path(f) for f in areas], facecolors=colour, edgecolors=WALL, linewidths=0.6, zorder=0.5),
+            autolim=False,
+        )
+    for kind, width in (("wall", 1.4), ("door", 2.6)):
+        lines = [line for f in storey.features if f.kind == kind and not f.is_area for line in f.lines]
+        colour = WALL if kind == "wall" else PLAN_COLOURS["door"]
+        axes.add_collection(LineCollection(lines, colors=colour, linewidths=width, zorder=0.6), autolim=False)
+
+
+def plan(plan: FloorPlan, path: str | pathlib.Path | None = None) -> Figure:
+    """Figure of all storeys of a plan, with the names of its areas; saved if a path is given."""
+    figure = new_figure((8.0, 6.0 * len(plan.storeys)))
+    for axes, storey in zip(np.atleast_1d(figure.subplots(len(plan.storeys), 1)), plan.storeys, strict=True):
+        draw_storey(axes, storey)
+        points = np.concatenate([ring for f in storey.features for ring in f.lines])
+        axes.update_datalim(points)
+        axes.autoscale_view()
+        for feature in storey.features:
+            if feature.name and feature.kind != "floor":
+                middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
+                axes.annotate(feature.name[:20], middle, ha="center", va="center", fontsize=6, color=INK, clip_on=True)
+        axes.set(aspect="equal", xlabel="east (m)", ylabel="north (m)")
+        axes.set_title(f"{plan.name}, floor {storey.floor}", loc="left", color=INK)
+        kinds = [kind for kind in PLAN_COLOURS if any(f.kind == kind for f in storey.features)]
+        handles = [Patch(facecolor=PLAN_COLOURS[kind], edgecolor=WALL, label=kind) for kind in kinds]
+        axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
+    if path is not None:
+        save(figure, path)
+    return figure
+
+
+def _path(feature: Feature) -> Path:
+    return Path.make_compound_path(*(Path(ring, closed=True) for ring in feature.lines))

@@ -1,0 +1,317 @@
+"use strict";
+// One step is shown at a time, on the map, in the table and in the pictures over time: `show` is the only place for it.
+(() => {
+  const byId = id => document.getElementById(id);
+  const root = document.documentElement;
+  const colour = name => getComputedStyle(root).getPropertyValue(name).trim();
+  const { tracks } = JSON.parse(byId("data").textContent);
+  const BOUT_PAUSE_S = 2.5; // steps further apart belong to different bouts: the speed between them is not known
+  const PLAY_S = 20;
+  let track = tracks[0], row = -1, charts = [], isFollowing = false, playing = null;
+
+  const map = new WayMap(byId("map"), colour, k => show(k));
+  map.tracks = tracks;
+
+  // --- words ---------------------------------------------------------------------------------------------------------
+
+  const clock = (s, digits = 0) => {
+    const whole = Math.floor(s / 60), rest = (s - 60 * whole).toFixed(digits).padStart(digits ? 3 + digits : 2, "0");
+    return whole >= 60 ? `${Math.floor(whole / 60)}:${String(whole % 60).padStart(2, "0")}:${rest}` : `${whole}:${rest}`;
+  };
+  const number = (value, digits) => value === null || value === undefined ? "–" : value.toFixed(digits);
+
+  const element = (tag, words, parent) => {
+    const made = document.createElement(tag);
+    made.textContent = words;
+    parent?.append(made);
+    return made;
+  };
+
+  function rows(k) {
+    const t = track, found = [
+      ["step", `${t.number[k]} of ${t.n_steps}`],
+      ["time", `${clock(t.time[k], 1)}`],
+      ["length", `${number(t.length[k], 2)} m`],
+      ["heading", `${number(t.heading[k], 0)}°`],
+      ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_half[k], 2)} m/s`],
+      ["walked", `${number(t.walked[k], 1)} m`],
+      ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
+      ["within (95 %)", `${number(t.major[k], 1)} m`],
+    ];
+    if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k]}`]);
+    if (t.from_truth) found.push(["from the truth", `${number(t.from_truth[k], 1)} m`]);
+    return found;
+  }
+
+  function tell(k) {
+    const table = byId("step"), bars = byId("probabilities");
+    table.replaceChildren();
+    bars.replaceChildren();
+    if (k < 0) return;
+    for (const [name, value] of rows(k)) {
+      const line = element("tr", "", table);
+      element("th", name, line);
+      element("td", value, line);
+    }
+    track.contexts.forEach((name, c) => {
+      const percent = track.prob[c][k];
+      if (percent < 1) return;
+      const bar = element("div", "", bars);
+      bar.className = "bar";
+      element("span", name, bar);
+      const area = element("span", "", bar), fill = element("i", "", area);
+      fill.style.width = `${percent}%`;
+      fill.style.background = track.context_colours[c];
+      element("b", `${percent} %`, bar);
+    });
+  }
+
+  // --- one time for all ----------------------------------------------------------------------------------------------
+
+  // The last step at or before a time, or the first.
+  function stepAt(time) {
+    let low = 0, high = track.time.length;
+    while (low < high) {
+      const middle = (low + high) >> 1;
+      if (track.time[middle] <= time) low = middle + 1; else high = middle;
+    }
+    return Math.min(Math.max(low - 1, 0), track.time.length - 1);
+  }
+
+  function show(k, time = track.time[k]) {
+    row = map.row = k;
+    map.draw();
+    tell(k);
+    if (k < 0) return;
+    byId("time").value = time;
+    byId("clock").textContent = `${clock(time, 1)} of ${clock(track.end_s, 0)}`;
+    isFollowing = true;
+    for (const chart of charts) chart.setCursor({ left: chart.valToPos(track.time[k], "x"), top: 0 });
+    isFollowing = false;
+  }
+
+  function play() {
+    if (playing) {
+      cancelAnimationFrame(playing);
+      playing = null;
+    } else {
+      const slider = byId("time"), begin = performance.now();
+      const from = slider.value >= track.end_s - 0.5 ? track.start_s : Number(slider.value);
+      const pace = Math.max((track.end_s - track.start_s) / PLAY_S / 1000, 0.002);
+      const frame = now => {
+        const time = Math.min(from + Math.max(now - begin, 0) * pace, track.end_s);
+        show(stepAt(time), time);
+        playing = time < track.end_s ? requestAnimationFrame(frame) : null;
+        if (!playing) label();
+      };
+      playing = requestAnimationFrame(frame);
+    }
+    label();
+  }
+
+  function label() {
+    byId("play").textContent = playing ? "❚❚" : "▶";
+    byId("play").setAttribute("aria-label", playing ? "pause" : "play");
+  }
+
+  // --- pictures over time --------------------------------------------------------------------------------------------
+
+  const axis = (values, size) => ({
+    stroke: () => colour("--faint"), font: "12px system-ui, sans-serif", values, size,
+    grid: { stroke: () => colour("--line"), width: 1 }, ticks: { show: false },
+  });
+
+  function chart(id, height, data, series, more = {}) {
+    const place = byId(id);
+    const { scale = {}, hooks = {}, bands = [], splits, yValues } = more;
+    const made = new uPlot({
+      width: Math.max(place.clientWidth, 50), height, series: [{}, ...series], bands,
+      legend: { show: false },
+      cursor: { y: false, points: { show: false }, drag: { x: true, y: false } },
+      scales: { x: { time: false, range: (_, low, high) => high > low ? [low, high] : [track.start_s, track.end_s] },
+        y: scale },
+      axes: [
+        { ...axis((_, at) => at.map(s => clock(s, s % 1 ? 1 : 0)), 30), space: 70,
+          incrs: [0.5, 1, 2, 5, 10, 15, 30, 60, 120, 300, 600, 900, 1800, 3600, 7200, 14400, 28800, 86400] },
+        { ...axis(yValues, 44), ...splits && { splits: () => splits } },
+      ],
+      hooks: {
+        ...hooks,
+        setCursor: [u => { if (!isFollowing && u.cursor.left >= 0) show(stepAt(u.posToVal(u.cursor.left, "x"))); }],
+        setScale: [(u, key) => {
+          if (key !== "x" || isFollowing) return;
+          isFollowing = true;
+          const { min, max } = u.scales.x;
+          for (const other of charts) if (other !== u) other.setScale("x", { min, max });
+          isFollowing = false;
+        }],
+      },
+    }, data, place);
+    // Double click: all of it, where uPlot knows only the steps.
+    made.over.addEventListener("dblclick", () => made.setScale("x", { min: track.start_s, max: track.end_s }));
+    return made;
+  }
+
+  const dots = paint => ({ paths: () => null, points: { show: true, size: 4, width: 0, fill: paint, stroke: paint } });
+  const hidden = { stroke: "transparent", points: { show: false } };
+  const drawn = name => ({ stroke: () => colour(name), width: 1.6, points: { show: false } });
+
+  // Middle and half width, with a break where nobody stepped.
+  function banded(middle, half, floor = -Infinity) {
+    const data = [[], [], [], []];
+    track.time.forEach((time, k) => {
+      const pause = k && time - track.time[k - 1] > BOUT_PAUSE_S;
+      if (pause) [(time + track.time[k - 1]) / 2, null, null, null].forEach((v, i) => data[i].push(v));
+      const [m, h] = [middle[k], half[k]];
+      const missing = m === null || h === null;
+      [time, missing ? null : Math.max(m - h, floor), missing ? null : m + h, m].forEach((v, i) => data[i].push(v));
+    });
+    return data;
+  }
+
+  const band = { bands: [{ series: [2, 1], fill: () => colour("--accent") + "33" }] };
+
+  function paintWindows(u) {
+    const { left, top, width, height } = u.bbox, pen = u.ctx, { start, end, prob } = track.windows;
+    pen.save();
+    pen.beginPath();
+    pen.rect(left, top, width, height);
+    pen.clip();
+    start.forEach((_, w) => {
+      const x = Math.round(u.valToPos(start[w], "x", true)), until = Math.round(u.valToPos(end[w], "x", true));
+      if (until < left || x > left + width) return;
+      let low = 0;
+      prob.forEach((of_context, c) => {
+        const high = low + of_context[w] / 100, y = u.valToPos(high, "y", true);
+        pen.fillStyle = track.context_colours[c];
+        if (high > low) pen.fillRect(x, y, Math.max(until - x, 1), u.valToPos(low, "y", true) - y);
+        low = high;
+      });
+    });
+    pen.strokeStyle = colour("--ink");
+    pen.lineWidth = Math.min(Math.max(width / track.time.length / 8, 0.2), 1) * (devicePixelRatio || 1);
+    pen.beginPath();
+    track.time.forEach(time => {
+      const x = u.valToPos(time, "x", true);
+      pen.moveTo(x, u.valToPos(1.05, "y", true));
+      pen.lineTo(x, u.valToPos(1.14, "y", true));
+    });
+    pen.stroke();
+    pen.restore();
+  }
+
+  function build() {
+    for (const old of charts) old.destroy();
+    charts = [];
+    const t = track, share = { range: [0, 1.15] }, from0 = { range: (_, low, high) => [0, Math.max(high * 1.1, 0.5)] };
+    document.querySelectorAll(".needs-steps").forEach(section => { section.hidden = !t.time.length; });
+    byId("height").closest("section").hidden = !t.height;
+    const made = [];
+    if (t.windows.start.length) {
+      const ends = [t.start_s, t.end_s];
+      made.push(chart("contexts", 170, [ends, [null, null]], [hidden], { scale: share, hooks: { draw: [paintWindows] },
+        splits: [0, 0.5, 1], yValues: (_, at) => at }));
+    }
+    if (t.time.length) {
+      if (t.height) made.push(chart("height", 180, banded(t.height, t.height_half), [hidden, hidden, drawn("--accent")], band));
+      made.push(chart("speed", 180, banded(t.speed, t.speed_half, 0), [hidden, hidden, drawn("--accent")], { ...band, scale: from0 }));
+      const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
+      made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
+      made.push(chart("heading", 180, [t.time, t.heading.map(v => v > 180 ? v - 360 : v)],
+        [dots(() => colour("--accent"))],
+        { scale: { range: [-190, 190] }, splits: [-180, -90, 0, 90, 180], yValues: (_, at) => at.map(v => `${(v + 360) % 360}°`) }));
+    }
+    charts = made;
+    isFollowing = true;
+    for (const each of charts) each.setScale("x", { min: t.start_s, max: t.end_s });
+    isFollowing = false;
+  }
+
+  // --- choices -------------------------------------------------------------------------------------------------------
+
+  function layers() {
+    const list = byId("layers");
+    list.replaceChildren();
+    const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
+      "other tracks": tracks.length > 1 };
+    const words = { ellipses: "95 % ellipses", truth: "truth, moved to fit", GPS: "locations of the phone", plan: "floor plan" };
+    for (const [name, is_there] of Object.entries(all)) {
+      if (!is_there) continue;
+      const box = element("label", "", element("li", "", list)), tick = document.createElement("input");
+      tick.type = "checkbox";
+      tick.name = name;
+      tick.checked = !map.hidden.has(name);
+      tick.addEventListener("change", () => {
+        map.hidden[tick.checked ? "delete" : "add"](name);
+        map.draw();
+      });
+      box.append(tick, words[name] ?? name);
+    }
+  }
+
+  // What the colours of the way mean; where there are storeys, by storey or by context.
+  function colours() {
+    const list = byId("colours"), kinds = Object.keys(track.groups);
+    const kind = kinds.includes(map.groups) ? map.groups : "contexts", { names, colours: of, group } = track.groups[kind];
+    list.replaceChildren();
+    if (kinds.length > 1) {
+      const button = element("button", `by ${kinds.find(k => k !== kind)}`, element("li", "", list));
+      button.type = "button";
+      button.addEventListener("click", () => {
+        map.groups = kinds.find(k => k !== kind);
+        map.draw();
+        colours();
+      });
+    }
+    [...new Set(group)].sort((a, b) => a - b).forEach(g => {
+      const line = element("li", "", list), key = element("span", "", line);
+      key.className = "key";
+      key.style.background = of[g];
+      line.append(names[g]);
+    });
+    for (const words of ["○ start", "■ end"]) element("li", words, list);
+  }
+
+  function choose(number) {
+    track = tracks[number];
+    map.chosen = number;
+    document.querySelectorAll("[data-track]").forEach(part => { part.hidden = Number(part.dataset.track) !== number; });
+    Object.assign(byId("time"), { min: track.start_s, max: track.end_s, disabled: !track.time.length });
+    byId("play").disabled = !track.time.length;
+    layers();
+    colours();
+    build();
+    show(track.time.length - 1, track.end_s);
+  }
+
+  function paint(theme) {
+    root.dataset.theme = theme;
+    byId("theme").textContent = theme === "dark" ? "light" : "dark";
+    map.draw();
+    for (const each of charts) each.redraw(false);
+  }
+
+  const scheme = matchMedia("(prefers-color-scheme: dark)");
+  scheme.addEventListener("change", () => paint(scheme.matches ? "dark" : "light"));
+  byId("theme").addEventListener("click", () => paint(root.dataset.theme === "dark" ? "light" : "dark"));
+  byId("closer").addEventListener("click", () => map.zoom(1.5));
+  byId("farther").addEventListener("click", () => map.zoom(1 / 1.5));
+  byId("whole").addEventListener("click", () => map.whole());
+  byId("play").addEventListener("click", play);
+  byId("time").addEventListener("input", event => {
+    if (playing) play();
+    show(stepAt(Number(event.target.value)), Number(event.target.value));
+  });
+  document.querySelectorAll("input[name=track]").forEach(input =>
+    input.addEventListener("change", () => choose(Number(input.value))));
+
+  const fit = () => charts.forEach(each => each.setSize({ width: each.root.parentElement.clientWidth, height: each.height }));
+  new ResizeObserver(fit).observe(document.body);
+  let before = "light";
+  addEventListener("beforeprint", () => { before = root.dataset.theme; paint("light"); fit(); map.paint(); });
+  addEventListener("afterprint", () => { paint(before); fit(); });
+
+  root.dataset.theme = scheme.matches ? "dark" : "light";
+  byId("theme").textContent = scheme.matches ? "light" : "dark";
+  choose(0);
+})();

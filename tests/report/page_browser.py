@@ -1,0 +1,192 @@
+"""A headless Chromium that a test drives: opens a page, points, clicks, looks, over the DevTools protocol."""
+
+from __future__ import annotations
+
+import base64
+import json
+import os
+import shutil
+import subprocess
+import time
+from pathlib import Path
+from types import TracebackType
+from typing import Any
+
+NAMES = ("chromium", "chromium-browser", "google-chrome", "google-chrome-stable", "chrome", "chrome-headless-shell")
+BROWSER = next((path for name in NAMES if (path := shutil.which(name))), "")
+OPTIONS = (
+    "--headless",
+    "--no-sandbox",  # Chromium refuses root otherwise, which is what containers have
+    "--disable-gpu",
+    "--no-first-run",
+    "--disable-background-networking",
+    "--disable-component-update",
+    "--disable-sync",
+    "--hide-scrollbars",
+    "--host-resolver-rules=MAP * ~NOTFOUND",  # whatever is asked for, nothing leaves the machine
+    "--remote-debugging-pipe",
+)
+
+
+class Browser:
+    """One page of one browser. Messages are JSON with a zero byte behind, which Chromium reads at 3 and writes at 4."""
+
+    def __init__(self, folder: Path) -> None:
+        self.complaints: list[str] = []
+        self.asked_for: list[str] = []  # addresses
+        self._number, self._session, self._rest = 0, "", b""
+        to_browser, self._write = os.pipe()
+        self._read, from_browser = os.pipe()
+        program = [BROWSER, *OPTIONS, f"--user-data-dir={folder / 'profile'}", "about:blank"]
+        # The shell puts the pipes where Chromium looks for them; sh knows no numbers above nine.
+        shell = ["bash", "-c", f'exec "$@" 3<&{to_browser} 4>&{from_browser}', "bash", *program]
+        self._process = subprocess.Popen(
+            shell, pass_fds=(to_browser, from_browser), stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL
+        )
+        os.close(to_browser)
+        os.close(from_browser)
+        page = self._first_page()
+        self._session = self.ask("Target.attachToTarget", targetId=page, flatten=True)["sessionId"]
+        for domain in ("Page", "Runtime", "Log", "Network"):
+            self.ask(f"{domain}.enable")
+
+    def _first_page(self) -> str:
+        end = time.monotonic() + 20
+        while time.monotonic() < end:
+            for target in self.ask("Target.getTargets")["targetInfos"]:
+                if target["type"] == "page":
+                    return target["targetId"]
+        raise TimeoutError("Chromium opened no page")
+
+    def __enter__(self) -> Browser:
+        return self
+
+    def __exit__(self, kind: type | None, error: BaseException | None, trace: TracebackType | None) -> None:
+        os.close(self._write)
+        os.close(self._read)
+        self._process.terminate()
+        self._process.wait(10)
+
+    def ask(self, method: str, **parameters: Any) -> dict[str, Any]:
+        """The answer to a command; what the page complains about and asks for meanwhile is kept."""
+        self._number += 1
+        message = {"id": self._number, "method": method, "params": parameters}
+        if self._session:
+            message["sessionId"] = self._session
+        os.write(self._write, json.dumps(message).encode() + b"\0")
+        while True:
+            message = self._next()
+            if message.get("id") == self._number:
+                if "error" in message:
+                    raise RuntimeError(message["error"]["message"])
+                return message["result"]
+            self._heard(message.get("method"), message.get("params", {}))
+
+    def _next(self) -> dict[str, Any]:
+        while b"\0" not in self._rest:
+            part = os.read(self._read, 1 << 20)
+            if not part:
+                raise RuntimeError("Chromium has ended")
+            self._rest += part
+        text, _, self._rest = self._rest.partition(b"\0")
+        return json.loads(text)
+
+    def _heard(self, what: str | None, content: dict[str, Any]) -> None:
+        if what == "Runtime.exceptionThrown":
+            self.complaints.append(str(content["exceptionDetails"].get("exception", {}).get("description")))
+        elif what == "Runtime.consoleAPICalled":
+            self.complaints.append(f"{content['type']}: {content['args']}")
+        elif what == "Log.entryAdded":
+            self.complaints.append(content["entry"]["text"])
+        elif what == "Network.requestWillBeSent":
+            self.asked_for.append(content["request"]["url"])
+
+    def open(self, path: Path, width: int = 1280, height: int = 900, theme: str = "light") -> None:
+        """Go to a page, on a screen so large; what was noted of the page before is forgotten."""
+        self.ask(
+            "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
+        )
+        self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        self.complaints, self.asked_for = [], []
+        self.ask("Page.navigate", url=path.as_uri())
+        self.until("document.readyState === 'complete'")
+        self.settle()
+
+    def settle(self) -> None:
+        """Wait until what a page draws in its next frame is drawn."""
+        self.value("new Promise(done => requestAnimationFrame(() => requestAnimationFrame(() => done(1))))")
+
+    def value(self, expression: str) -> Any:
+        """Of an expression in the page."""
+        answer = self.ask("Runtime.evaluate", expression=expression, returnByValue=True, awaitPromise=True)
+        if "exceptionDetails" in answer:
+            raise RuntimeError(str(answer["exceptionDetails"]))
+        return answer["result"].get("value")
+
+    def until(self, expression: str, timeout_s: float = 20.0) -> Any:
+        """Wait until an expression is true."""
+        end = time.monotonic() + timeout_s
+        while not (value := self.value(expression)):
+            if time.monotonic() > end:
+                raise TimeoutError(f"never true: {expression}")
+            time.sleep(0.02)
+        return value
+
+    def words(self, selector: str) -> str:
+        """Text of the first element."""
+        return self.value(f"document.querySelector({selector!r}).innerText")
+
+    def _place(self, selector: str, x: float, y: float) -> dict[str, float]:
+        """Of a part of an element's width and height, which is scrolled to."""
+        left, top, width, height = self.value(
+            f"(() => {{ const e = document.querySelector({selector!r}); e.scrollIntoView({{block: 'center'}});"
+            "const r = e.getBoundingClientRect(); return [r.left, r.top, r.width, r.height]; })()"
+        )
+        return {"x": left + x * width, "y": top + y * height}
+
+    def hover(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
+        """Move the mouse onto an element."""
+        self.ask("Input.dispatchMouseEvent", type="mouseMoved", **self._place(selector, x, y))
+        self.settle()
+
+    def click(self, selector: str) -> None:
+        """Press and release the mouse on an element."""
+        self.drag(selector, (0.5, 0.5), (0.5, 0.5))
+
+    def drag(self, selector: str, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Press the mouse at one part of an element's width and height and release it at another."""
+        a, b = self._place(selector, *start), self._place(selector, *end)
+        press: dict[str, Any] = {"button": "left", "clickCount": 1}
+        self.ask("Input.dispatchMouseEvent", type="mousePressed", **press, **a)
+        if start != end:
+            for share in (0.5, 1.0):
+                place = {k: a[k] + share * (b[k] - a[k]) for k in a}
+                self.ask("Input.dispatchMouseEvent", type="mouseMoved", button="left", buttons=1, **place)
+        self.ask("Input.dispatchMouseEvent", type="mouseReleased", **press, **b)
+        self.settle()
+
+    def wheel(self, selector: str, down: float) -> None:
+        """Turn the wheel over the middle of an element."""
+        place = self._place(selector, 0.5, 0.5)
+        self.ask("Input.dispatchMouseEvent", type="mouseWheel", deltaX=0, deltaY=down, **place)
+        self.settle()
+
+    def press(self, key: str) -> None:
+        """Press a key."""
+        for kind in ("keyDown", "keyUp"):
+            self.ask("Input.dispatchKeyEvent", type=kind, key=key)
+        self.settle()
+
+    def shot(self, path: Path) -> Path:
+        """A picture of the whole page."""
+        self.value("scrollTo(0, 0)")
+        size = self.ask("Page.getLayoutMetrics")["cssContentSize"]
+        clip = {"x": 0, "y": 0, "width": size["width"], "height": size["height"], "scale": 1}
+        data = self.ask("Page.captureScreenshot", captureBeyondViewport=True, clip=clip)["data"]
+        path.write_bytes(base64.b64decode(data))
+        return path
+
+    def printed(self, path: Path) -> Path:
+        """The page as PDF."""
+        path.write_bytes(base64.b64decode(self.ask("Page.printToPDF", printBackground=True)["data"]))
+        return path

@@ -1,0 +1,17 @@
+"""What `make test` leaves out exists: a test that is renamed does not stay on the list."""
+
+from __future__ import annotations
+
+import ast
+from pathlib import Path
+
+from conftest import SLOW
+
+ROOT = Path(__file__).resolve().parents[1]
+
+
+def test_every_test_that_is_called_slow_exists() -> None:
+    for name in SLOW:
+        path, _, function = name.partition("::")
+        tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+        assert function in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}, name
