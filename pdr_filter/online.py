@@ -193,6 +193,11 @@ class OnlineFilter:
                 "locations are for a filter in the world frame, got a configuration in the frame of the start: make "
                 "it of config.in_world_frame(), such as OnlineFilter(recipes.default().in_world_frame())"
             )
+        if self.config.on_plan is not None and self.config.on_plan.plan.origin is None:
+            raise ValueError(
+                "locations need to know where on Earth the plan is, got a plan in metres: give one in longitude and "
+                "latitude, or FloorPlan.read its origin"
+            )
         columns = {
             "time_s": time_s,
             "latitude_deg": latitude_deg,

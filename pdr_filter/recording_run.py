@@ -127,12 +127,11 @@ def track(
     """
     for fix in fixes:
         check_fix(fix)
-    with_location = _with_location(recording, fixes, gnss)
+    config = on_plan(config or default_config(recording), plan, start)
+    with_location = _with_location(recording, config, fixes, gnss)
     is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    # a plan in metres has a frame of its own
-    with_location = with_location and not is_placed and (plan is None or plan.origin is not None)
+    with_location = with_location and not is_placed
     recording, fixes = one_clock(recording, fixes)
-    config = config or default_config(recording)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
 
@@ -147,7 +146,6 @@ def track(
     if with_location:
         config = config.in_world_frame()
     config = _with_north(config, recording, origin, heading_rad, with_location, gnss, north)
-    config = on_plan(config, plan, start)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
     if is_placed and recording.location is not None and gnss is None:
@@ -184,7 +182,7 @@ def _is_placed(
     return True
 
 
-def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None) -> bool:
+def _with_location(recording: Recording, config: Config, fixes: Sequence[Fix], gnss: str | None) -> bool:
     """Whether the locations of a recording are used; ValueError for what contradicts itself."""
     if gnss is not None and gnss not in get_args(GnssUse):
         raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
@@ -193,6 +191,14 @@ def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None)
         raise MissingSensorError(
             f'{recording.name or "the recording"} has no location, got gnss="{gnss}": leave it out'
         )
+    has_metres = config.on_plan is not None and config.on_plan.plan.origin is None
+    if is_asked and has_metres:
+        raise ValueError(
+            f'gnss="{gnss}" needs to know where on Earth the plan is, got a plan in metres: give one in longitude and '
+            "latitude, or FloorPlan.read its origin, or leave gnss out"
+        )
+    if gnss == "align" and config.on_plan is not None:
+        raise ValueError('gnss="align" turns and shifts a track that the plan has placed: give gnss="filter" or "off"')
     own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
     if is_asked and own_frame:
         raise ValueError(
@@ -203,6 +209,8 @@ def _with_location(recording: Recording, fixes: Sequence[Fix], gnss: str | None)
     own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
     if gnss == "align" and own_frame:
         raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')
+    # a plan in metres has a frame of its own, too
+    own_frame |= has_metres
     return recording.location is not None and (is_asked or (gnss is None and not own_frame))
 
 

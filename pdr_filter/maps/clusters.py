@@ -12,8 +12,11 @@ _CELL_M = 1.0
 _LEAST_SHARE = 0.01
 
 
-def on_plan(position_m: FloatArray, weight: FloatArray, heading_rad: FloatArray) -> OnPlan:
-    """What particles at positions (N, 2), with weights (N,) that sum to one and walking headings (N,), say."""
+def on_plan(position_m: FloatArray, weight: FloatArray, heading_rad: FloatArray, elsewhere: float = 0.0) -> OnPlan:
+    """What particles at positions (N, 2), with weights (N,) that sum to one and walking headings (N,), say.
+
+    With the probability `elsewhere` the walk is where none of them is.
+    """
     mean, cov = moments(position_m, weight)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = groups(position_m)
@@ -22,7 +25,8 @@ def on_plan(position_m: FloatArray, weight: FloatArray, heading_rad: FloatArray)
     clusters: list[Cluster] = []
     for g in order:
         inside = group == g
-        clusters.append(Cluster(float(share[g]), *moments(position_m[inside], weight[inside] / share[g])))
+        known = float(share[g] * (1.0 - elsewhere))
+        clusters.append(Cluster(known, *moments(position_m[inside], weight[inside] / share[g])))
     ess = 1.0 / float((weight**2).sum())
     return OnPlan(mean, cov, float(heading), tuple(clusters), len(weight), ess)
 

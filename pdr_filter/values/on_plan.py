@@ -23,6 +23,6 @@ class OnPlan:
     position_m: FloatArray  # (2,) east, north
     position_cov_m2: FloatArray  # (2, 2)
     walking_heading_rad: float
-    clusters: tuple[Cluster, ...]  # the most probable first
+    clusters: tuple[Cluster, ...]  # the most probable first; what their shares lack to one is that it is in none
     n_particles: int
     effective_sample_size: float  # 1 / sum of squared weights

@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import json
 import math
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -63,6 +64,17 @@ def turned(features: list[dict[str, Any]], angle_rad: float) -> list[dict[str, A
     return [{**f, "geometry": {**f["geometry"], "coordinates": of(f["geometry"]["coordinates"])}} for f in features]
 
 
+def in_degrees(features: list[dict[str, Any]], origin: pdr.Origin) -> list[dict[str, Any]]:
+    """The same areas in longitude and latitude."""
+    found: list[dict[str, Any]] = []
+    for f in features:
+        latitude, longitude = origin.latitude_longitude_deg(np.array(f["geometry"]["coordinates"][0]))
+        ring = np.column_stack([longitude, latitude]).tolist()
+        found.append({**f, "geometry": {**f["geometry"], "coordinates": [ring]}})
+    return found
+
+
+@cache
 def round_the_block(seed: int = 0) -> pdr.Recording:
     """From (0, 0) east along the south corridor, round the block, and back into the south corridor."""
     turn = -math.pi / 2  # counter-clockwise

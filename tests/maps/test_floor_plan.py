@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
 import numpy as np
 import pytest
-from made_up import FEATURES, box, feature, line, write
+from made_up import FEATURES, box, feature, in_degrees, line, write
 
 import pdr_filter as pdr
 from pdr_filter.maps.storey import FREE, LIFT, OUTSIDE, ROOM, STAIRS, WALL
@@ -46,12 +45,8 @@ def test_no_line_between_two_sides_of_a_wall_misses_it(tmp_path: Path) -> None:
 
 def test_degrees_and_metres_are_the_same_plan(tmp_path: Path) -> None:
     origin = pdr.Origin(48.1, 11.5)
-    degrees = json.loads(json.dumps(FEATURES))
-    for f in degrees:
-        ring = np.array(f["geometry"]["coordinates"][0])
-        latitude, longitude = origin.latitude_longitude_deg(ring)
-        f["geometry"]["coordinates"] = [np.column_stack([longitude, latitude]).tolist()]
-    plan = pdr.FloorPlan.read(write(tmp_path / "degrees.geojson", degrees), origin=origin)
+    degrees = write(tmp_path / "degrees.geojson", in_degrees(FEATURES, origin))
+    plan = pdr.FloorPlan.read(degrees, origin=origin)
     metres = pdr.FloorPlan.read(write(tmp_path / "metres.geojson"))
     places = np.random.default_rng(0).uniform([-3, -3], [43, 21], (2000, 2))
     same = plan.storeys[0].kind_at(places) == metres.storeys[0].kind_at(places)

@@ -146,7 +146,7 @@ def _ways(seen: list[_Seen]) -> list[_Row]:
             if anchor is not None:
                 at = particles.copy()
                 at[:, :2] = backwards(particles, led_m[anchor] - led_m[i])
-            rows.append(_row(at, weight))
+            rows.append(_row(at, weight, 1.0 - last.elsewhere))
         if anchor is not None:
             continue
         if len(s.state.parent):
@@ -159,13 +159,13 @@ def _ways(seen: list[_Seen]) -> list[_Row]:
     return rows[::-1]
 
 
-def _row(particles: FloatArray, weight: FloatArray) -> _Row:
+def _row(particles: FloatArray, weight: FloatArray, share: float) -> _Row:
     position_m, cov_m2 = moments(particles[:, [EAST, NORTH]], weight)
     # headings go round: about the first of them
     about = particles[0, OFFSET]
     turned = wrap_angle(particles[:, OFFSET] - about)
     (offset, offset_std), (scale, scale_std) = (_mean_and_std(v, weight) for v in (turned, particles[:, SCALE]))
-    cluster = Cluster(1.0, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
+    cluster = Cluster(share, position_m, read_only(cov_m2 + _PLAN_STD_M**2 * np.eye(2)))
     return _Row(cluster, (float(about + offset), offset_std), (scale, scale_std))
 
 
