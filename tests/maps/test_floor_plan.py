@@ -60,6 +60,7 @@ def test_storeys_are_apart(tmp_path: Path) -> None:
     assert [s.floor for s in plan.storeys] == [0, 1]
     first = plan.storey(1)
     assert first is not None and first.kind_at(np.array([3.0, 3.0])) == ROOM
+    assert first.kind_at(np.array([20.0, 8.0])) == OUTSIDE  # the block of below
     assert plan.storey(2) is None
 
 
