@@ -116,7 +116,10 @@ def test_longitude_and_latitude_exchanged_are_told_by_the_origin(tmp_path: Path)
         pdr.FloorPlan.read(write(tmp_path / "plan.geojson", [swapped]), origin=(48.1, 11.5))
 
 
-@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"type": "Feature"}', '{"type": "FeatureCollection"}'])
+OTHER = '{"type": "Topology", "features": []}'
+
+
+@pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"type": "Feature"}', '{"type": "FeatureCollection"}', OTHER])
 def test_what_is_no_collection_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plan.geojson"
     path.write_text(text)
