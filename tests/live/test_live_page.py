@@ -64,8 +64,8 @@ def test_everything_can_be_seen_and_read(
 ) -> None:
     for body in own_messages(walk, f"wide {width}")[:100]:
         server.post(body)
-    with Browser(tmp_path, width, 900, dark) as browser:
-        browser.open(server.address)
+    with Browser(tmp_path) as browser:
+        browser.open(server.address, width, 900, "dark" if dark else "light")
         browser.until(f"{SESSION}?.path.length > 20")
         browser.until("document.querySelectorAll('canvas').length === 3")
         assert browser.value("document.documentElement.scrollWidth") == width

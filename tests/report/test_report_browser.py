@@ -9,8 +9,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from browser import BROWSER, Browser
 from helpers import a_plan
-from page_browser import BROWSER, Browser
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording

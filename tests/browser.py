@@ -23,7 +23,9 @@ OPTIONS = (
     "--disable-component-update",
     "--disable-sync",
     "--hide-scrollbars",
-    "--host-resolver-rules=MAP * ~NOTFOUND",  # whatever is asked for, nothing leaves the machine
+    "--ignore-certificate-errors",
+    # whatever is asked for, nothing leaves the machine
+    "--host-resolver-rules=MAP * ~NOTFOUND, EXCLUDE 127.0.0.1, EXCLUDE localhost",
     "--remote-debugging-pipe",
 )
 
@@ -101,14 +103,14 @@ class Browser:
         elif what == "Network.requestWillBeSent":
             self.asked_for.append(content["request"]["url"])
 
-    def open(self, path: Path, width: int = 1280, height: int = 900, theme: str = "light") -> None:
-        """Go to a page, on a screen so large; what was noted of the page before is forgotten."""
+    def open(self, page: Path | str, width: int = 1280, height: int = 900, theme: str = "light") -> None:
+        """Go to a file or an address, on a screen so large; what was noted of the page before is forgotten."""
         self.ask(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
         self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
         self.complaints, self.asked_for = [], []
-        self.ask("Page.navigate", url=path.as_uri())
+        self.ask("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
         self.until("document.readyState === 'complete'")
         self.settle()
 
@@ -149,9 +151,9 @@ class Browser:
         self.ask("Input.dispatchMouseEvent", type="mouseMoved", **self._place(selector, x, y))
         self.settle()
 
-    def click(self, selector: str) -> None:
-        """Press and release the mouse on an element."""
-        self.drag(selector, (0.5, 0.5), (0.5, 0.5))
+    def click(self, selector: str, x: float = 0.5, y: float = 0.5) -> None:
+        """Press and release the mouse on an element, at this part of its width and height."""
+        self.drag(selector, (x, y), (x, y))
 
     def drag(self, selector: str, start: tuple[float, float], end: tuple[float, float]) -> None:
         """Press the mouse at one part of an element's width and height and release it at another."""
