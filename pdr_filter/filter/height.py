@@ -326,7 +326,7 @@ def _climbed(
         climbed_m=climbed_m,
         height_m=known.height_m + rise_m,
         height_var_m2=known.height_var_m2 + climbed_var + unseen_var,
-        floors=learnt(way, step_s, climbed_m, math.sqrt(float(known.prob @ cov[:, CLIMBED, CLIMBED]))),
+        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob @ cov[:, CLIMBED, CLIMBED]), 0.0))),
     )
 
 
