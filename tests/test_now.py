@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from time import process_time
 
 import numpy as np
 import pytest
@@ -27,16 +26,12 @@ def walked(online: pdr.OnlineFilter, until_s: float = np.inf) -> Iterator[pdr.No
         yield online.now()
 
 
-def test_now_changes_nothing_and_costs_less_than_a_millisecond() -> None:
+def test_now_changes_nothing_and_says_the_same_again() -> None:
     online = pdr.OnlineFilter()
     now = next(now for now in walked(online) if now.n_steps > 10 and now.provisional_steps)
-    blob, times = online.save(), list[float]()
-    for _ in range(100):
-        begin = process_time()
-        assert online.now().to_dict() == now.to_dict()
-        times.append(process_time() - begin)
+    blob = online.save()
+    assert online.now().to_dict() == now.to_dict()
     assert online.save() == blob
-    assert np.median(times) < 2e-3  # with to_dict, and on a machine that is busy
 
 
 @pytest.mark.parametrize("weighting", ["imm", "wc"])

@@ -71,22 +71,26 @@ Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster,
 
 def on_plan(plan: Path | None, start: str | None) -> dict[str, Any]:
     """The arguments `plan` and `start` of `pdr_filter.track` and `pdr_filter.smooth`."""
-    import numpy as np
-
     from pdr_filter.maps.floor_plan import FloorPlan
-    from pdr_filter.values import PositionFix
 
     if plan is None and start is not None:
         raise ValueError(f"--start is a place on a floor plan, got {start!r} without --plan: give one")
     if plan is None:
         return {}
-    place: Any = start
+    return {"plan": FloorPlan.read(plan), "start": _place(start)}
+
+
+def _place(start: str | None) -> Any:
+    """The fix that EAST,NORTH is, or the name as it is."""
+    import numpy as np
+
+    from pdr_filter.values import PositionFix
+
     try:
         east_m, north_m = (float(part) for part in (start or "").split(","))
-        place = PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
-    except ValueError:  # a name
-        pass
-    return {"plan": FloorPlan.read(plan), "start": place}
+    except ValueError:
+        return start
+    return PositionFix(0.0, np.array([east_m, north_m]), np.eye(2))
 
 
 def origin_deg(text: str | None) -> tuple[float, float] | None:
