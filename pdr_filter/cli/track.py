@@ -212,26 +212,7 @@ def track(
 
     with console.one_line_errors():
         if workers.make_one_table():
-            of_one = {
-                "--model": method.model,
-                "--transitions": method.transitions,
-                "--device": method.device,
-                "--person": method.person,
-                "--north": method.north,
-                "--origin": method.origin,
-                "--heading": method.heading,
-                "--plan": method.plan,
-                "--start": method.start,
-                "--radio": method.radio,
-                "--export": output.export,
-                "--report": output.report,
-                "--json": as_json,
-            }
-            if given := [name for name, value in of_one.items() if value]:
-                raise ValueError(
-                    f"many recordings make one table, without {', '.join(given)}: leave it out, or give the files "
-                    "themselves, without --jobs and --scheduler"
-                )
+            _check_one_table(method, output, as_json)
             _track_many(files, method, source, output.table, workers)
             return
         given, files = files, console.recordings_of(files)
@@ -288,6 +269,30 @@ def track(
         console.print_tracks(tracks)
         console.say_written(output.out)
     console.exit_if_failed(failed, len(files))
+
+
+def _check_one_table(method: Method, output: Output, as_json: bool) -> None:
+    """ValueError for what is of one recording, where many make one table."""
+    of_one = {
+        "--model": method.model,
+        "--transitions": method.transitions,
+        "--device": method.device,
+        "--person": method.person,
+        "--north": method.north,
+        "--origin": method.origin,
+        "--heading": method.heading,
+        "--plan": method.plan,
+        "--start": method.start,
+        "--radio": method.radio,
+        "--export": output.export,
+        "--report": output.report,
+        "--json": as_json,
+    }
+    if given := [name for name, value in of_one.items() if value]:
+        raise ValueError(
+            f"many recordings make one table, without {', '.join(given)}: leave it out, or give the files "
+            "themselves, without --jobs and --scheduler"
+        )
 
 
 def _track_many(files: Sequence[Path], method: Method, source: Source, table: Path, workers: Workers) -> None:
