@@ -19,7 +19,7 @@ import typer
 from pdr_filter.cli import console
 
 if TYPE_CHECKING:
-    from pdr_filter.live.server import Live
+    from pdr_filter.live.hub import Live
 
 
 class Platform(StrEnum):
@@ -68,6 +68,10 @@ class Phones:
     recipe: Annotated[str, typer.Option(help="Name of a recipe.")] = "default"
     max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
     workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="A Dask cluster whose machines share the phones, such as tcp://host:8786; all see --record."),
+    ] = None
 
     def check(self) -> None:
         """ValueError for a recipe that does not exist."""
@@ -127,7 +131,8 @@ def live(
             import uvicorn
 
             from pdr_filter.live.certificate import certificate
-            from pdr_filter.live.server import Live, app
+            from pdr_filter.live.hub import Live
+            from pdr_filter.live.server import app
         except ImportError as error:
             raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
         from pdr_filter.live.access import is_loopback, made_token
@@ -140,7 +145,7 @@ def live(
         settings = Settings(phones.recipe, phones.height_m, platform, phones.max_devices)
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
-        shared = Live(settings, folder, phones.workers)
+        shared = Live(settings, folder, phones.workers, phones.scheduler or "")
         certified: dict[str, Any] = {}
         if address.https:
             certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
@@ -152,12 +157,22 @@ def live(
             log_level="warning",
             ws_max_size=4 * 1024**2,
             timeout_graceful_shutdown=2,
+            lifespan="off",
         )
 
         def say(port: int) -> None:
             _say(address, port, token)
 
-        asyncio.run(_served(uvicorn.Server(config), sources.tasks(shared), say))
+        asyncio.run(_run(shared, uvicorn.Server(config), sources, say))
+
+
+async def _run(shared: Live, server: Any, sources: Sources, say: Callable[[int], None]) -> None:
+    """Serve with workers that run."""
+    try:
+        await shared.start()
+        await _served(server, sources.tasks(shared), say)
+    finally:
+        await shared.stop()
 
 
 async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]) -> None:
@@ -169,9 +184,11 @@ async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Ca
         await asyncio.sleep(0.02)
     say(server.servers[0].sockets[0].getsockname()[1])
     fetching = [asyncio.create_task(_told(source)) for source in sources]
-    await serving
-    for task in fetching:
-        task.cancel()
+    try:
+        await serving
+    finally:
+        for task in fetching:
+            task.cancel()
 
 
 async def _told(source: Coroutine[Any, Any, None]) -> None:

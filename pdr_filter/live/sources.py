@@ -25,7 +25,7 @@ from pdr_filter.live.messages import (
     phyphox_rows,
     to_json,
 )
-from pdr_filter.live.workers import Answer
+from pdr_filter.live.parts import Answer
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
 Taker = Callable[..., Awaitable[Answer]]
