@@ -8,6 +8,7 @@ was given up and still lives somewhere writes nothing more.
 from __future__ import annotations
 
 import asyncio
+import time
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -19,6 +20,8 @@ from pdr_filter.live.workers import LostError
 _CONNECT_S = 20.0
 # A worker whose machine has lost its power breaks no connection.
 _ANSWER_S = 60.0
+# How often it is looked whether a worker that has not answered is still there.
+_LOOK_S = 0.5
 
 
 class Cluster:
@@ -34,9 +37,8 @@ class Cluster:
             from distributed import Client
         except ImportError as error:
             raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
-        made: Any = Client(
-            self._scheduler, asynchronous=True, direct_to_workers=True, set_as_default=False, timeout=_CONNECT_S
-        )
+        # an actor finds its way by the client that is the default
+        made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=_CONNECT_S)
         try:
             self._client = await made
         except (OSError, TimeoutError, ValueError) as error:
@@ -49,7 +51,15 @@ class Cluster:
             raise LostError(f"no worker at {self._scheduler}")
         address = addresses[part % len(addresses)]
         future = self._client.submit(
-            Part, self._settings, self._folder, part, n_parts, actor=True, pure=False, workers=[address]
+            Part,
+            self._settings,
+            self._folder,
+            part,
+            n_parts,
+            actor=True,
+            pure=False,
+            workers=[address],
+            allow_other_workers=True,  # one that has just died may still be listed
         )
         try:
             return Actor(future, await future, address)
@@ -72,10 +82,23 @@ class Actor:
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
         """What is said to each; LostError."""
+        asked = asyncio.create_task(self._asked(requests))
+        until = time.monotonic() + _ANSWER_S
+        while not asked.done():
+            await asyncio.wait([asked], timeout=_LOOK_S)
+            # the scheduler knows it at once, the connection only after half a minute of trying
+            if self._future.status != "finished" or time.monotonic() > until:
+                break
+        if not asked.done():
+            asked.cancel()
+            raise LostError(f"{self.place} is gone")
+        return asked.result()
+
+    async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
-            return await asyncio.wait_for(self._actor.answer(list(requests)), _ANSWER_S)
+            return await self._actor.answer(list(requests))
         except Exception as error:  # it is said in many ways that a worker is gone
-            raise LostError(f"{self.place}: {error}") from error
+            raise LostError(f"{self.place} is gone: {error}") from error
 
     async def close(self) -> None:
         """Save everything, and end."""

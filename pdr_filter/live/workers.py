@@ -8,6 +8,7 @@ already is recognised by the number or the time of the messages.
 from __future__ import annotations
 
 import asyncio
+import logging
 import multiprocessing
 import time
 from collections import deque
@@ -34,6 +35,7 @@ _START_S, _CLOSE_S = 60.0, 20.0
 
 
 T = TypeVar("T")
+_LOG = logging.getLogger(__name__)
 
 
 class LostError(RuntimeError):
@@ -159,7 +161,8 @@ class _Worker:
                 continue
             try:
                 said = await share.ask(requests)
-            except LostError:
+            except LostError as error:
+                _LOG.warning("%s; its phones go on elsewhere", error)
                 self._lost(batch)
                 share = await self._restart()
                 continue
@@ -190,7 +193,8 @@ class _Worker:
         while True:
             try:
                 return await asyncio.wait_for(self._start(), _START_S)
-            except (LostError, TimeoutError, ValueError):
+            except (LostError, TimeoutError, ValueError) as error:
+                _LOG.warning("no worker yet: %s", error)
                 await asyncio.sleep(_TICK_S)
 
 
