@@ -107,9 +107,9 @@ class Sources:
 
         session = uuid.uuid4().hex[:8]
         made: list[Callable[[], Coroutine[Any, Any, None]]] = [
-            *(partial(sources.phyphox, address, shared.take) for address in self.phyphox or ()),
+            *(sources.Phyphox(address, shared.take).run for address in self.phyphox or ()),
             *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
-            *(partial(sources.mqtt, address, shared.take) for address in self.mqtt or ()),
+            *(sources.Mqtt(address, shared.take).run for address in self.mqtt or ()),
         ]
         replay = [] if self.replay is None else [sources.replay(self.replay, self.speed, shared.take)]
         return [*(sources.again(source, say) for source in made), *replay]
