@@ -31,6 +31,7 @@ def server() -> Iterator[Server]:
 
 def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk, "phone")
+    bodies, more = bodies[:-8], bodies[-8:-1]
     with Browser(tmp_path) as browser:
         browser.open(server.address)
         assert browser.value("!document.getElementById('empty').hidden")
@@ -46,8 +47,9 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         size = "[live.map.canvas.clientWidth, live.map.canvas.clientHeight]"
         place = browser.value(f"live.map.place({size}[0] * 0.6, {size}[1] * 0.5)")
         browser.click("#map", 0.6, 0.5)
-        browser.until("document.getElementById('said').textContent.startsWith('Fix at')")
-        assert browser.value(f"{SESSION}.fixes[0]") == pytest.approx(place, abs=0.2)
+        browser.until("document.getElementById('said').textContent.endsWith('waits for the step that it falls into.')")
+        assert browser.value(f"{SESSION}.fixes[0].place") == pytest.approx(place, abs=0.2)
+        assert browser.value("document.getElementById('here').getAttribute('aria-pressed')") == "false"
         # the same with the keyboard alone
         browser.value("document.getElementById('map').focus()")
         for key in ("h", "ArrowRight", "Enter"):
@@ -55,6 +57,14 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         browser.until(f"{SESSION}.fixes.length === 2")
         for body in bodies[120:]:
             server.post(body)
+        browser.until(f"{SESSION}.fixes.every(fix => fix.outcome === 'used')")
+        assert browser.words("#said").endswith("north was used.")
+        # and one that does not fit
+        browser.value("setHere(0, 900)")
+        for body in more:
+            server.post(body)
+        browser.until("document.getElementById('said').className === 'wrong'")
+        assert "standard deviations from it" in browser.words("#said")
         assert browser.complaints == []
 
 

@@ -6,11 +6,11 @@ const COLOURS = {
   stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
 };
 const KEPT_S = 300; // of the charts
-const sessions = new Map(); // id: {about, path, now, fixes, times, contexts, speeds}
+const sessions = new Map(); // id: {about, path, now, fixes, history, origin}
 let shown = "";
 let charts = null;
 
-const map = new WayMap(byId("map"), setHere);
+const map = new LiveMap(byId("map"), setHere);
 
 function session(id) {
   if (!sessions.has(id)) sessions.set(id, { path: [], now: null, fixes: [], history: [], origin: null, about: {} });
@@ -42,6 +42,14 @@ const handlers = {
     known.history.push(event);
     while (known.history.length && known.history[0].time_s < event.time_s - KEPT_S) known.history.shift();
     if (event.received_unix_s) known.delay_s = Date.now() / 1000 - event.received_unix_s;
+  },
+  fix(event) { // that somebody gave; those of the phone's locations are not shown
+    const { fixes } = session(event.id);
+    if (event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
+    const known = fixes.find(fix => fix.time_s === event.time_s && [undefined, "waiting"].includes(fix.outcome));
+    if (event.kind !== "position" || !known) return;
+    known.outcome = event.outcome;
+    if (event.id === shown) sayFix(known, event);
   },
   gone(event) {
     sessions.delete(event.id);
@@ -143,24 +151,33 @@ matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
   charts = null;
 });
 
+const OUTCOMES = {
+  waiting: "waits for the step that it falls into",
+  used: "was used", placed: "was used", turned: "was used", moved: "was used: with others it shows that the track was elsewhere",
+  "nothing to compare": "waits in vain: no step is there that it says something of",
+};
+
+function sayFix({ place: [east, north] }, { outcome, nis }) {
+  const far = nis === null ? "it is of another time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
+  byId("said").className = outcome === "rejected" ? "wrong" : "";
+  text("said", `Your fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
+}
+
 async function setHere(east, north) {
   setPlacing(false);
   const answer = await fetch(`sessions/${shown}/fix`, {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify({ east_m: east, north_m: north, std_m: 1.0 }),
   });
+  if (answer.ok) return; // events say what becomes of it
   const content = await answer.json().catch(() => ({}));
-  byId("said").className = answer.ok ? "" : "wrong";
-  text("said", answer.ok
-    ? `Fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north, within a metre or two: the filter uses it with the next steps.`
-    : content.error || "the fix was not taken");
-  const known = sessions.get(shown);
-  if (answer.ok && known) known.fixes.push([east, north]);
-  draw();
+  byId("said").className = "wrong";
+  text("said", content.error || "the fix was not taken");
 }
 
 function setPlacing(placing) {
   map.placing = placing;
+  byId("said").className = "";
   byId("here").setAttribute("aria-pressed", String(placing));
   text("said", placing ? "Click where you are on the map, or move the cross there with the arrow keys and press Enter." : "");
   map.draw();
@@ -174,13 +191,12 @@ byId("whole").addEventListener("click", () => map.whole());
 byId("map").addEventListener("followed", () => byId("follow").setAttribute("aria-pressed", String(map.follow)));
 byId("session").addEventListener("change", event => { shown = event.target.value; draw(); });
 byId("map").addEventListener("keydown", event => {
-  const keys = {
-    ArrowLeft: () => map.pan(-40, 0), ArrowRight: () => map.pan(40, 0), ArrowUp: () => map.pan(0, -40), ArrowDown: () => map.pan(0, 40),
-    "+": () => map.zoom(1.4), "-": () => map.zoom(1 / 1.4), f: () => map.setFollow(true), w: () => map.whole(),
+  const keys = { // and those of every map
+    f: () => map.setFollow(true), w: () => map.whole(),
     h: () => setPlacing(!map.placing), Escape: () => setPlacing(false),
     Enter: () => { if (map.placing) setHere(map.view.east, map.view.north); },
   };
-  if (keys[event.key] && !event.ctrlKey && !event.metaKey) {
+  if (keys[event.key] && !event.ctrlKey && !event.metaKey && !event.altKey) {
     event.preventDefault();
     keys[event.key]();
   }
