@@ -3,8 +3,10 @@
 
 const byId = id => document.getElementById(id);
 const COLOURS = {
-  stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
+  stationary: "#8a8a8a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#2f9484", sideways: "#a8851a", running: "#882255",
 };
+const ON_DARK = { walking: "#56b4e9", upstairs: "#e08a3c", running: "#d77fae" }; // a contrast above 6
+const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // of the charts
 const sessions = new Map(); // id: {about, path, now, fixes, history, origin}
 let shown = "";
@@ -94,9 +96,9 @@ function draw() {
   text("context", largest(now.context_prob));
   text("carrying", largest(now.carrying_prob));
   text("latency", now.latency_s === null ? "–" : `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s`);
-  text("provisional", now.is_provisional
-    ? `The position is provisional: ${now.provisional_steps.length} steps that may still be none are in it, dashed on the map.`
-    : "The position is that of the last step.");
+  const [east, north] = now.position_m.map(v => v.toFixed(1)), n = now.provisional_steps.length;
+  const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be none, dashed on the map` : "ahead of the last step, at the walking speed";
+  text("where", `At ${east} m east and ${north} m north${known.origin ? "" : " of the start"}${now.is_provisional ? `: provisional, ${ahead}` : ""}.`);
   byId("rates").replaceChildren(...Object.entries(now.rates_hz).map(([name, rate]) => {
     const row = document.createElement("tr");
     for (const words of [name, rate === null ? "–" : rate.toFixed(0)]) row.insertCell().textContent = words;
@@ -136,8 +138,8 @@ function drawCharts(known) {
       series: [{}, ...series],
     }, [[]], byId(id));
     charts = {
-      contexts: made("contexts", Object.entries(COLOURS).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
-      speeds: made("speeds", [{ label: "speed in m/s", stroke: "#0072b2", width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
+      contexts: made("contexts", Object.entries({ ...COLOURS, ...(isDark.matches ? ON_DARK : {}) }).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
+      speeds: made("speeds", [{ label: "speed in m/s", stroke: style.getPropertyValue("--accent").trim(), width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
     };
   }
   for (const [name, data] of [["contexts", [times, ...contexts]], ["speeds", [times, speeds]]]) {
@@ -146,7 +148,7 @@ function drawCharts(known) {
   }
 }
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+isDark.addEventListener("change", () => {
   if (charts) for (const chart of Object.values(charts)) chart.destroy();
   charts = null;
 });
