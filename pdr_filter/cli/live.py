@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 import tempfile
 import uuid
@@ -152,8 +153,6 @@ def live(
         config = uvicorn.Config(
             app(shared, token, tiles),
             **certified,
-            host=address.host,
-            port=address.port,
             log_level="warning",
             ws_max_size=4 * 1024**2,
             timeout_graceful_shutdown=2,
@@ -163,26 +162,39 @@ def live(
         def say(port: int) -> None:
             _say(address, port, token)
 
-        asyncio.run(_run(shared, uvicorn.Server(config), sources, say))
+        bound = opened.enter_context(_bound(address.host, address.port))
+        asyncio.run(_run(shared, uvicorn.Server(config), bound, sources, say))
 
 
-async def _run(shared: Live, server: Any, sources: Sources, say: Callable[[int], None]) -> None:
+def _bound(host: str, port: int) -> socket.socket:
+    """A socket at this address; ValueError if it cannot be had."""
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((host, port))
+    except OSError as error:
+        made.close()
+        raise ValueError(f"cannot listen at {host}, port {port}: {error.strerror}; see --host and --port") from None
+    return made
+
+
+async def _run(shared: Live, server: Any, bound: socket.socket, sources: Sources, say: Callable[[int], None]) -> None:
     """Serve with workers that run."""
     try:
         await shared.start()
-        await _served(server, sources.tasks(shared), say)
+        await _served(server, bound, sources.tasks(shared), say)
     finally:
         await shared.stop()
 
 
-async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]) -> None:
+async def _served(
+    server: Any, bound: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
+) -> None:
     """Serve until somebody ends it; sources begin when phones are answered."""
-    serving = asyncio.create_task(server.serve())
-    while not server.started:
-        if serving.done():
-            raise OSError("the server did not start; is the port free?")
+    serving = asyncio.create_task(server.serve([bound]))
+    while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
-    say(server.servers[0].sockets[0].getsockname()[1])
+    say(bound.getsockname()[1])
     fetching = [asyncio.create_task(_told(source)) for source in sources]
     try:
         await serving

@@ -70,7 +70,8 @@ class Cluster:
 
     async def close(self) -> None:
         """Leave the cluster."""
-        await self._client.close()
+        if self._client is not None:
+            await self._client.close()
 
 
 class Actor:

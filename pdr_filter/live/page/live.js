@@ -3,7 +3,7 @@
 
 const byId = id => document.getElementById(id);
 const COLOURS = {
-  stationary: "#8a8a8a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#2f9484", sideways: "#a8851a", running: "#882255",
+  stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
 };
 const ON_DARK = { walking: "#56b4e9", upstairs: "#e08a3c", running: "#d77fae" }; // a contrast above 6
 const isDark = matchMedia("(prefers-color-scheme: dark)");
@@ -208,14 +208,18 @@ byId("address").textContent = new URL("data", location.href).href.split("?")[0] 
 const events = new EventSource("events" + location.search);
 events.onopen = () => text("connection", "connected");
 events.onerror = () => text("connection", "not connected, trying again");
-let waits = false;
+const DRAW_MS = 100, TOGETHER_MS = 15; // between two pictures; in which events come that belong together
+let waits = false, drawnAt = 0;
 events.onmessage = message => {
   const event = JSON.parse(message.data);
   handlers[event.event]?.(event);
-  if (!waits) {
-    waits = true;
-    setTimeout(() => { waits = false; draw(); }, 100);
-  }
+  if (waits) return;
+  waits = true;
+  setTimeout(() => {
+    waits = false;
+    drawnAt = performance.now();
+    draw();
+  }, Math.max(drawnAt + DRAW_MS - performance.now(), TOGETHER_MS));
 };
 fetch("sessions" + location.search).then(answer => answer.json()).then(content => { map.tiles = content.tiles; });
 window.live = { sessions, map }; // for tests, and for whoever looks
