@@ -27,7 +27,7 @@ from pdr_filter.filtering import (
     person_of,
     step,
 )
-from pdr_filter.gnss import fixes_of
+from pdr_filter.gnss import origin_of
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.sensing.clock import one_clock
@@ -248,7 +248,7 @@ def _with_north(
     if north == "off" or (north is None and not by_itself):
         return config
     if where is None and recording.location is not None:
-        where = fixes_of(recording.location)[0]
+        where = origin_of(recording.location)
     if where is None:
         return config if north is None else config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
     epoch_s = recording.epoch_s

@@ -16,6 +16,7 @@ import cmath
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
@@ -46,6 +47,18 @@ def _rotations(angle_rad: FloatArray) -> FloatArray:
 
 
 _ROTATIONS = _rotations(_ANGLES_RAD)
+_TURNED_TWICE = _TURNS.conj() ** 2
+_EYE = read_only(np.eye(2))
+
+
+def _turned(cov: FloatArray, twice: complex) -> FloatArray:
+    """The mean of R P R' over turns, of a covariance (2, 2) and the mean of e^(-2 i angle).
+
+    The half trace stays, and (xx - yy) / 2 + i xy turns back by twice the angle.
+    """
+    (xx, xy), (_, yy) = cov.tolist()
+    size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * twice
+    return np.array([[size + shape.real, shape.imag], [shape.imag, size - shape.real]])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,11 +116,10 @@ class Alignment:
     def world(self, place: Place) -> Place:
         """A place in the world."""
         position_m = self.positions(place.position_m)
-        east_m, north_m = position_m - self.world_centre_m
-        lever_m = np.array([north_m, -east_m])
-        cov = self.rotation @ place.cov_m2 @ self.rotation.T + self.centre_var_m2 * np.eye(2)
-        cov = cov + self.angle_var_rad2 * lever_m[:, None] * lever_m
-        return replace(place, position_m=position_m, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
+        east_m, north_m = (position_m - self.world_centre_m).tolist()
+        spread = self.angle_var_rad2 * np.array([[north_m**2, -north_m * east_m], [-north_m * east_m, east_m**2]])
+        cov = _turned(place.cov_m2, cmath.exp(-2j * self.angle_rad)) + spread + self.centre_var_m2 * _EYE
+        return Place(position_m, cov, place.heading_rad + self.angle_rad, place.n_steps)
 
 
 @dataclass(frozen=True, slots=True)
@@ -170,15 +182,12 @@ class OpenTurn:
         each = _ROTATIONS @ place.position_m + self.origin_m
         reported = self.prob @ each if self.drawn is None else each[self.drawn]
         away = each - reported
-        # the mean of R P R': its half trace stays, and (xx - yy) / 2 + i xy turns back by twice the angle
-        (xx, xy), (_, yy) = place.cov_m2.tolist()
-        size, shape = 0.5 * (xx + yy), complex(0.5 * (xx - yy), xy) * complex(self.prob @ _TURNS.conj() ** 2)
-        cov = np.array([[size + shape.real, shape.imag], [shape.imag, size - shape.real]])
-        cov = cov + (self.prob[:, None] * away).T @ away + self.origin_var_m2 * np.eye(2)
-        return replace(place, position_m=reported, cov_m2=cov, heading_rad=place.heading_rad + self.angle_rad)
+        cov = _turned(place.cov_m2, complex(self.prob @ _TURNED_TWICE)) + self.origin_var_m2 * _EYE
+        cov += (self.prob[:, None] * away).T @ away
+        return Place(reported, cov, place.heading_rad + self.angle_rad, place.n_steps)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Frame:
     """Whether the track is in the frame of the fixes, and what is known of how to bring it there."""
 
@@ -218,7 +227,7 @@ class Frame:
             return "fixes"
         return "start" if self.compass is None else "north"
 
-    @property
+    @cached_property
     def _open(self) -> OpenTurn | None:
         """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
         return None if self.turn is None else self.turn.with_compass(self.compass)
