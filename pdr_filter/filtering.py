@@ -443,9 +443,11 @@ def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
+    if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
+        return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
     used, due = list[FixResult](), state.waiting_fixes[:n_due]
-    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:]) if due else state
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:])
     for fix in due:
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)

@@ -165,7 +165,13 @@ class OpenTurn:
         if compass is None:
             return self
         prob = self.prob * compass.density(_ANGLES_RAD)
-        return replace(self, prob=prob / prob.sum())
+        return OpenTurn(prob / prob.sum(), self.origin_m, self.origin_var_m2, self.drawn)
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether the density is so narrow that it is a rotation."""
+        length = min(max(abs(self.direction), 1e-12), 1.0)
+        return -2.0 * math.log(length) <= MAX_ANGLE_STD_RAD**2
 
     @property
     def angle_rad(self) -> float:
@@ -281,8 +287,8 @@ class Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
-        agreeing = that_agree(self.pairs, self.north_var_rad2)
-        return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
+        fit = _agreeing(self.pairs, self.north_var_rad2)
+        return replace(self, agreeing=fit.pairs, turn=_open_turn(fit))
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
@@ -293,6 +299,11 @@ class Frame:
     def with_compass(self, compass: Compass) -> Frame:
         """With what the magnetic field says by now; a heading fix knows better."""
         return replace(self, compass=compass) if self.is_open else self
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether fixes and compass leave little doubt of the turn."""
+        return self._open is not None and self._open.is_narrow
 
     @property
     def is_open(self) -> bool:
@@ -328,16 +339,19 @@ START_FRAME = Frame(is_joined=True)
 UNKNOWN_FRAME = Frame(is_joined=False)
 
 
-class _LeastSquares(NamedTuple):
+class _Fit(NamedTuple):
     """Pairs in the frame of the start, less the shift that fits each turn best; both axes are alike."""
 
+    pairs: tuple[PairedPoint, ...]
     projected: FloatArray  # (N, N) inverse covariance of the errors along one axis with the best shift taken off
     of_each: FloatArray  # (N,) how much each counts in the best shift: one in sum
     shift_var_m2: float
     track: FloatArray  # (N, 2)
+    away: FloatArray  # (A, N, 2) of the fixes turned back by each of `_ANGLES_RAD`
+    squares: FloatArray  # (A,) of the errors over their covariance, what is known of the north among them
 
 
-def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
+def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
     """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
     walked = np.array([p.walked_var_m2 for p in pairs])
     shared = np.minimum(walked[:, None], walked) - walked.min()
@@ -345,8 +359,10 @@ def _least_squares(pairs: Sequence[PairedPoint]) -> _LeastSquares:
     of_each = weight.sum(axis=0)
     information = float(of_each.sum())
     projected = weight - of_each[:, None] * of_each / information
-    track_m = np.stack([p.track_m for p in pairs])
-    return _LeastSquares(projected, of_each / information, 1.0 / information, track_m)
+    track_m = np.array([p.track_m for p in pairs])
+    away = _turned_back(pairs, _ROTATIONS) - track_m
+    squares = ((projected @ away) * away).sum(axis=(1, 2)) + _ANGLES_RAD**2 / north_var_rad2
+    return _Fit(tuple(pairs), projected, of_each / information, 1.0 / information, track_m, away, squares)
 
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
@@ -360,19 +376,14 @@ def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
     return std[:, None] * std * alike
 
 
-def _squares(pairs: Sequence[PairedPoint], fit: _LeastSquares, north_var_rad2: float) -> FloatArray:
-    """Sum of squared errors over their covariance for each turn (A,), what is known of the north among them."""
-    away = _turned_back(pairs, _ROTATIONS) - fit.track
-    return ((fit.projected @ away) * away).sum(axis=(1, 2)) + _ANGLES_RAD**2 / north_var_rad2
-
-
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
     """The density of the turn that some pairs show, one at least."""
-    fit = _least_squares(pairs)
-    square = _squares(pairs, fit, north_var_rad2)
-    prob = np.exp(-0.5 * (square - square.min()))
-    shift = fit.of_each @ (_turned_back(pairs, _ROTATIONS) - fit.track)
-    origin_m = np.einsum("aij,aj->ai", _ROTATIONS, shift)
+    return _open_turn(_fitted(pairs, north_var_rad2))
+
+
+def _open_turn(fit: _Fit) -> OpenTurn:
+    prob = np.exp(-0.5 * (fit.squares - fit.squares.min()))
+    origin_m = (_ROTATIONS @ (fit.of_each @ fit.away)[:, :, None])[:, :, 0]
     return OpenTurn(prob / prob.sum(), origin_m, fit.shift_var_m2)
 
 
@@ -385,11 +396,10 @@ def align(
     start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre. A compass
     counts with the probability that it does not point anywhere.
     """
-    turn = open_turn(pairs, north_var_rad2).with_compass(compass)
-    length = min(max(abs(turn.direction), 1e-12), 1.0)
-    if -2.0 * math.log(length) > MAX_ANGLE_STD_RAD**2:
+    fit = _fitted(pairs, north_var_rad2)
+    turn = _open_turn(fit).with_compass(compass)
+    if not turn.is_narrow:
         return None
-    fit = _least_squares(pairs)
     angle_rad, information = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0
     for _ in range(5):
         back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
@@ -399,18 +409,18 @@ def align(
         information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
         pull = float((of_fixes * (back - fit.track)).sum()) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
-    centre_m, world_m = fit.of_each @ fit.track, fit.of_each @ np.stack([p.world_m for p in pairs])
+    centre_m, world_m = fit.of_each @ fit.track, fit.of_each @ np.array([p.world_m for p in pairs])
     return Alignment(angle_rad, 1.0 / information, centre_m, world_m, fit.shift_var_m2, n_steps)
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
     """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
-    return _least_squares(pairs).of_each
+    return _fitted(pairs, math.inf).of_each
 
 
 def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
     """Sum of squared errors over their covariance that the best shift and turn leave, chi-square distributed."""
-    return float(_squares(pairs, _least_squares(pairs), north_var_rad2).min())
+    return float(_fitted(pairs, north_var_rad2).squares.min())
 
 
 def agreement_limit(n_free: int) -> float:
@@ -425,21 +435,23 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
 
     Of two or three none is in the minority: they must be ten standard deviations apart.
     """
+    return _agreeing(pairs, north_var_rad2).pairs
 
-    def best(some: tuple[PairedPoint, ...]) -> float:
-        return least_squares_error(some, north_var_rad2)
 
-    while len(pairs) > 1:
-        limit = agreement_limit(2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
-        if best(pairs) <= limit:
+def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> _Fit:
+    fit = _fitted(pairs, north_var_rad2)
+    while (n := len(fit.pairs)) > 1:
+        limit = agreement_limit(2 * n - 3) if n > 3 else _APART**2
+        if fit.squares.min() <= limit:
             break
-        pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=best)
-    return pairs
+        others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n))
+        fit = min((_fitted(some, north_var_rad2) for some in others), key=lambda some: some.squares.min())
+    return fit
 
 
 def _turned_back(pairs: Sequence[PairedPoint], rotations: FloatArray) -> FloatArray:
     """The fixes turned back by each rotation, (A, N, 2)."""
-    return np.stack([p.world_m for p in pairs]) @ rotations
+    return np.array([p.world_m for p in pairs]) @ rotations
 
 
 def walked_var_m2(cov: FloatArray) -> float:

@@ -226,7 +226,7 @@ def _on_first_positions(
     if agreeing[-1] is not pair:
         return replace(state, frame=frame), "rejected", np.inf
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass)
+    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
     state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment))
