@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.aligned import aligned
 from pdr_filter.config import Config, on_plan
-from pdr_filter.filter.alignment import Frame, Place
+from pdr_filter.filter.alignment import Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
@@ -309,7 +309,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     if origin is not None:
         frame = frame.drawn()
         origin = frame.origin(origin)
-    updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
+    updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     is_on_plan = any(update.on_plan is not None for update in updates)
     if config.on_plan is not None:
@@ -440,16 +440,3 @@ def _whole(numbers: Sequence[int]) -> IntArray:
     array = np.array(numbers, dtype=np.int64)
     array.flags.writeable = False
     return array
-
-
-def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:
-    """A step that was reported before the turn was settled, by what is known in the end."""
-    if update.of_start is None:
-        return update
-    place = frame.world(update.of_start)
-    return replace(
-        update,
-        position_m=read_only(place.position_m),
-        position_cov_m2=read_only(place.cov_m2),
-        walking_heading_rad=place.heading_rad,
-    )

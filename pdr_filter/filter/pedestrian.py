@@ -62,6 +62,18 @@ class StepUpdate:
     # Where particles on a floor plan are; with it position, covariance and heading are theirs. None without a plan.
     on_plan: OnPlan | None = None
 
+    def in_frame(self, frame: Frame) -> StepUpdate:
+        """The step by what is known of the frame later on, if it was reported before the turn was settled."""
+        if self.of_start is None:
+            return self
+        place = frame.world(self.of_start)
+        return replace(
+            self,
+            position_m=read_only(place.position_m),
+            position_cov_m2=read_only(place.cov_m2),
+            walking_heading_rad=place.heading_rad,
+        )
+
     def to_dict(self) -> dict[str, Any]:
         """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""
         named = {f.name: getattr(self, f.name) for f in fields(self)}

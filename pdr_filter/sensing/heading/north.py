@@ -28,7 +28,7 @@ from pdr_filter.values import FloatArray, Step, replace
 _READING_S = 0.5
 # Columns of the samples that wait for a whole reading, and of readings that wait for their step.
 _FIELD, _QUAT, _KNOWN, _SAMPLE_COLUMNS = slice(0, 3), slice(3, 7), 7, 8
-_TIME, _VALUE, _ROTATION, _READING_COLUMNS = 0, slice(1, 4), slice(4, 13), 13
+_TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 # Steps become known some seconds after their contact, behind a gate most of all; no result depends on more.
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
@@ -39,7 +39,7 @@ class MagneticNorthState:
     """Readings that wait, and the sums of the regression."""
 
     samples: FloatArray  # (R, 8) since the last whole reading
-    readings: FloatArray  # (W, 13) mean field in the attitude's frame and mean rotation, by their last time
+    readings: FloatArray  # (W, 50) last time, and [X f]' [X f] of the mean rotation and the mean field
     n: float  # readings used, those of long ago counted less
     squares: FloatArray  # (7, 7) sum of [X f]' [X f], X = [1 R]
     variance_ut2: float  # of e on each axis
@@ -123,10 +123,10 @@ class MagneticNorth:
         """State with the readings of a step, the heading of north in the attitude's frame, and its deviation."""
         if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
             state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
-        time_s = state.readings[:, _TIME]
-        mine = (time_s > max(step.time_s - step.duration_s, state.used_s)) & (time_s <= step.time_s)
-        if mine.any():
-            state = self._with_readings(state, state.readings[mine])
+        before_s = max(step.time_s - step.duration_s, state.used_s)
+        first, end = np.searchsorted(state.readings[:, _TIME], [before_s, step.time_s], side="right").tolist()
+        if end > first:
+            state = self._with_readings(state, state.readings[first:end])
         if state.n == 0:
             return state, 0.0, math.inf
         return self._solved(state)
@@ -134,17 +134,9 @@ class MagneticNorth:
     def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
         used_s = float(readings[-1, _TIME])
         left = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
-        Xf = np.empty((len(readings), 3, 7))
-        Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), readings[:, _ROTATION].reshape(-1, 3, 3)
-        Xf[:, :, _F] = readings[:, _VALUE]
         stay = math.exp((state.used_s - used_s) / self.memory_s)
-        flat = Xf.reshape(-1, 7)
-        return replace(
-            state,
-            n=stay * state.n + float(left.sum()),
-            squares=stay * state.squares + (np.repeat(left, 3)[:, None] * flat).T @ flat,
-            used_s=used_s,
-        )
+        squares = stay * state.squares + (left @ readings[:, _SQUARES]).reshape(7, 7)
+        return replace(state, n=stay * state.n + float(left.sum()), squares=squares, used_s=used_s)
 
     def _solved(self, state: MagneticNorthState) -> tuple[MagneticNorthState, float, float]:
         """The regression with the variance of e so far, from whose residuals follows that of the next one.
@@ -174,7 +166,7 @@ class MagneticNorth:
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Time, mean field in the attitude's frame, and mean rotation (R, 13) of whole samples (R, size, 8)."""
+    """Time and [X f]' [X f] (R, 50) of whole samples (R, size, 8), X and f being their means."""
     w, x, y, z = np.moveaxis(samples[:, :, _QUAT], 2, 0)
     to_frame = np.array(
         [
@@ -183,5 +175,7 @@ def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    field = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2)
-    return np.column_stack([time_s, field.T, to_frame.mean(axis=3).reshape(9, -1).T])
+    Xf = np.empty((len(samples), 3, 7))
+    Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), np.moveaxis(to_frame.mean(axis=3), 2, 0)
+    Xf[:, :, _F] = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2).T
+    return np.column_stack([time_s, (Xf.swapaxes(1, 2) @ Xf).reshape(-1, 49)])
