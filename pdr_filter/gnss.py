@@ -22,7 +22,7 @@ MIN_ACCURACY_M = 4.9
 # autocorrelation of a standing receiver has a bend (D. L. Wilson's twenty days of a Garmin 12XL).
 CORRELATION_S = 20.0
 # Half of it: fixes in between would hardly say more, and those that show the turn of a track are few and so reach back
-# for minutes (`filter.alignment.MAX_PAIRS`).
+# for minutes (`filter.turn.MAX_PAIRS`).
 INTERVAL_S = 10.0
 # Two locations of one moment.
 _SAME_S = 0.01

@@ -14,7 +14,8 @@ from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Place
 from pdr_filter.filter.motion import HEADING_OFFSET
 from pdr_filter.filter.pedestrian import StepUpdate, own_place
-from pdr_filter.filtering import State, notes_of
+from pdr_filter.filtering import State
+from pdr_filter.notes import notes_of
 from pdr_filter.sensing.merging import SENSORS
 from pdr_filter.sensing.steps.gate import StepGateState
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, FloatArray, OnPlan, Step, as_plain, read_only

@@ -21,7 +21,6 @@ from pdr_filter.filtering import (
     arrive,
     finish,
     init,
-    notes_of,
     person_of,
     present_position,
     step,
@@ -31,6 +30,7 @@ from pdr_filter.io.limits import MIN_SAMPLES
 from pdr_filter.io.recording import Subject
 from pdr_filter.io.units import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.notes import notes_of
 from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device

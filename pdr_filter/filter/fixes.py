@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, PairedPoint, align, walked_var_m2
+from pdr_filter.filter.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
@@ -25,6 +25,7 @@ from pdr_filter.filter.pedestrian import (
     shared_cov,
     with_open_turn,
 )
+from pdr_filter.filter.turn import PairedPoint, align
 from pdr_filter.values import (
     Fix,
     FixOutcome,

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Compass, Frame, PairedPoint, Place, moved
+from pdr_filter.filter.alignment import Alignment, Place, moved
 from pdr_filter.filter.doubt import Doubt
+from pdr_filter.filter.frame import Frame
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -22,6 +23,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
+from pdr_filter.filter.turn import Compass, PairedPoint
 from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, replace, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.

@@ -19,7 +19,8 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.clusters import moments
-from pdr_filter.maps.particles import EAST, NORTH, OFFSET, SCALE, ParticleFilter, ParticleState, backwards
+from pdr_filter.maps.moves import EAST, NORTH, OFFSET, SCALE, backwards
+from pdr_filter.maps.particles import ParticleFilter, ParticleState
 from pdr_filter.recording_run import collected, outputs
 from pdr_filter.tracks import Track
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, read_only, wrap_angle
