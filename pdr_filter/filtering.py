@@ -196,10 +196,9 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
 
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
     """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
-    place = None if config.on_plan is None else config.on_plan.place(state.particles)
-    if place is not None:
-        return place.position_m, place.position_cov_m2
-    return pedestrian.present_position(state.tracker.pedestrian)
+    reckoned = pedestrian.present_position(state.tracker.pedestrian)
+    place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
+    return reckoned if place is None else (place.position_m, place.position_cov_m2)
 
 
 def person_of(config: Config, state: State) -> Person | None:
@@ -304,7 +303,8 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         if config.on_plan is not None and update.is_final:
             known_now = state.tracker.pedestrian
             state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
-            update = _on_plan(update, config.on_plan.place(state.particles))
+            reckoned = update.position_m, update.position_cov_m2
+            update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
         output.updates.append(update)
     return replace(state, height=known, last_update=output.updates[-1]) if updates else state
 

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
 from pdr_filter.config import Config, on_plan
+from pdr_filter.filter import pedestrian
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
@@ -255,7 +256,10 @@ class OnlineFilter:
     @property
     def on_plan(self) -> OnPlan | None:
         """Where the particles on the floor plan are, in one place or several; None before there are some."""
-        return None if self.config.on_plan is None else self.config.on_plan.place(self.state.particles)
+        if self.config.on_plan is None:
+            return None
+        reckoned = pedestrian.present_position(self.state.tracker.pedestrian)
+        return self.config.on_plan.place(self.state.particles, reckoned)
 
     @property
     def height_m(self) -> float:

@@ -262,12 +262,17 @@ class ParticleFilter:
 
     # --- what is known ------------------------------------------------------------------------------------------------
 
-    def place(self, state: ParticleState) -> OnPlan | None:
-        """Where the particles are; None before there are some."""
+    def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+        """Where the particles are; None before there are some.
+
+        As far as the walk is where none of them is, it is where dead reckoning says with its covariance, if that begins
+        on the plan.
+        """
         if len(state.weight) == 0:
             return None
         heading_rad = state.heading_rad + state.particles[:, OFFSET]
-        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere)
+        there = reckoned if self.start is None else None
+        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, there)
 
     def notes(self, state: ParticleState) -> list[Note]:
         """Where the plan and the steps contradict each other, in words."""

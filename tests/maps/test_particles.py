@@ -80,6 +80,17 @@ def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
     assert_allclose([c.share for c in doubted.clusters], [0.6, 0.2])
 
 
+def test_the_ellipse_reaches_as_far_as_the_walk_may_be_where_no_particle_is() -> None:
+    rng = np.random.default_rng(0)
+    particles, reckoned = rng.normal([0, 0], 0.5, (1000, 2)), rng.normal([6, -2], 1.5, (1000, 2))
+    there = reckoned.mean(axis=0), np.cov(reckoned.T, bias=True)
+    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.2, there)
+    # four to one: the particles four times, and the others once
+    both = np.concatenate([*[particles] * 4, reckoned])
+    assert_allclose(place.position_m, both.mean(axis=0))
+    assert_allclose(place.position_cov_m2, np.cov(both.T, bias=True))
+
+
 def test_more_particles_are_needed_where_they_are_spread_further() -> None:
     rng = np.random.default_rng(0)
     needed = [n_needed(rng.integers(0, k, (5000, 3)), 100, 100_000) for k in (1, 3, 10)]
