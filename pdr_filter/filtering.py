@@ -236,8 +236,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     output.passages.extend(last.passages)
     state = _with_pressure(config, state, np.inf, output)
     known, passages = height.finish(state.height)
-    output.floor_passages.extend(passages)
-    state = replace(state, height=known)
+    state = _with_passages(config, replace(state, height=known), passages, output)
     due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later = [f for f in state.waiting_fixes if received_s(f) > end_s]
     state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
@@ -283,8 +282,18 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
         known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
-        output.floor_passages.extend(passages)
         state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
+        state = _with_passages(config, state, passages, output)
+    return state
+
+
+def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
+    """State whose particles know how somebody came to other storeys, and the output with that."""
+    output.floor_passages.extend(passages)
+    if config.on_plan is not None:
+        for passage in passages:
+            particles = config.on_plan.on_passage(state.particles, passage, state.tracker.pedestrian, config.model)
+            state = replace(state, particles=particles)
     return state
 
 
@@ -295,7 +304,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         if update.is_final:
             up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
             known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
-            output.floor_passages.extend(passages)
+            state = _with_passages(config, state, passages, output)
         else:
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}

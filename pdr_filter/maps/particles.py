@@ -52,6 +52,7 @@ from pdr_filter.values import (
     Fix,
     FixOutcome,
     FloatArray,
+    FloorPassage,
     HeadingFix,
     IntArray,
     Note,
@@ -258,6 +259,22 @@ class ParticleFilter:
             return self._from_tracker(state, known, ground, rng, 0.0)
         if n_effective < _LEAST_EFFECTIVE:
             return self._again(state, known, model, ground, rng, 0.0, fix.time_s)
+        return self._resampled(state, rng, must_count=False)
+
+    def on_passage(
+        self, state: ParticleState, passage: FloorPassage, known: PedestrianState, model: PedestrianModel
+    ) -> ParticleState:
+        """State after somebody has come to another storey: who took a lift was in one."""
+        ground = self.ground(passage.to_floor)
+        if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
+            return state
+        rng, state = self._random(state)
+        then_m = np.array([np.interp(passage.end_s, state.way[:, 0], state.way[:, k]) for k in (1, 2)])
+        out_m = backwards(state.particles, state.way[-1, 1:3] - then_m)
+        state, _ = _weighed(state, -ground.lift_costs(out_m))
+        state = replace(state, parent=np.arange(len(state.weight)))
+        if _n_effective(state) < _LEAST_EFFECTIVE:
+            return self._again(state, known, model, ground, rng, 0.0, passage.end_s)
         return self._resampled(state, rng, must_count=False)
 
     # --- what is known ------------------------------------------------------------------------------------------------
