@@ -27,7 +27,7 @@ from pdr_filter.live.messages import FORCE, Message, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.online import OnlineFilter
-from pdr_filter.recording_run import live_config
+from pdr_filter.placing import live_config
 from pdr_filter.sensing.clock import moved
 from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
 
