@@ -74,6 +74,11 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
             server.post(body)
         browser.until("document.getElementById('said').className === 'wrong'")
         assert "standard deviations from it" in browser.words("#said")
+        # the phone comes back with a new session, which is shown from then on
+        for body in own_messages(walk, "phone", "another")[:8]:
+            server.post(body)
+        browser.until("[...document.getElementById('session').selectedOptions][0].textContent.endsWith('another')")
+        assert browser.value("live.sessions.size") == 2
         assert browser.complaints == []
 
 
@@ -197,5 +202,13 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         path.write_bytes(answer.content)
         sent = pdr.read(path)
         assert sent.gyroscope is not None
+        assert not browser.value("isApple()")
         np.testing.assert_allclose(sent.gyroscope.values[0], [0, np.pi, np.pi / 2], atol=1e-9)
         assert browser.complaints == []
+        # whose signs are of iOS
+        browser.ask(
+            "Emulation.setUserAgentOverride", userAgent="Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X)"
+        )
+        browser.open(f"{server.address}/phone")
+        assert browser.value("isApple()")
+        assert browser.value("document.getElementById('name').value") == "browser iOS"

@@ -8,6 +8,7 @@ import json
 import os
 import signal
 import socket
+import ssl
 import threading
 import time
 from collections.abc import Iterator
@@ -232,6 +233,20 @@ def test_a_token_is_asked_for_when_others_can_reach_the_server(tmp_path: Path) -
         token = server.token
     with Server("--host", "0.0.0.0", "--record", str(tmp_path)) as server:
         assert server.token == token  # phones keep their address
+
+
+def test_https_has_a_certificate_that_its_own_authority_vouches_for(tmp_path: Path) -> None:
+    with Server("--https", "--token", "known", "--record", str(tmp_path)) as server:
+        assert "browsers     https://" in "".join(server.said)
+        trusted = ssl.create_default_context(cafile=str(tmp_path / "certificate" / "authority.pem"))
+        with httpx.Client(base_url=server.address, verify=trusted, params={"token": "known"}) as client:
+            assert client.get("/phone").status_code == 200
+            assert client.get("/authority.pem").content == (tmp_path / "certificate" / "authority.pem").read_bytes()
+        address = server.address.replace("https", "wss") + "/stream?token=known&device=safe"
+        with connect(address, ssl=trusted) as socket:
+            socket.send('{"samples": {"gyroscope": [[0, 1, 2, 3]]}}')
+            assert json.loads(socket.recv(timeout=20)) == {"status": 200, "samples": 1}
+        assert (tmp_path / "certificate" / "server.pem").stat().st_mode & 0o077 == 0
 
 
 def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording, tmp_path: Path) -> None:

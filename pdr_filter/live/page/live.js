@@ -21,8 +21,10 @@ function session(id) {
 
 const handlers = {
   session(event) {
-    const known = session(event.id);
+    const isNew = !sessions.get(event.id)?.about.id, known = session(event.id);
     known.about = event;
+    // a phone that comes back with a new session is still the phone that somebody looks at
+    if (isNew && sessions.get(shown)?.about.device === event.device) shown = event.id;
     known.origin = event.origin;
     list();
   },
