@@ -38,7 +38,7 @@ T = TypeVar("T")
 _LOG = logging.getLogger(__name__)
 
 
-class LostError(RuntimeError):
+class LostError(ConnectionError):
     """The process or the actor is gone, or answers no more."""
 
 
