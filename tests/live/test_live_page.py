@@ -52,6 +52,7 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
             server.post(body)
         browser.until(f"{SESSION}.path.length > {n_steps + 40}")
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
+        assert browser.words("#where").startswith("At ")
         browser.click("#here")
         size = "[live.map.canvas.clientWidth, live.map.canvas.clientHeight]"
         place = browser.value(f"live.map.place({size}[0] * 0.6, {size}[1] * 0.5)")

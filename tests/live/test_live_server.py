@@ -83,16 +83,21 @@ def test_sensor_logger_may_send_its_messages_twice_and_out_of_order(server: Serv
     assert tracks["mixed"]["n_lost_messages"] == 0
 
 
-def test_a_websocket_gets_an_answer_to_each_message_and_a_name(server: Server, walk: Recording) -> None:
+def test_a_websocket_gets_an_answer_to_each_message_and_the_track_of_its_recording(
+    server: Server, record: Path, walk: Recording
+) -> None:
     address = server.address.replace("http", "ws") + "/stream?device=socket"
+    bodies = own_messages(walk, "", "")
     with connect(address) as client:
-        for body in own_messages(walk, "", "")[:40]:
+        for body in bodies:
             client.send(body)
-        answers = [json.loads(client.recv(timeout=20)) for _ in range(40)]
+        answers = [json.loads(client.recv(timeout=20)) for _ in bodies]
         client.send("{")
         assert json.loads(client.recv(timeout=20))["status"] == 400
     assert {answer["status"] for answer in answers} == {200}
-    assert len(server.tracks()["socket"]["path"]) > 10
+    track = server.tracks()["socket"]
+    again = pdr.track(recorded(record, track, len(walk.accelerometer)))
+    np.testing.assert_array_equal(positions(track), again.position_m)
 
 
 def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> None:

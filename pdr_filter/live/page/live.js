@@ -98,9 +98,10 @@ function draw() {
   text("context", largest(now.context_prob));
   text("carrying", largest(now.carrying_prob));
   text("latency", now.latency_s === null ? "–" : `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s`);
-  const [east, north] = now.position_m.map(v => v.toFixed(1)), n = now.provisional_steps.length;
+  const [east, north] = now.position_m, n = now.provisional_steps.length;
+  const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
   const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be none, dashed on the map` : "ahead of the last step, at the walking speed";
-  text("where", `At ${east} m east and ${north} m north${known.origin ? "" : " of the start"}${now.is_provisional ? `: provisional, ${ahead}` : ""}.`);
+  text("where", `At ${side(east, "east", "west")} and ${side(north, "north", "south")}${known.origin ? "" : " of the start"}${now.is_provisional ? `: provisional, ${ahead}` : ""}.`);
   byId("rates").replaceChildren(...Object.entries(now.rates_hz).map(([name, rate]) => {
     const row = document.createElement("tr");
     for (const words of [name, rate === null ? "–" : rate.toFixed(0)]) row.insertCell().textContent = words;
