@@ -36,6 +36,7 @@ from pdr_filter.values import (
     SpeedFix,
     Standstill,
     Step,
+    how_many,
     received_s,
     replace,
 )
@@ -317,8 +318,8 @@ def notes_of(config: Config, state: State) -> list[Note]:
         )
         notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
     if state.n_lost_climbs:
-        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
-        notes.append(Note("sensors", words + "both need one clock"))
+        words = f"{how_many(state.n_lost_climbs, 'climb rate')} of the barometer not used: its times are ahead of the "
+        notes.append(Note("sensors", words + "samples, both need one clock"))
     if state.finished and frame.name == "north" and frame.compass is not None:
         words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
         notes.append(Note("heading", words))

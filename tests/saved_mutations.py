@@ -155,7 +155,7 @@ def changed(tree: Any, rng: random.Random) -> Any:
         arrays = [p for p in paths if isinstance(at(tree, p), dict) and "array" in at(tree, p)]
         if arrays:
             path = rng.choice(arrays)
-            with suppress(ValueError, TypeError):  # of an array that is damaged already
+            with suppress(ValueError, TypeError, KeyError):  # of an array that is damaged already
                 at(tree, path[:-1])[path[-1]] = changed_array(at(tree, path), rng)
             return tree
     what = rng.random()
@@ -197,7 +197,10 @@ def use_filter(blob: bytes) -> None:
         return
     time_s, *signals = between(PAUSE_S, END_S)
     try:
-        updates = online.push(time_s, *signals)
+        if online.state.merger.is_used:  # this number was changed: it takes sensors apart
+            updates = online.push_accelerometer(time_s, signals[0]) + online.push_gyroscope(time_s, signals[1])
+        else:
+            updates = online.push(time_s, *signals)
         updates += online.finish()
         _ = online.notes
     except ValueError as error:
