@@ -372,18 +372,20 @@ def test_what_is_left_out_of_a_folder_is_noted(tmp_path: Path) -> None:
     assert any("left out: old_accelerometer" in note for note in read(folder).notes)
 
 
-def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_without_time", [0, 1, 3])
+def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path, n_without_time: int) -> None:
     at_s = np.arange(0.0, 30.0, 0.02)
     angle = 0.8 * np.sin(2 * np.pi * at_s / 8)
     force = 9.81 * np.column_stack([0 * at_s, np.sin(angle), np.cos(angle)])
     rate = np.column_stack([np.gradient(angle, at_s), 0 * at_s, 0 * at_s])
     for unit, factor in (("rad/s", 1.0), ("deg/s", 180 / np.pi)):
-        text = table_text({"time": at_s} | axes("acc%", force) | axes("gyro%", factor * rate))
+        begun_s = np.where(np.arange(len(at_s)) < n_without_time, np.nan, at_s)
+        text = table_text({"time": begun_s} | axes("acc%", force) | axes("gyro%", factor * rate))
         (tmp_path / "walk.csv").write_text(text)
         found = read_guessed(tmp_path / "walk.csv")
         assert any(f"gyroz, {unit}" in line for line in found.guess.evidence)
         assert found.recording.gyroscope is not None
-        np.testing.assert_allclose(found.recording.gyroscope.values, rate, atol=1e-12)
+        np.testing.assert_allclose(found.recording.gyroscope.values, rate[n_without_time:], atol=1e-12)
     assert (
         any("gravity turns 1.0" in line for line in read_guessed(tmp_path / "walk.csv").guess.evidence)
         or unit == "deg/s"
