@@ -101,7 +101,7 @@ def mutated(data: bytes, rng: random.Random) -> bytes:
         return rng.choice(LARGE_MUTATIONS if rng.random() < 0.02 else MUTATIONS)(data, rng)
     try:
         tree: Any = json.loads(data)
-    except ValueError:
+    except (ValueError, RecursionError):
         return rng.choice(MUTATIONS)(data, rng)
     for _ in range(rng.choice([1, 1, 1, 2, 3])):
         tree = changed(tree, rng)

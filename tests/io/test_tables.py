@@ -236,6 +236,16 @@ def test_the_mapping_that_was_guessed_reads_the_same_bits_when_it_is_given(tmp_p
         np.testing.assert_array_equal(samples.values, found.recording.streams[name].values)
 
 
+def test_a_mapping_is_written_as_it_was_read(tmp_path: Path) -> None:
+    text = '[time]\nrate_hz = 50\n[accelerometer]\ncolumns = ["a", "b", "c"]\n'
+    path = tmp_path / "walk.toml"
+    for sign in ("", "sign = 1\n", "sign = -1\n"):
+        path.write_text(text + '[gyroscope]\ncolumns = ["d", "e", "f"]\nunit = "deg/s"\n' + sign)
+        mapping = read_mapping(path)
+        path.write_text(mapping.toml())
+        assert read_mapping(path) == mapping
+
+
 def test_a_header_in_the_code_of_the_phone_is_read(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_bytes(androsensor().encode("latin-1"))
     assert_same_streams(read(tmp_path / "walk.csv"), WALK, BOTH, time_s=1e-6, rtol=1e-9)
