@@ -26,6 +26,7 @@ from app_files import (
 
 from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
+from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.io.mapping import read_mapping
@@ -244,6 +245,15 @@ def test_a_mapping_is_written_as_it_was_read(tmp_path: Path) -> None:
         mapping = read_mapping(path)
         path.write_text(mapping.toml())
         assert read_mapping(path) == mapping
+
+
+def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:
+    text = physics_toolbox_text(WALK)
+    header, first, rest = text.split("\n", 2)
+    damaged = "17879233041\u00b27456789" + first[first.index(",") :]
+    (tmp_path / "walk.csv").write_text("\n".join([header, damaged, rest]), encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"walk.csv: "):
+        read(tmp_path / "walk.csv")
 
 
 def test_a_header_in_the_code_of_the_phone_is_read(tmp_path: Path) -> None:
