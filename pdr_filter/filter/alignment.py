@@ -272,7 +272,8 @@ class Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
-        agreeing = that_agree(self.pairs, self.north_var_rad2)
+        # what is known of a place from before is no fix among others: see `doubt` for when it is wrong
+        agreeing = that_agree(self.pairs, self.north_var_rad2, n_sure=1 if self.since else 0)
         return replace(self, agreeing=agreeing, turn=open_turn(agreeing, self.north_var_rad2))
 
     def with_north(self, north: Alignment) -> Frame:
@@ -295,12 +296,14 @@ class Frame:
         frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
         if self.since == 0:
             return replace(frame, alignment=alignment)
+        if self.since == alignment.n_steps:  # no step was reported in it
+            return frame
         return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
 
-    def opened(self, pair: PairedPoint, turn_var_rad2: float, n_steps: int) -> Frame:
-        """With the turn open again from the place of a pair on, where the heading was lost."""
+    def opened(self, pairs: tuple[PairedPoint, ...], turn_var_rad2: float, n_steps: int) -> Frame:
+        """With the turn open again from the place of the first pair on, where the heading was lost."""
         var = turn_var_rad2 if turn_var_rad2 < MAX_HEADING_VARIANCE else math.inf
-        return replace(self, is_joined=False, since=n_steps, pairs=(pair,), north_var_rad2=var)._turned()
+        return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._turned()
 
     def most_probable(self, n_steps: int) -> Alignment:
         """The alignment of a turn that stays open, for what comes after."""
@@ -411,10 +414,12 @@ def agreement_limit(n_free: int) -> float:
     return float(chdtri(n_free, _DISAGREE_PROB)) if n_free > 0 else math.inf
 
 
-def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf) -> tuple[PairedPoint, ...]:
+def that_agree(
+    pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf, n_sure: int = 0
+) -> tuple[PairedPoint, ...]:
     """The pairs that can all be right: as long as they cannot, the one is left out that costs the others most.
 
-    Of two or three none is in the minority: they must be ten standard deviations apart.
+    Of two or three none is in the minority: they must be ten standard deviations apart. The first `n_sure` stay.
     """
 
     def best(some: tuple[PairedPoint, ...]) -> float:
@@ -424,7 +429,9 @@ def that_agree(pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf)
         limit = agreement_limit(2 * len(pairs) - 3) if len(pairs) > 3 else _APART**2
         if best(pairs) <= limit:
             break
-        pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(len(pairs))), key=best)
+        if len(pairs) == n_sure:
+            break
+        pairs = min((pairs[:k] + pairs[k + 1 :] for k in range(n_sure, len(pairs))), key=best)
     return pairs
 
 
