@@ -8,7 +8,7 @@ from pdr_filter.config import Config
 from pdr_filter.filter import height
 from pdr_filter.filtering import State
 from pdr_filter.sensing.merging import SENSORS
-from pdr_filter.values import Note
+from pdr_filter.values import Note, how_many
 
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
@@ -75,8 +75,8 @@ def notes_of(config: Config, state: State) -> list[Note]:
         )
         notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
     if state.n_lost_climbs:
-        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
-        notes.append(Note("sensors", words + "both need one clock"))
+        words = f"{how_many(state.n_lost_climbs, 'climb rate')} of the barometer not used: its times are ahead of the "
+        notes.append(Note("sensors", words + "samples, both need one clock"))
     if state.finished and frame.name == "north" and frame.compass is not None:
         words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
         notes.append(Note("heading", words))
