@@ -282,8 +282,8 @@ class ParticleFilter:
     def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
         """Where the particles are; None before there are some.
 
-        As far as the walk is where none of them is, it is where dead reckoning says with its covariance, if that begins
-        on the plan.
+        As far as the walk may be where none of them is, it is where dead reckoning says, if that begins on the plan:
+        the covariance reaches there.
         """
         if len(state.weight) == 0:
             return None

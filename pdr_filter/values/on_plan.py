@@ -20,7 +20,7 @@ class Cluster:
 class OnPlan:
     """What particles on a floor plan say after a step: mean and covariance of all, and where they are in groups.
 
-    Mean and covariance hold dead reckoning as well, as far as the walk may be where no particle is.
+    The covariance reaches dead reckoning as well, as far as the walk may be where no particle is.
     """
 
     position_m: FloatArray  # (2,) east, north
