@@ -18,7 +18,19 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Track(TrackRows):
-    """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
+    """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> track = pdr.track(pdr.simulate.demo_walk())
+    >>> east_m, north_m = track.end_position_m
+    >>> within_m = track.uncertainty_95_m[-1]  # with a probability of 95 %
+    >>> sorted(name for name, seconds in track.context_seconds().items() if seconds > 5)
+    ['downstairs', 'stationary', 'upstairs', 'walking']
+    >>> track.to_csv("walk.csv").name
+    'walk.csv'
+    """
 
     device: Device | None = None  # what the recording taught of the phone, for its next one
     person: Person | None = None  # what its fixes taught of the person, with what was known before; None if nothing
