@@ -17,6 +17,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
+from pdr_filter.values import Cluster
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 
@@ -216,6 +217,25 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     assert "Only the other has this" in browser.words("body")
     assert shown(browser)["step"].startswith(f"{track.n_steps} ")
     assert shown(browser)["east, north"] == ", ".join(f"{v:.1f}" for v in other.position_m[-1]) + " m"
+
+
+def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
+    browser: Browser, track: Track, tmp_path: Path
+) -> None:
+    places = tuple(
+        Cluster(share, track.position_m[-1] + east_m, np.eye(2)) for share, east_m in ((0.6, 0.0), (0.3, 9.0))
+    )
+    clusters = (places[:1],) * (track.n_steps - 1) + (places,)
+    browser.open(write_report(replace(track, clusters=clusters), tmp_path / "page.html"))
+    assert browser.complaints == []
+    assert shown(browser)["places"] == "60 %, 30 %"
+    assert "#BB3333" in colours_of(browser, "#map")
+    browser.click("[name=places]")
+    assert "#BB3333" not in colours_of(browser, "#map")
+    browser.click("[name=places]")
+    scrub(browser, 30.0)
+    assert "#BB3333" not in colours_of(browser, "#map")
+    assert "places" not in shown(browser)
 
 
 def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(

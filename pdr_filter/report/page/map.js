@@ -284,12 +284,16 @@ class WayMap {
   }
 
   paintEllipse(k, fill, edge) {
-    const { east, north, major, minor, angle } = this.track, pen = this.pen, { scale } = this.view;
-    if (major[k] === null) return;
-    const [x, y] = this.at(east[k], north[k]);
+    const { east, north, major, minor, angle } = this.track;
+    this.ellipse(east[k], north[k], major[k], minor[k], angle[k], "--accent", fill, edge);
+  }
+
+  ellipse(east, north, major, minor, angle, colour, fill, edge) {
+    if (major === null) return;
+    const pen = this.pen, { scale } = this.view;
     pen.beginPath();
-    pen.ellipse(x, y, major[k] * scale, minor[k] * scale, -angle[k], 0, 7);
-    pen.fillStyle = pen.strokeStyle = this.colour("--accent");
+    pen.ellipse(...this.at(east, north), major * scale, minor * scale, -angle, 0, 7);
+    pen.fillStyle = pen.strokeStyle = this.colour(colour);
     pen.lineWidth = 1.2;
     pen.globalAlpha = fill;
     pen.fill();
@@ -298,9 +302,29 @@ class WayMap {
     pen.globalAlpha = 1;
   }
 
+  // Where on the plan the walk may be, if in several places, with how probable each is.
+  paintPlaces(places) {
+    const pen = this.pen;
+    pen.setLineDash([6, 4]);
+    for (const [, ...shape] of places) this.ellipse(...shape, "--wrong", 0.05, 1);
+    pen.setLineDash([]);
+    pen.font = "bold 13px system-ui, sans-serif";
+    pen.textAlign = "center";
+    pen.lineWidth = 4;
+    for (const [percent, east, north] of places) {
+      const [x, y] = this.at(east, north);
+      pen.strokeStyle = this.colour("--paper");
+      pen.strokeText(`${percent} %`, x, y + 26);
+      pen.fillStyle = this.colour("--wrong");
+      pen.fillText(`${percent} %`, x, y + 26);
+    }
+    pen.textAlign = "start";
+  }
+
   paintNow(track) {
     const k = this.row, pen = this.pen;
     this.paintEllipse(k, 0.16, 0.9);
+    if (track.places && !this.hidden.has("places")) this.paintPlaces(track.places[k]);
     pen.save();
     pen.translate(...this.at(track.east[k], track.north[k]));
     pen.rotate(track.heading[k] * Math.PI / 180);
