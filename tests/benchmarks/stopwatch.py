@@ -47,7 +47,7 @@ def main() -> None:
             size = sum(p.lstat().st_size for p in path.rglob("*") if not p.is_symlink())
             rows.append([what, f"{size / 2**20:.0f} MiB"])
     about = f"{args.file.name}; packages from pip's cache; load of the two shared cores {os.getloadavg()[0]:.1f}."
-    Tables.of(__spec__.name, args).write("stopwatch", ["", ""], rows, about)
+    Tables.of(__spec__.name, args).write("stopwatch", ["command", "time, size"], rows, about)
 
 
 if __name__ == "__main__":
