@@ -33,7 +33,8 @@ nb_execution_show_tb = True
 nb_merge_streams = True
 # Formulas without network: one file with the program and its fonts, beside the pages.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
-html_static_path = [str(mathjax.locate())]
+html_static_path = [str(mathjax.locate()), "_static"]
+html_css_files = ["page.css"]
 mathjax_path = "tex-svg.js"
 html_theme = "furo"
 html_title = f"pdr_filter {version}"
