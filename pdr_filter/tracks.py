@@ -20,11 +20,11 @@ if TYPE_CHECKING:
 class Track(TrackRows):
     """Where the pedestrian walked: a row for each of K steps, with covariance; plots, files and a report.
 
-    What `pdr_filter.track` returns. C is the number of contexts, M that of the filter's modes. `context_prob` is what the
-    classifier said of the window, `mode_prob` what the filter made of it over time; step lengths come from the latter.
-    `about_frame` says where zero and north are. With `imm` position and walked distance are the best estimates at their
-    step: when the evidence changes, earlier steps count differently, while `step_length_m` stays what was thought of a
-    step when it was made.
+    What `pdr_filter.track` returns. C is the number of contexts, M that of the filter's modes. `context_prob` is what
+    the classifier said of the window, `mode_prob` what the filter made of it over time; step lengths come from the
+    latter. `about_frame` says where zero and north are. With `imm` position and walked distance are the best estimates
+    at their step: when the evidence changes, earlier steps count differently, while `step_length_m` stays what was
+    thought of a step when it was made.
 
     Examples
     --------
