@@ -31,6 +31,7 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables of `evaluate.markdown`, which CommonMark does not know
 # Formulas without network: one file with the program and its fonts, beside the pages.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
 html_static_path = [str(mathjax.locate()), "_static"]

@@ -40,8 +40,8 @@ def notes_of(config: Config, state: State) -> list[Note]:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
             notes.append(Note("samples", words + "and were left out"))
     if seen.stairs_unknown > notable:
-        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
-        notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
+        words = f"stairs would be missed in {seen.stairs_unknown} {of_all}: the context model knows them from trouser "
+        notes.append(Note("contexts", words + "pockets only, and no barometer helped"))
     if seen.irregular > notable:
         words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
         notes.append(Note("steps", words + "steps there may be false"))
