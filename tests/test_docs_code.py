@@ -226,6 +226,12 @@ def test_every_table_file_stands_on_a_page_and_every_table_of_a_page_is_there() 
     assert {name for text in PAGES.values() for name in tables_of(text)} == set(TABLES)
 
 
+def test_the_page_of_benchmarks_leads_to_every_page_with_a_table() -> None:
+    links = set(re.findall(r"\]\(([\w/]+\.md)", PAGES["docs/benchmarks.md"]))
+    with_tables = {page.removeprefix("docs/") for page, text in PAGES.items() if tables_of(text)}
+    assert with_tables - {"README.md", "benchmarks.md"} <= links
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_says_the_command_that_wrote_it_and_the_day(name: str) -> None:
     *_, caption = TABLES[name].strip().splitlines()
