@@ -13,6 +13,7 @@ from browser import BROWSER, Browser
 from helpers import a_plan
 
 import pdr_filter as pdr
+from pdr_filter.cli.index_page import write_index
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
@@ -251,6 +252,15 @@ def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(
     browser.click("#colours button")
     assert not storeys & colours_of(browser, "#map")
     assert "running" in browser.words("#colours")
+
+
+def test_the_page_of_a_folder_is_no_wider_than_a_phone(browser: Browser, track: Track, tmp_path: Path) -> None:
+    tracks = {
+        name: replace(track, name=name) for name in ("walk", "a_walk_with_a_name_that_is_longer_than_a_line_of_a_phone")
+    }
+    browser.open(write_index(tracks, {tmp_path: f"{'x' * 200}: no such file"}, tmp_path / "index.html"), width=390)
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    assert "2 tracks" in browser.words("h1")
 
 
 @pytest.mark.parametrize("scale", [0.02, 4000.0], ids=["a room", "a country"])
