@@ -213,13 +213,17 @@ _PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
-    """Names of the buffers of each sensor, time first, from what phyphox answers at /config."""
+    """Names of the buffers of each sensor, time first, from what phyphox answers at /config.
+
+    As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and outputs as
+    objects of one name each. An input over Bluetooth has no outputs.
+    """
     try:
         inputs: list[dict[str, Any]] = json.loads(config)["inputs"]
         found: dict[str, tuple[str, ...]] = {}
         for given in inputs:
             sensor, keys = _PHYPHOX.get(given["source"], ("", ()))
-            places = {key: str(name) for output in given["outputs"] for key, name in output.items()}
+            places = {key: str(name) for output in given.get("outputs", ()) for key, name in output.items()}
             if sensor and {"t", *keys} <= places.keys():
                 found[sensor] = tuple(places[key] for key in ("t", *keys))
     except (ValueError, KeyError, TypeError, AttributeError) as error:

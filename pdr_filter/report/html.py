@@ -30,7 +30,7 @@ from pdr_filter.values import TrackRows
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01
-_SCRIPTS = ("assets/uPlot.iife.min.js", "page/map.js", "page/report.js")
+_SCRIPTS = ("assets/uPlot.iife.min.js", "page/canvas_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "page/report.css")
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
