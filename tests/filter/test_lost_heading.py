@@ -155,3 +155,17 @@ def test_a_fix_at_the_begin_of_a_gap_says_little_of_the_place_at_its_end(whole: 
     assert 12.0 < std_m < 25.0  # 18 s at a metre a second
     known = tracked(walk, [*fixes, replace(late, time_s=116.9, position_m=truth_m(walk, np.array([116.9]))[0])])
     assert np.sqrt(np.linalg.eigvalsh(known.position_cov_m2[first])[0]) < 5.0
+
+
+def test_a_gyroscope_that_dies_behind_the_fixes_leaves_the_walk_inside_the_ellipse(whole: Recording) -> None:
+    assert whole.gyroscope is not None
+    turning, dies_s = whole.gyroscope, 60.0
+    stuck = turning.values.copy()
+    stuck[turning.time_s > dies_s, 2] = 0.1
+    broken = replace(whole, gyroscope=Samples(turning.time_s, stuck))
+    before, later = ([f for f in fixes_of(whole) if (f.time_s < dies_s) is is_before] for is_before in (True, False))
+    for fixes in (before, [*before, *later[1::2]]):
+        track = tracked(broken, fixes)
+        off = track.time_s > dies_s + 5.0
+        squared = nees(whole, track.time_s[off], track.position_m[off], track.position_cov_m2[off])
+        assert (squared < chi2.ppf(0.99, 2)).mean() > 0.97
