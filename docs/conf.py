@@ -6,6 +6,7 @@ import ast
 import inspect
 import json
 import re
+import textwrap
 from dataclasses import is_dataclass
 from importlib.metadata import files
 from pathlib import Path
@@ -18,10 +19,11 @@ author = "The pdr_filter developers"
 copyright = f"2026, {author}"
 version = release = pdr_filter.__version__
 
-extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.mathjax", "numpydoc"]
+extensions = ["myst_nb", "sphinx.ext.autodoc", "sphinx.ext.autosummary", "sphinx.ext.mathjax", "numpydoc"]
 myst_enable_extensions = ["amsmath", "dollarmath", "substitution"]
 myst_heading_anchors = 3
 exclude_patterns = ["_build", "tables"]  # tables are included by the pages
+templates_path = ["_templates"]  # of the page that docs/api.md has for each object
 # Notebooks run once, and again when they have changed or docs/_build is gone; one that fails breaks the build.
 nb_execution_mode = "cache"
 nb_execution_cache_path = str(Path(__file__).parent / "_build" / "notebooks")
@@ -29,9 +31,11 @@ nb_execution_timeout = 300
 nb_execution_raise_on_error = True
 nb_execution_show_tb = True
 nb_merge_streams = True
+nb_render_markdown_format = "myst"  # tables of `evaluate.markdown`, which CommonMark does not know
 # Formulas without network: one file with the program and its fonts, beside the pages.
 (mathjax,) = (f for f in files("sphinx-mathjax-offline") or () if f.name == "tex-svg.js")
-html_static_path = [str(mathjax.locate())]
+html_static_path = [str(mathjax.locate()), "_static"]
+html_css_files = ["page.css"]
 mathjax_path = "tex-svg.js"
 html_theme = "furo"
 html_title = f"pdr_filter {version}"
@@ -105,29 +109,43 @@ def escape_bars(app: Any, what: str, name: str, obj: Any, options: Any, lines: l
     lines[:] = [line if line.lstrip().startswith((">>>", "...")) else line.replace("|", r"\|") for line in lines]
 
 
+def has_fields_below(obj: Any) -> bool:
+    """Whether it is a data class without a list of parameters."""
+    return is_dataclass(obj) and "Parameters" not in (obj.__doc__ or "")
+
+
 def name_aliases(app: Any, what: str, name: str, obj: Any, options: Any, *texts: str | None) -> tuple[str | None, ...]:
-    """Show FloatArray as FloatArray: Sphinx wraps the names of type aliases that it may not evaluate."""
+    """Show FloatArray as FloatArray: Sphinx wraps the names of type aliases that it may not evaluate.
+
+    Fields of a data class stand below its docstring, and not in its signature, too.
+    """
+    if what == "class" and has_fields_below(obj):
+        return "(...)", None
     return tuple(text and re.sub(r"TypeAliasForwardRef\('(\w+)'\)", r"\1", text) for text in texts)
-
-
-LITERALLY = set(re.findall(r":pyobject: (\w+)", (Path(__file__).parent / "api.md").read_text(encoding="utf-8")))
 
 
 def append_fields(_app: Any, what: str, _name: str, obj: Any, _options: Any, lines: list[str]) -> None:
     """Below the docstring of a data class without a list of parameters: its fields as they stand, comments included."""
-    if what != "class" or not is_dataclass(obj) or obj.__name__ in LITERALLY or "Parameters" in (obj.__doc__ or ""):
+    if what != "class" or not has_fields_below(obj):
         return
-    source = inspect.getsource(obj)
-    statements = [n for n in ast.parse(source).body[0].body if not isinstance(n, ast.Expr)]  # type: ignore[attr-defined]
-    declared = [n for n in statements if isinstance(n, ast.AnnAssign)]
-    if not declared:
-        return
+    body = [row for part in reversed(obj.__mro__) if "__dataclass_fields__" in vars(part) for row in declared(part)]
+    if body:
+        # before the examples, as parameters are
+        at = next((k for k, line in enumerate(lines) if line.startswith(".. rubric:: Examples")), len(lines))
+        lines[at:at] = ["", ".. code-block:: python", "", *(f"    {row}" for row in body), ""]
+
+
+def declared(of: type) -> list[str]:
+    """The lines of a data class that declare its own fields."""
+    source = textwrap.dedent(inspect.getsource(of))
+    declarations = [n for n in ast.parse(source).body[0].body if isinstance(n, ast.AnnAssign)]  # type: ignore[attr-defined]
+    if not declarations:
+        return []
     rows = source.splitlines()
-    first = declared[0].lineno - 1
+    first = declarations[0].lineno - 1
     while rows[first - 1].lstrip().startswith("#"):
         first -= 1
-    body = [row for row in rows[first : declared[-1].end_lineno] if row.strip()]
-    lines += ["", ".. code-block:: python", "", *body, ""]
+    return [row[4:] for row in rows[first : declarations[-1].end_lineno] if row.strip()]
 
 
 def setup(app: Any) -> None:

@@ -30,6 +30,13 @@ class Config:
 
     `needs` names the sensor streams of `Recording`, besides the accelerometer, without which its tracks mean nothing
     (its steps and contexts may do with less); `notes` say in plain words what to keep in mind about every track.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> config = pdr.recipes.default().with_weighting("hc")
+    >>> config.name, config.needs
+    ('default', ())
     """
 
     name: str

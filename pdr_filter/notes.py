@@ -56,8 +56,8 @@ def _of_windows(seen: WindowCounts) -> Iterator[Note]:
         words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
         yield Note("contexts", words + "contexts are unsure there")
     if seen.stairs_unknown > notable:
-        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
-        yield Note("contexts", words + "them from trouser pockets, and no barometer told")
+        words = f"stairs would be missed in {seen.stairs_unknown} {of_all}: the context model knows them from trouser "
+        yield Note("contexts", words + "pockets only, and no barometer helped")
     if seen.irregular > notable:
         words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
         yield Note("steps", words + "steps there may be false")

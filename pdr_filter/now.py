@@ -31,7 +31,20 @@ class ProvisionalStep:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Now:
-    """The filter at the time of its newest sample."""
+    """The filter at the time of its newest sample.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
+    >>> online = pdr.OnlineFilter()
+    >>> _ = online.push(samples.time_s[:2000], samples.specific_force_mps2[:2000], samples.angular_rate_radps[:2000])
+    >>> now = online.now()
+    >>> now.walking_speed_mps > 0.5
+    True
+    >>> now.to_dict()["n_steps"] == now.n_steps
+    True
+    """
 
     time_s: float  # of the newest sample, on the track's time base; NaN before the first
     latency_s: float  # by how much what is merged and processed is behind it

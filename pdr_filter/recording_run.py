@@ -120,6 +120,18 @@ def track(
     start : PositionFix or str, optional
         Where on the plan the walk begins: a place, the name of an area, or "anywhere". If not given, where the fixes
         put the track, or at the plan's zero and to its north.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> recording = pdr.simulate.demo_walk()  # or pdr.read("walk.zip")
+    >>> track = pdr.track(recording)
+    >>> track.position_m.shape == (track.n_steps, 2)
+    True
+    >>> 120 < track.distance_m < 145  # 138 m are true
+    True
+    >>> pdr.track(recording, weighting="hc").weighting
+    'hc'
     """
     for fix in fixes:
         check_fix(fix)
@@ -221,13 +233,29 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:
-    """Steps of a recording: a table with a row for each `Step` and its fields as columns."""
+    """Steps of a recording: a table with a row for each `Step` and its fields as columns.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> steps = pdr.detect_steps(pdr.simulate.demo_walk())
+    >>> bool((steps.frequency_hz > 1).all())
+    True
+    """
     config = config or default_config(recording)
     return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
-    """Context and carrying-mode probabilities of all windows of a recording."""
+    """Context and carrying-mode probabilities of all windows of a recording.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> windows = pdr.classify(pdr.simulate.demo_walk())
+    >>> pdr.CONTEXTS[windows.context_prob[0].argmax()]
+    'stationary'
+    """
     recording, _ = one_clock(recording)
     config = config or default_config(recording)
     climbs = _climbs(config, recording)

@@ -18,7 +18,25 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Track(TrackRows):
-    """`TrackRows` with its doors: plots, files and a report. What `pdr_filter.track` returns."""
+    """Where the pedestrian walked: a row for each of K steps, with covariance; plots, files and a report.
+
+    What `pdr_filter.track` returns. C is the number of contexts, M that of the filter's modes. `context_prob` is what
+    the classifier said of the window, `mode_prob` what the filter made of it over time; step lengths come from the
+    latter. `about_frame` says where zero and north are. With `imm` position and walked distance are the best estimates
+    at their step: when the evidence changes, earlier steps count differently, while `step_length_m` stays what was
+    thought of a step when it was made.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> track = pdr.track(pdr.simulate.demo_walk())
+    >>> east_m, north_m = track.end_position_m
+    >>> within_m = track.uncertainty_95_m[-1]  # with a probability of 95 %
+    >>> sorted(name for name, seconds in track.context_seconds().items() if seconds > 5)
+    ['downstairs', 'stationary', 'upstairs', 'walking']
+    >>> track.to_csv("walk.csv").name
+    'walk.csv'
+    """
 
     device: Device | None = None  # what the recording taught of the phone, for its next one
     person: Person | None = None  # what its fixes taught of the person, with what was known before; None if nothing

@@ -226,10 +226,16 @@ def test_every_table_file_stands_on_a_page_and_every_table_of_a_page_is_there() 
     assert {name for text in PAGES.values() for name in tables_of(text)} == set(TABLES)
 
 
+def test_the_page_of_benchmarks_leads_to_every_page_with_a_table() -> None:
+    links = set(re.findall(r"\]\(([\w/]+\.md)", PAGES["docs/benchmarks.md"]))
+    with_tables = {page.removeprefix("docs/") for page, text in PAGES.items() if tables_of(text)}
+    assert with_tables - {"README.md", "benchmarks.md"} <= links
+
+
 @pytest.mark.parametrize("name", TABLES)
 def test_a_table_says_the_command_that_wrote_it_and_the_day(name: str) -> None:
     *_, caption = TABLES[name].strip().splitlines()
-    found = re.search(r"`python -m (tests\.benchmarks(?:\.\w+)+)`, \d{4}-\d\d-\d\d", caption)
+    found = re.search(r"`python -m (tests\.benchmarks(?:\.\w+)+)(?: --[^`]+)?`, \d{4}-\d\d-\d\d", caption)
     assert found, caption
     script = ROOT / found[1].replace(".", "/")
     assert script.with_suffix(".py").is_file() or (script / "__main__.py").is_file()

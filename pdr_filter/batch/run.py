@@ -67,6 +67,14 @@ def track(
     ------
     ValueError
         If an option cannot be used, or the table is of something else. What is wrong with a recording is in its row.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> path = pdr.simulate.demo_walk().save("walk.zip")
+    >>> (row,) = pdr.batch.track([path], out="tracks.csv")
+    >>> row.name, row.failed
+    ('demo_walk', False)
     """
     _check(recipe, weighting, file_format, calibration, gnss)
     table, parquet = tables(out)

@@ -232,6 +232,18 @@ class RelevanceVectorClassifier(ClassifierMixin, BaseEstimator):
         All that prediction needs, as plain arrays; store this.
     n_features_in_ : int
         Features of a row, F.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> rng = np.random.default_rng(0)
+    >>> y = rng.integers(0, 2, 200)
+    >>> X = rng.normal(size=(200, 2)) + 3.0 * y[:, None]
+    >>> machine = pdr.RelevanceVectorClassifier().fit(X, y)
+    >>> machine.predict_proba([[0.0, 0.0], [3.0, 3.0]]).argmax(axis=1)
+    array([0, 1])
+    >>> len(machine.relevance_vectors_) < 50  # of 200
+    True
     """
 
     def __init__(

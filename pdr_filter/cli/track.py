@@ -262,6 +262,8 @@ def track(
 
     tracks, failed = console.each(files, track_one, as_json)
     console.say_replaced(replaced)
+    if tracks and method.person is not None and not method.person.exists():
+        console.stderr().print(console.escape(f"{method.person} is not written: no fix says how long the steps are"))
     if output.out is not None and files != given and listed:
         with console.one_line_errors():
             write_index(listed, failed, output.out / "index.html")

@@ -19,6 +19,15 @@ def comparison_table(recording: Recording, tracks: Mapping[str, TrackRows]) -> T
     `step_error_percent`: number of steps against the true ones. `leg_error_percent`: steps' lengths in all truth
     segments of known distance together. `rmse_m`: at the waypoints, after a turn and a move onto all of them.
     `end_error_percent`: of the path, at the last waypoint, after a turn and a move onto those of the first 20 %.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter import evaluate
+    >>> walk = pdr.simulate.demo_walk()
+    >>> rows = evaluate.comparison_table(walk, {w: pdr.track(walk, weighting=w) for w in ("hc", "imm")})
+    >>> rows.name.tolist(), bool((abs(rows.step_error_percent) < 5).all())
+    (['hc', 'imm'], True)
     """
     rows = [_row(recording, t) for t in tracks.values()]
     names = ("step_error_percent", "leg_error_percent", "rmse_m", "end_error_percent")

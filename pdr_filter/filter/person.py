@@ -43,6 +43,17 @@ class Person:
     person's from the first step on, whatever height or recipe it has. A typical step is one of level walking at 1.85
     steps a second. Walks are weighted by what their fixes knew; the same walk counts once, however often it is pooled,
     and what is known of people in general is in none of them.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> from pdr_filter.filter.person import Session
+    >>> person = pdr.Person((Session(0.71, 0.02, 40),)).pooled(pdr.Person((Session(0.75, 0.02, 35),)))
+    >>> round(person.step_length_m, 2)
+    0.73
+    >>> _ = person.save("me.json")
+    >>> pdr.Person.load("me.json") == person
+    True
     """
 
     sessions: tuple[Session, ...] = ()

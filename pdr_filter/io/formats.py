@@ -136,6 +136,17 @@ def read(path: str | Path, format: str | None = None, platform: str | None = Non
     A path may go on inside a zip or a log of several recordings: `export.zip/walk_2`.
     `pdr_filter.io.describe.reading_report` of the result says what was found: source, signs, units, rates, clock.
     A RecordingError (a ValueError) names the file, the column, the value and the remedy.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> path = pdr.simulate.demo_walk().save("walk.zip")
+    >>> pdr.read(path)
+    Recording('demo_walk', 114.4 s, accelerometer, gyroscope, magnetometer)
+    >>> pdr.read("walk_2.zip")
+    Traceback (most recent call last):
+        ...
+    pdr_filter.io.errors.RecordingError: walk_2.zip: no such file or folder; check the path
     """
     path = Path(path)
     if platform is not None and platform not in PLATFORMS:

@@ -46,6 +46,15 @@ class Recording:
 
     Sensor frame: x right, y up along the screen, z out of it. Specific force reads +9.81 on z for a phone lying
     face up. Streams that the phone did not record are None.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> time_s = np.arange(0.0, 10.0, 0.01)
+    >>> face_up = np.tile([0.0, 0.0, 9.81], (len(time_s), 1))
+    >>> recording = pdr.Recording("table", pdr.Samples(time_s, face_up), gyroscope=pdr.Samples(time_s, 0.0 * face_up))
+    >>> recording
+    Recording('table', 10.0 s, accelerometer, gyroscope)
     """
 
     name: str

@@ -17,6 +17,18 @@ class FloorPlan:
 
     Read one with `FloorPlan.read`. Rooms are not entered, unless a door leads there or the walk says so; walls and the
     outline are not crossed, unless the walk says so.
+
+    Examples
+    --------
+    >>> import json, pdr_filter as pdr
+    >>> from pathlib import Path
+    >>> corners = [[-9, -9], [9, -9], [9, 9], [-9, 9], [-9, -9]]
+    >>> hall = {"type": "Feature", "properties": {"type": "floor", "name": "hall"},
+    ...         "geometry": {"type": "Polygon", "coordinates": [corners]}}
+    >>> _ = Path("hall.geojson").write_text(json.dumps({"type": "FeatureCollection", "features": [hall]}))
+    >>> plan = pdr.FloorPlan.read("hall.geojson")
+    >>> plan.name, len(plan.storeys)
+    ('hall', 1)
     """
 
     name: str

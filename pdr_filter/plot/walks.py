@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.collections import EllipseCollection, LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
+from matplotlib.patches import Ellipse, Patch
+from matplotlib.patheffects import withStroke
 
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.plot.figures import given_or_new, lined, new_figure, save
@@ -22,6 +23,7 @@ from pdr_filter.report.geometry import (
     ellipse_axes,
     ellipse_extent,
     ellipse_rows,
+    places_at,
     storeys_of,
     window_starts,
 )
@@ -32,6 +34,7 @@ _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
 # A context that never has this probability is a hair line in the stack and has no place in the legend.
 _VISIBLE_PROB = 0.1
+_PLACE_STYLE: dict[str, Any] = {"fill": False, "edgecolor": palette.WRONG, "linestyle": (0, (4, 2)), "zorder": 7}
 
 
 def track(track: TrackRows, path: str | Path | None = None, reference_m: FloatArray | None = None) -> Figure:
@@ -69,7 +72,7 @@ def way(
     """Draw the way from the start through all steps with 95 % ellipses, east to the right and north up, in metres.
 
     `reference_m` (N, 2) is the true way, and `plan` lies below it, that of the track if none is given; both are in the
-    frame of the track.
+    frame of the track. Where a plan leaves several places for the end, each is drawn with its probability.
     """
     axes = given_or_new(ax, (5.6, 5.0))
     for storey in storeys_of(plan or track.plan, track.floor):
@@ -79,6 +82,7 @@ def way(
         axes.plot(*reference_m.T, color=INK, linewidth=1.2, linestyle=(0, (2, 2)), zorder=2)
     if track.n_steps:
         _draw_ellipses(axes, track)
+        _draw_places(axes, track)
         colours = floor_colours(track.floor)
         colour = [colours[floor] for floor in track.floor]
         if len(colours) == 1:
@@ -197,6 +201,29 @@ def _draw_ellipses(axes: Axes, track: TrackRows) -> None:
     axes.update_datalim(np.vstack([track.position_m[rows] - reach_m, track.position_m[rows] + reach_m]))
 
 
+def _draw_places(axes: Axes, track: TrackRows) -> None:
+    """Where on a plan the walk may have ended, if in several places: 95 % ellipses and probabilities."""
+    for place in places_at(track, -1):
+        ((minor_m, major_m),), (angle_rad,) = ellipse_axes(place.position_cov_m2[np.newaxis])
+        ellipse = Ellipse((0, 0), 2 * major_m, 2 * minor_m, angle=np.degrees(angle_rad), **_PLACE_STYLE)
+        ellipse.set_center(tuple(place.position_m))
+        axes.add_patch(ellipse)
+        words = axes.annotate(
+            f"{100 * place.share:.0f} %",
+            tuple(place.position_m),
+            (0.0, -14.0),
+            textcoords="offset points",
+            ha="center",
+            va="center",
+            fontsize=9,
+            color=palette.WRONG,
+            zorder=8,
+        )
+        words.set_path_effects([withStroke(linewidth=3.0, foreground="white")])
+        reach_m = ellipse_extent(place.position_cov_m2[np.newaxis])
+        axes.update_datalim(np.vstack([place.position_m - reach_m, place.position_m + reach_m]))
+
+
 def _ellipse_style(face: str, edge: str) -> dict[str, Any]:
     return {face: (palette.ELLIPSE, palette.ELLIPSE_FILL_ALPHA), edge: (palette.ELLIPSE, palette.ELLIPSE_EDGE_ALPHA)}
 
@@ -227,6 +254,8 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
     handles.append(Line2D([], [], marker="s", markerfacecolor=INK, label="end", **ends))
     if track.n_steps:
         handles.append(Patch(**_ellipse_style("facecolor", "edgecolor"), label="95 % ellipse"))
+    if track.n_steps and places_at(track, -1):
+        handles.append(Patch(**_PLACE_STYLE, label="may have ended here"))
     if has_reference:
         handles.append(Line2D([], [], color=INK, linewidth=1.2, linestyle=(0, (2, 2)), label="truth"))
     return handles

@@ -53,6 +53,20 @@ class RadioMap:
         Which scan heard which access point how loud, dBm.
     card : dict
         What people should know: walks, version.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> from dataclasses import replace
+    >>> import pdr_filter as pdr
+    >>> walk = pdr.simulate.demo_walk()  # its truth has waypoints; a phone that logs Wi-Fi gives the rest
+    >>> heard_s = np.repeat(np.arange(1.0, 100.0, 3.0), 2)
+    >>> loud_dbm = np.where(np.arange(len(heard_s)) % 2, -50.0 - 0.2 * heard_s, -70.0 + 0.2 * heard_s)
+    >>> wifi = pdr.Wifi(heard_s, np.tile([1, 2], len(heard_s) // 2), loud_dbm, np.full(len(heard_s), 2412.0))
+    >>> radio = pdr.RadioMap.fit([replace(walk, wifi=wifi)])
+    >>> _ = radio.save("building")
+    >>> len(radio.bssid)
+    2
     """
 
     position_m: FloatArray

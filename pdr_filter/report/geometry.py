@@ -9,9 +9,11 @@ import numpy as np
 
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.maps.storey import Storey
-from pdr_filter.values import RADIUS_95, FloatArray, Windows
+from pdr_filter.values import RADIUS_95, Cluster, FloatArray, TrackRows, Windows
 
 N_ELLIPSES = 8
+# Places that are less probable are not drawn.
+_MIN_SHARE = 0.02
 # Fewer metres than this across look like a zoom into noise.
 MIN_EXTENT_M = 4.0
 _WINDOW_S = 2.0
@@ -34,6 +36,12 @@ def ellipse_axes(cov_m2: FloatArray) -> tuple[FloatArray, FloatArray]:
 def ellipse_extent(cov_m2: FloatArray) -> FloatArray:
     """How far 95 % ellipses reach to the east and to the north, (N, 2) in m, of (N, 2, 2)."""
     return RADIUS_95 * np.sqrt(np.maximum(np.diagonal(cov_m2, axis1=1, axis2=2), 0.0))
+
+
+def places_at(track: TrackRows, row: int) -> list[Cluster]:
+    """The places on a floor plan where a walk may be after a step, if there are several."""
+    places = [c for c in track.clusters[row] if c.share >= _MIN_SHARE] if track.clusters else []
+    return places if len(places) > 1 else []
 
 
 def storeys_of(plan: FloorPlan | None, floors: Iterable[int]) -> list[Storey]:

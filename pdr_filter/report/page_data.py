@@ -15,7 +15,7 @@ from numpy.typing import ArrayLike
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette
-from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, storeys_of, window_starts
+from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
 
 # Half width of the 95 % interval in standard deviations.
@@ -24,6 +24,8 @@ _INTERVAL_95 = 1.96
 _MAX_STEPS, _MAX_WINDOWS, _MAX_POINTS = 8000, 4000, 2000
 # Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
 _FARTHEST_M = 4e7
+# Of the places where a walk may be on a plan; those after them are improbable.
+_MAX_PLACES = 4
 
 
 def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | None, n_tracks: int) -> dict[str, Any]:
@@ -60,6 +62,8 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         data["height"] = _column(track.height_m[shown], 2)
         data["height_half"] = _column(_INTERVAL_95 * track.height_std_m[shown], 2)
         data["floor"] = track.floor[shown].tolist()
+    if any(places := [_places(track, row) for row in shown]):
+        data["places"] = places
     if recording is not None:
         data |= _truth(track, recording, shown) | _locations(track, recording)
     return data
@@ -137,6 +141,16 @@ def _windows(track: TrackRows, most: int) -> dict[str, Any]:
         start_s, end_s = start_s[first], end_s[first + count - 1]
         prob = np.add.reduceat(prob, first, axis=0) / count[:, np.newaxis]
     return {"start": _column(start_s, 2), "end": _column(end_s, 2), "prob": _percent(prob)}
+
+
+def _places(track: TrackRows, row: int) -> list[list[float | None]]:
+    """Of each place where a walk may be after a step: per cent, east and north, half axes and angle of its ellipse."""
+    found: list[list[float | None]] = []
+    for place in places_at(track, row)[:_MAX_PLACES]:
+        (major_m, minor_m), angle_rad = _ellipses(place.position_cov_m2[np.newaxis])
+        shape = [*place.position_m, *major_m, *minor_m, *angle_rad]
+        found.append([round(100 * place.share), *_column(shape, 2)])
+    return found
 
 
 def _plan(plan: FloorPlan | None, track: TrackRows) -> list[dict[str, Any]]:

@@ -333,6 +333,13 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
 
     Angular rate and magnetic field are interpolated linearly; they are NaN where the stream is missing or its samples
     are further than `max_gap_s` apart.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
+    >>> samples.specific_force_mps2.shape == samples.angular_rate_radps.shape
+    True
     """
     recording, _ = one_clock(recording)
     time_s = recording.accelerometer.time_s

@@ -25,6 +25,13 @@ class Device:
 
     Given to the next recording of the same phone (`pdr_filter.track(..., device=...)`), whose heading is then good from
     its first second on. The axes are those of the sensor.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> recording = pdr.simulate.demo_walk()
+    >>> _ = pdr.track(recording).device.save("phone.json")
+    >>> track = pdr.track(recording, device="phone.json")  # or of the next walk with the same phone
     """
 
     bias_radps: FloatArray = field(default_factory=lambda: read_only(np.zeros(3)))  # (3,)

@@ -82,6 +82,14 @@ def simulate(
     Recording
         Truth: `position` is the person (east, north, height of the ground), not the phone; `steps` are the foot
         contacts; `strides`, `segments` and `labels` follow the legs; `waypoints` are the start and the ends of legs.
+
+    Examples
+    --------
+    >>> from pdr_filter.simulate import Gait, Leg, simulate
+    >>> legs = [Leg("stationary", duration_s=3.0), *(Leg("walking", distance_m=d, turn_rad=1.57) for d in (20.0, 10.0))]
+    >>> walk = simulate(legs, Gait(height_m=1.8), "pocket", seed=1)
+    >>> walk.truth.segments.distance_m.round(1)
+    array([ 0., 20., 10.])
     """
     if not 20.0 <= rate_hz <= 500.0:
         raise ValueError(f"rate_hz must be from 20 to 500, got {rate_hz}: steps need 20 Hz, phones give up to 500 Hz")

@@ -18,7 +18,16 @@ _MAX_STD = 1e100
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PositionFix:
-    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if that is known."""
+    """A position from elsewhere (GNSS, Wi-Fi, a waypoint) with its covariance, and the storey if that is known.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> fix = pdr.PositionFix(12.0, (3.0, 4.0), 0.5**2 * np.eye(2))  # at 12 s, 0.5 m along each axis
+    >>> there = pdr.PositionFix.from_lat_lon(12.0, 51.4779, -0.0015, (51.4777, -0.0015), accuracy_m=8.0)
+    >>> there.position_m.round()
+    array([ 0., 22.])
+    """
 
     time_s: float  # when the position was true, on the time base of the samples
     position_m: FloatArray  # (2,) east, north
@@ -81,7 +90,13 @@ class PositionFix:
 
 @dataclass(frozen=True, slots=True)
 class HeadingFix:
-    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver."""
+    """A walking heading from elsewhere: a corridor, a compass that is trusted, the course of a GNSS receiver.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> corridor = pdr.HeadingFix(12.0, walking_heading_rad=np.pi / 2, std_rad=0.05)
+    """
 
     time_s: float  # when it was true, on the time base of the samples
     walking_heading_rad: float  # clockwise from the track's north, any number of turns
@@ -99,7 +114,14 @@ class HeadingFix:
 
 @dataclass(frozen=True, slots=True)
 class SpeedFix:
-    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale."""
+    """A walking speed from elsewhere, such as a GNSS receiver's: it teaches the person's step scale.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> pdr.SpeedFix(12.0, speed_mps=1.3, std_mps=0.1).speed_mps
+    1.3
+    """
 
     time_s: float  # when it was true, on the time base of the samples
     speed_mps: float  # over ground, positive
@@ -117,7 +139,16 @@ class SpeedFix:
 
 @dataclass(frozen=True, slots=True)
 class Standstill:
-    """The person is known to stand: steps in this time were not walked."""
+    """The person is known to stand: steps in this time were not walked.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> recording = pdr.simulate.demo_walk()
+    >>> stood = pdr.Standstill(0.0, 20.0)
+    >>> pdr.track(recording, fixes=[stood]).distance_m < pdr.track(recording).distance_m
+    True
+    """
 
     time_s: float  # begin and end, on the time base of the samples
     end_s: float

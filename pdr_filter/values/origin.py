@@ -37,6 +37,13 @@ class Origin:
     A track that was put there knows how: `turn_rad` is the true heading of the first heading, by which the frame of its
     start was turned, and the standard deviations say how well turn and shift were known then. `Track.placed` takes them
     from an origin that is given.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> origin = pdr.Origin(48.137, 11.575)
+    >>> origin.east_north_m(48.138, 11.576).round()
+    array([ 74., 111.])
     """
 
     latitude_deg: float

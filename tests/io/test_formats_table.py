@@ -1,4 +1,4 @@
-"""The table of formats in docs/formats.md is true: what each reader reads, its signs, its report, its round trip."""
+"""The tables of formats and traps in docs are true: what each reader reads, its signs, its report, its round trip."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
 ROOT = Path(__file__).parents[2]
-DOCS = (ROOT / "docs" / "formats.md").read_text(encoding="utf-8")
+DOCS = "".join((ROOT / "docs" / f"{page}.md").read_text(encoding="utf-8") for page in ("formats", "robustness"))
 
 # What the table says of the round trip, and what it means: error of a time in s, of a value relative to the largest.
 ROUND_TRIP = {

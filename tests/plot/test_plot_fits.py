@@ -11,11 +11,12 @@ from helpers import a_plan
 from matplotlib.axes import Axes
 from matplotlib.collections import PathCollection
 from matplotlib.figure import Figure
+from matplotlib.patches import Ellipse
 from scipy.stats import chi2
 from test_plot_walks import make_track
 
 from pdr_filter import evaluate, plot
-from pdr_filter.values import CONTEXTS
+from pdr_filter.values import CONTEXTS, Cluster
 
 
 def offsets(axes: Axes) -> list[np.ndarray]:
@@ -38,6 +39,21 @@ def test_a_floor_plan_lies_below_the_way(tmp_path: Path) -> None:
     np.testing.assert_allclose(np.ptp(areas[0].get_paths()[0].vertices, axis=0), [60.0, 60.0])
     assert len(areas) == 2
     assert max(area.get_zorder() for area in areas) < min(line.get_zorder() for line in axes.lines)
+
+
+def test_each_place_where_a_walk_may_have_ended_is_drawn_with_its_probability() -> None:
+    track = make_track(12, 6)
+    here = Cluster(0.62, np.array([3.0, 4.0]), np.diag([1.0, 4.0]))
+    there, hardly = Cluster(0.31, np.array([30.0, -9.0]), np.eye(2)), Cluster(0.01, np.array([90.0, 90.0]), np.eye(2))
+    axes = plot.way(replace(track, clusters=((),) * 11 + ((here, there, hardly),)))
+    first, second = (p for p in axes.patches if isinstance(p, Ellipse))
+    assert (first.get_center(), second.get_center()) == ((3.0, 4.0), (30.0, -9.0))
+    assert (first.width, first.height) == pytest.approx((2 * 2.448 * 2, 2 * 2.448), rel=1e-3)
+    assert abs(first.angle) == pytest.approx(90.0)
+    assert [t.get_text() for t in axes.texts] == ["62 %", "31 %"]
+    assert "may have ended here" in [t.get_text() for t in axes.get_legend().get_texts()]
+    alone = plot.way(replace(track, clusters=((),) * 11 + ((here,),)))
+    assert not alone.texts
 
 
 def test_every_step_length_stands_with_its_context_beside_its_median() -> None:

@@ -13,10 +13,12 @@ from browser import BROWSER, Browser
 from helpers import a_plan
 
 import pdr_filter as pdr
+from pdr_filter.cli.index_page import write_index
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import palette
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
+from pdr_filter.values import Cluster
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 
@@ -218,6 +220,25 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     assert shown(browser)["east, north"] == ", ".join(f"{v:.1f}" for v in other.position_m[-1]) + " m"
 
 
+def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
+    browser: Browser, track: Track, tmp_path: Path
+) -> None:
+    places = tuple(
+        Cluster(share, track.position_m[-1] + east_m, np.eye(2)) for share, east_m in ((0.6, 0.0), (0.3, 9.0))
+    )
+    clusters = (places[:1],) * (track.n_steps - 1) + (places,)
+    browser.open(write_report(replace(track, clusters=clusters), tmp_path / "page.html"))
+    assert browser.complaints == []
+    assert shown(browser)["places"] == "60 %, 30 %"
+    assert "#BB3333" in colours_of(browser, "#map")
+    browser.click("[name=places]")
+    assert "#BB3333" not in colours_of(browser, "#map")
+    browser.click("[name=places]")
+    scrub(browser, 30.0)
+    assert "#BB3333" not in colours_of(browser, "#map")
+    assert "places" not in shown(browser)
+
+
 def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(
     browser: Browser, track: Track, tmp_path: Path
 ) -> None:
@@ -231,6 +252,15 @@ def test_a_walk_over_storeys_has_a_profile_and_two_ways_to_colour_it(
     browser.click("#colours button")
     assert not storeys & colours_of(browser, "#map")
     assert "running" in browser.words("#colours")
+
+
+def test_the_page_of_a_folder_is_no_wider_than_a_phone(browser: Browser, track: Track, tmp_path: Path) -> None:
+    tracks = {
+        name: replace(track, name=name) for name in ("walk", "a_walk_with_a_name_that_is_longer_than_a_line_of_a_phone")
+    }
+    browser.open(write_index(tracks, {tmp_path: f"{'x' * 200}: no such file"}, tmp_path / "index.html"), width=390)
+    assert browser.value("document.documentElement.scrollWidth") <= 390
+    assert "2 tracks" in browser.words("h1")
 
 
 @pytest.mark.parametrize("scale", [0.02, 4000.0], ids=["a room", "a country"])

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import argparse
+import os
 from collections.abc import Callable
 from pathlib import Path
 
 from tests.studies.report import Study
 
-_DATA = Path(__file__).resolve().parents[3] / "shared" / "data"
+_DATA = Path(os.environ.get("PDR_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
 
 
 def run(study: Callable[[Path], Study]) -> None:

@@ -87,6 +87,16 @@ def calibrate(
     ------
     ValueError
         Nothing to calibrate with, or parameters that nothing determines; it says which and what to do.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> corridor = [pdr.simulate.Leg("walking", distance_m=30.0), pdr.simulate.Leg("stationary", duration_s=3.0)]
+    >>> walk = pdr.simulate.simulate(4 * corridor)  # its truth says that each stretch was 30 m
+    >>> calibration = pdr.calibrate(walk)
+    >>> _ = calibration.save("my_k.json")
+    >>> abs(pdr.track(walk, calibration="my_k.json").distance_m - 120) < 3
+    True
     """
     chosen = [recordings] if isinstance(recordings, Recording) else list(recordings)
     if not chosen:

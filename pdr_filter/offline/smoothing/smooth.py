@@ -135,6 +135,16 @@ def smooth(
         they are used when they came, as online. Needs no fix if there is a `start`.
     start : PositionFix or str, optional
         Where on the plan the walk begins: a place, the name of an area, or "anywhere".
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> recording = pdr.simulate.demo_walk()
+    >>> begin = pdr.PositionFix(2.0, (0.0, 0.0), 0.5**2 * np.eye(2))
+    >>> end = pdr.PositionFix(110.0, (0.0, 0.0), 0.5**2 * np.eye(2))  # it ends where it began
+    >>> smoothed = pdr.smooth(recording, [begin, end])
+    >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
+    True
     """
     if plan is not None and (loop_closures or known_headings or floor_changes or start_heading_std_rad is not None):
         raise ValueError(

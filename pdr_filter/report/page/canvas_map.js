@@ -139,11 +139,11 @@ class CanvasMap {
   }
 
   // Half axes in metres; the angle of the major one, counter-clockwise from east.
-  ellipse(place, major, minor, angle, fill, edge) {
+  ellipse(place, major, minor, angle, fill, edge, colour = "--accent") {
     const pen = this.pen, { scale } = this.view;
     pen.beginPath();
     pen.ellipse(...this.at(...place), major * scale, minor * scale, -angle, 0, 7);
-    pen.fillStyle = pen.strokeStyle = this.colour("--accent");
+    pen.fillStyle = pen.strokeStyle = this.colour(colour);
     pen.lineWidth = 1.2;
     pen.globalAlpha = fill;
     pen.fill();

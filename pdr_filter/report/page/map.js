@@ -162,8 +162,28 @@ class WayMap extends CanvasMap {
     if (major[k] !== null) this.ellipse([east[k], north[k]], major[k], minor[k], angle[k], fill, edge);
   }
 
+  // Where on the plan the walk may be, if in several places, with how probable each is.
+  paintPlaces(places) {
+    const pen = this.pen;
+    pen.setLineDash([6, 4]);
+    for (const [, east, north, ...shape] of places) this.ellipse([east, north], ...shape, 0.05, 1, "--wrong");
+    pen.setLineDash([]);
+    pen.font = "bold 13px system-ui, sans-serif";
+    pen.textAlign = "center";
+    pen.lineWidth = 4;
+    for (const [percent, east, north] of places) {
+      const [x, y] = this.at(east, north);
+      pen.strokeStyle = this.colour("--paper");
+      pen.strokeText(`${percent} %`, x, y + 26);
+      pen.fillStyle = this.colour("--wrong");
+      pen.fillText(`${percent} %`, x, y + 26);
+    }
+    pen.textAlign = "start";
+  }
+
   paintNow(track) {
     this.paintEllipse(this.row, 0.16, 0.9);
+    if (track.places && !this.hidden.has("places")) this.paintPlaces(track.places[this.row]);
     this.walker([track.east[this.row], track.north[this.row]], track.heading[this.row] * Math.PI / 180);
   }
 }

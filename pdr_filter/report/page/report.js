@@ -39,6 +39,7 @@
       ["within (95 %)", `${number(t.major[k], 1)} m`],
     ];
     if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k]}`]);
+    if (t.places?.[k].length) found.push(["places", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
     if (t.from_truth) found.push(["from the truth", `${number(t.from_truth[k], 1)} m`]);
     return found;
   }
@@ -233,8 +234,9 @@
     const list = byId("layers");
     list.replaceChildren();
     const all = { ellipses: track.ellipses.length, truth: track.truth, GPS: track.gps, plan: track.plan.length,
-      "other tracks": tracks.length > 1 };
-    const words = { ellipses: "95 % ellipses", truth: "truth, moved to fit", GPS: "locations of the phone", plan: "floor plan" };
+      places: track.places, "other tracks": tracks.length > 1 };
+    const words = { ellipses: "95 % ellipses", truth: "truth, moved to fit", GPS: "locations of the phone", plan: "floor plan",
+      places: "places where it may be" };
     for (const [name, is_there] of Object.entries(all)) {
       if (!is_there) continue;
       const box = element("label", "", element("li", "", list)), tick = document.createElement("input");
