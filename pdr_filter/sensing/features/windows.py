@@ -17,7 +17,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features import carrying, invariant, stride
 from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
-from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FloatArray
 
 # What a feature set is given of a window: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then

@@ -143,10 +143,10 @@ def in_mean_frame(
     both, turned = np.stack([force, up]), np.empty((2, *force.shape))
     for frame, start, end in zip(frames, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         np.matmul(frame, both[:, :, start:end], out=turned[:, :, start:end])
-    forces, ups = turned
-    along, right, vertical = forces - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
-    tilted = vertical / np.maximum(1.0 + ups[2], 1e-6)
-    return along - tilted * ups[0], right - tilted * ups[1]
+    ups = turned[1]
+    flat = turned[0] - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
+    tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)
+    return flat[0] - tilted * ups[0], flat[1] - tilted * ups[1]
 
 
 def harmonics(
@@ -158,11 +158,10 @@ def harmonics(
     if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
     twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
     """
-    amplitudes = np.empty((len(ends) - 1, 3, 6))
-    for of_stride, start, end in zip(amplitudes, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+    amplitudes: NDArray[np.complex128] = np.empty((len(ends) - 1, 3, 3), np.complex128)
+    for of_stride, start, end in zip(amplitudes.view(np.float64), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         np.matmul(signals[:, start:end], _waves(end - start), out=of_stride)
-    of_wave: NDArray[np.complex128] = amplitudes.view(np.complex128)
-    once, twice, four_times = of_wave[:, :, 0], of_wave[:, :, 1], of_wave[:, :, 2]
+    once, twice, four_times = amplitudes[:, :, 0], amplitudes[:, :, 1], amplitudes[:, :, 2]
     is_slow = np.diff(ends) >= _TWO_STRIDES_S * rate_hz
     is_shaken = power(twice[:, :-1]) > _SLOW_STEP_MPS2**2
     is_double = (is_slow & ((np.abs(four_times[:, -1]) > np.abs(twice[:, -1])) | is_shaken))[:, None]

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
 
-from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
+from pdr_filter.sensing.steps.step_log import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 LOG = StepLog(rate_hz=100.0, latency_s=0.8)
