@@ -10,6 +10,7 @@ from pdr_filter.values.arrays import (
     check_columns,
     check_cov,
     check_transition_prob,
+    median,
     read_only,
     table,
 )
@@ -90,6 +91,7 @@ __all__ = [
     "circular_mean",
     "heading_from_yaw",
     "loudness",
+    "median",
     "read_only",
     "received_s",
     "replace",

@@ -40,6 +40,7 @@ Limits:
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cache
 
@@ -89,8 +90,8 @@ class IrregularGate:
         of_logit, of_stillness = features[: len(self.mean)], features[len(self.mean) :]
         if (of_stillness < self.still_below).all():
             return 0.0
-        z = np.clip((of_logit - self.mean) / self.scale, -_LIMIT, _LIMIT)
-        return float(1.0 / (1.0 + np.exp(-(self.intercept + (self.weight * z).sum()))))
+        z = np.minimum(np.maximum((of_logit - self.mean) / self.scale, -_LIMIT), _LIMIT)
+        return 1.0 / (1.0 + math.exp(-(self.intercept + float((self.weight * z).sum()))))
 
 
 def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> float:

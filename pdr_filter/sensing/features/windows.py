@@ -64,13 +64,12 @@ class AttitudeFreeFeatures:
 
 def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
     swing = invariant.swing_lines(windows)
-    return np.hstack(
-        [
-            invariant.features_of(windows, swing, rate_hz),
-            carrying.features_of(windows, rate_hz),
-            stride.features_of(windows, swing, rate_hz),
-        ]
+    parts = (
+        invariant.features_of(windows, swing, rate_hz),
+        carrying.features_of(windows, rate_hz),
+        stride.features_of(windows, swing, rate_hz),
     )
+    return np.concatenate(parts, axis=1)
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
