@@ -220,9 +220,10 @@ def amplitude_of_one_period(values: FloatArray) -> float:
 
 @lru_cache(maxsize=512)
 def _one_period(n: int) -> FloatArray:
-    """Cosine and sine (n, 2) of one period in n samples."""
+    """Cosine and sine (n, 2) of one period in n samples; of one sample, which has no motion, they are zero."""
     phase = 2 * np.pi * np.arange(n) / n
-    return np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    return waves - waves.mean(axis=0)
 
 
 def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:

@@ -52,6 +52,10 @@ def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_a
     assert amplitude_of_one_period(values) == pytest.approx(1.7)
 
 
+def test_a_single_sample_has_no_amplitude() -> None:
+    assert amplitude_of_one_period(np.array([4.0])) == 0.0
+
+
 def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps() -> None:
     """A person who turns by 0.4 rad/s and sways by 0.1 rad once in a stride of 1 s."""
     t = np.arange(900) / 100
