@@ -6,6 +6,7 @@ told by physics from one that is right: a phone that is looked at would have its
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -68,10 +69,11 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
     new[:, 1], new[:, 3] = np.sqrt(squares[:, :3].sum(axis=1)), np.sqrt(squares[:, 3:].sum(axis=1))
     rows = np.concatenate([state.rows, new])
-    while len(rows) >= _WINDOW_ROWS and rows[-1, 0] - rows[0, 0] >= _WINDOW_S:
-        end = max(int(np.searchsorted(rows[:, 0], rows[0, 0] + _WINDOW_S)) + 1, _WINDOW_ROWS)
-        state, rows = _judged(state, rows[:end]), rows[end:]
-    return replace(state, rows=rows)
+    times_s, start = rows[:, 0].tolist(), 0
+    while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
+        end = max(bisect_left(times_s, times_s[start] + _WINDOW_S, lo=start) + 1, start + _WINDOW_ROWS)
+        state, start = _judged(state, rows[start:end]), end
+    return replace(state, rows=rows[start:])
 
 
 def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
