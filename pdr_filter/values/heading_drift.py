@@ -42,7 +42,7 @@ class HeadingDrift:
         """
         unknown = min(unknown_s, elapsed_s) if isinstance(unknown_s, float) else np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2
-        return (rate + besides_rad2_per_s) * (elapsed_s - unknown), self.unmeasured_rad2(unknown)
+        return np.asarray((rate + besides_rad2_per_s) * (elapsed_s - unknown)), self.unmeasured_rad2(unknown)
 
     def unmeasured_rad2(self, time_s: float | FloatArray) -> FloatArray:
         """Variance gained in a time without angular rate."""
