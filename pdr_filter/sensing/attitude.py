@@ -135,11 +135,11 @@ class AttitudeEstimator:
         quat, up, heading_rad = (
             pieces[0] if len(pieces) == 1 else [np.concatenate(c) for c in zip(*pieces, strict=True)]
         )
-        east, north, vertical = _rotate(quat, block.specific_force_mps2)
+        east, north = _horizontal(quat, block.specific_force_mps2)
         bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
         errors = np.repeat([(b.heading_error_rad, b.heading_error_var_rad2) for b in biases], lengths, axis=0)
         attitude = AttitudeBlock(
-            vertical_mps2=vertical - STANDARD_GRAVITY_MPS2,
+            vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
             horizontal_mps2=np.stack([east, north], axis=1),
             up_sensor=up,
             device_heading_rad=heading_rad,
@@ -203,7 +203,7 @@ def _follow_heading(
     if reference is None or reference_up is None:
         reference, reference_up, turned[0], start = quat[0].copy(), up[0].copy(), first_turn_rad, 1
     while start < len(quat):
-        too_far = np.flatnonzero(_dot(up[start:], reference_up[None, :]) < _MAX_TILT_COS)
+        (too_far,) = (_dot(up[start:], reference_up[None, :]) < _MAX_TILT_COS).nonzero()
         end = start + int(too_far[0]) + 1 if len(too_far) else len(quat)
         twist = _twist(quat[start:end], reference)
         turned[start] = twist[0] - twist_rad
@@ -252,18 +252,18 @@ def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
     return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
 
-def _rotate(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """East, north and up components of vectors in the sensor frame, written out so that no sum order can change."""
+def _horizontal(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """East and north of vectors in the sensor frame, written out so that no sum order can change."""
     w, x, y, z = quat.T
     a, b, c = vector.T
-    east = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-    north = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-    up = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
-    return east, north, up
+    zz, xy, wz = z * z, x * y, w * z
+    east = (1 - 2 * (y * y + zz)) * a + 2 * (xy - wz) * b + 2 * (x * z + w * y) * c
+    north = 2 * (xy + wz) * a + (1 - 2 * (x * x + zz)) * b + 2 * (y * z - w * x) * c
+    return east, north
 
 
 def _mean_rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """Mean of what `_rotate` makes of (N, 4) and (N, 3): (3,), from the mean products of q_i, q_j and v_k."""
+    """Mean (3,) of vectors (N, 3) turned by (N, 4) to east, north and up, from mean products of q_i, q_j and v_k."""
     pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
     of_pairs = (pairs.T @ vector / len(quat)).reshape(4, 4, 3).tolist()
     w, x, y, z = range(4)

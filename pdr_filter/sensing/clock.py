@@ -67,7 +67,7 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     moved[:, 0] += clock.offset_s
     steps_s = moved[:, 0] - np.concatenate([[clock.last_s], moved[:-1, 0]])
     # the very first sample has nothing to be far ahead of
-    stops = np.flatnonzero(~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s))))
+    (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
     moved = moved[: stops[0]] if len(stops) else moved
     return (replace(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
 

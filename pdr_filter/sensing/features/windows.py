@@ -115,14 +115,12 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:
             low_passed, zi = filtered(self._sos, force[None], state.zi)
-        signals = np.vstack(
+        signals = np.concatenate(
             [
-                block.angular_rate_known.astype(float),
-                force,
+                [block.angular_rate_known.astype(float), force],
                 low_passed,
-                specific_force_magnitude(block.angular_rate_radps),
-                specific_force_magnitude(block.magnetic_field_ut),
-                attitude.vertical_mps2,
+                [specific_force_magnitude(block.angular_rate_radps), specific_force_magnitude(block.magnetic_field_ut)],
+                attitude.vertical_mps2[None],
                 attitude.horizontal_mps2.T,
                 block.angular_rate_radps.T,
                 attitude.up_sensor.T,

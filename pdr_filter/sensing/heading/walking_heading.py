@@ -266,6 +266,8 @@ class WalkingHeading:
         carrying_modes: Sequence[int],
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
         """New state and steps with their walking headings, from what their strides show."""
+        if not steps:
+            return state, []
         contacts_s = (*state.contacts_s, *(step.time_s for _, step in steps))
         first = len(state.contacts_s) + 1
         samples = [

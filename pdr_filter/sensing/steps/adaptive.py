@@ -180,8 +180,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower
         response: FloatArray = np.zeros(len(frequency_hz))
-        has = np.bincount(lower, minlength=len(_BANK_HZ)).astype(bool)
-        for k in np.flatnonzero(has | np.roll(has, 1)).tolist():
+        n_uses = np.bincount(lower, minlength=len(_BANK_HZ)) + np.bincount(lower + 1, minlength=len(_BANK_HZ))
+        for k in n_uses.nonzero()[0].tolist():
             kernel = self._bank[k]
             half = len(kernel) // 2
             first = self._n_before - half
