@@ -9,9 +9,11 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Frame, PairedPoint, align, centre_weights, open_turn, that_agree, walked_var_m2
+from pdr_filter.filter.alignment import walked_var_m2
+from pdr_filter.filter.frame import Frame
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.tracker import Passage
+from pdr_filter.filter.turn import PairedPoint, agreed_turn, align, centre_weights
 from pdr_filter.filtering import Output, State
 from pdr_filter.gnss import INTERVAL_S, LocationState, position_fixes
 from pdr_filter.io.recording import Recording
@@ -67,8 +69,8 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
         finals = [update for update in whole.updates if update.is_final]
         way = _Way.of(report.first_time_s, finals, whole.passages)
         pairs = tuple(_paired(way, fix) for fix in fixes)
-        agreeing = that_agree(pairs)
-        known = replace(known, frame=_frame(pairs, agreeing, known.n_final))
+        frame = _frame(pairs, known.n_final)
+        agreeing, known = frame.agreeing, replace(known, frame=frame)
         whole.fixes.extend(
             FixResult.of(fix, last.sensing.processed_s, "turned" if pair in agreeing else "rejected")
             for fix, pair in zip(fixes, pairs, strict=True)
@@ -93,11 +95,12 @@ def _paired(way: _Way, fix: PositionFix) -> PairedPoint:
     return PairedPoint(track_m, fix.position_m, fix.var_m2, var_m2, fix.time_s, fix.correlation_s)
 
 
-def _frame(pairs: Sequence[PairedPoint], agreeing: tuple[PairedPoint, ...], n_steps: int) -> Frame:
+def _frame(pairs: tuple[PairedPoint, ...], n_steps: int) -> Frame:
+    agreeing, turn = agreed_turn(pairs)
     alignment = align(agreeing, n_steps)
     if alignment is None:
-        return Frame(is_joined=False, pairs=tuple(pairs), agreeing=agreeing, turn=open_turn(agreeing))
-    return Frame(is_joined=True, alignment=alignment)
+        return Frame(is_joined=False, pairs=pairs, agreeing=agreeing, turn=turn)
+    return Frame(is_joined=True, agreeing=agreeing, alignment=alignment)
 
 
 def _with_own_errors(updates: Sequence[StepUpdate], way: _Way, agreeing: Sequence[PairedPoint]) -> list[StepUpdate]:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, cast
 
-from pdr_filter.filter.alignment import UNKNOWN_FRAME
+from pdr_filter.filter.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.person import Person

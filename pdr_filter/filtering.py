@@ -5,12 +5,12 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
-from math import isfinite
 from operator import attrgetter
 
 import numpy as np
 
 from pdr_filter.config import Config
+from pdr_filter.counts import StepCounts, WindowCounts
 from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate
@@ -21,21 +21,17 @@ from pdr_filter.maps.particles import ParticleState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
-from pdr_filter.sensing.merging import SENSORS, Merged, MergerState, Sensor, StreamMerger
+from pdr_filter.sensing.merging import Merged, MergerState, Sensor, StreamMerger
 from pdr_filter.values import (
-    CONTEXTS,
-    HARDLY_AGREE,
     Fix,
     FixResult,
     FloatArray,
     FloorPassage,
     ImuBlock,
-    Note,
     OnPlan,
     PositionFix,
     SpeedFix,
     Standstill,
-    Step,
     received_s,
     replace,
 )
@@ -48,44 +44,6 @@ FIX_TOLERANCE_S = 1.0
 
 # Results of fixes that an app can still ask for.
 _N_LAST_FIXES = 16
-_STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
-
-
-@dataclass(frozen=True, slots=True)
-class WindowCounts:
-    """How many windows there were, and how many of them were odd."""
-
-    n: int = 0
-    without_gyroscope: int = 0
-    unknown: int = 0
-    stairs_unknown: int = 0  # of windows without climb rate in which somebody walks
-    irregular: int = 0
-
-    def plus(self, window: WindowContext) -> WindowCounts:
-        """With one window more."""
-        irregular = window.irregular_prob > 0.5 and window.prob[_STATIONARY] < 0.5
-        blind = window.stairs_unknown_share > 0.5 and window.prob[_WALKING] > 0.5 and np.isnan(window.climb_rate_mps)
-        return WindowCounts(
-            self.n + 1,
-            self.without_gyroscope + (not window.has_gyroscope),
-            self.unknown + (window.unknown_share > 0.5),
-            self.stairs_unknown + int(blind),
-            self.irregular + int(irregular),
-        )
-
-
-@dataclass(frozen=True, slots=True)
-class StepCounts:
-    """How many steps there were, and of how many the direction, or all, is doubtful."""
-
-    n: int = 0
-    untrusted: int = 0
-    quick_and_soft: int = 0
-
-    def plus(self, step: Step) -> StepCounts:
-        """With one step more."""
-        is_untrusted = isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
-        return StepCounts(self.n + 1, self.untrusted + is_untrusted, self.quick_and_soft + step.is_quick_and_soft)
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +53,8 @@ class State:
     sensing: SensingState
     tracker: TrackerState
     barometer: ClimbState
-    seen: WindowCounts = WindowCounts()
-    walked: StepCounts = StepCounts()
+    seen: WindowCounts = field(default_factory=WindowCounts)
+    walked: StepCounts = field(default_factory=StepCounts)
     height: HeightState = field(default_factory=initial_height)
     climbs: tuple[Climb, ...] = ()  # from the barometer, for windows that are still to come
     n_lost_climbs: int = 0  # that waited too long for their windows
@@ -238,10 +196,9 @@ def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
 
 def present_position(config: Config, state: State) -> tuple[FloatArray, FloatArray]:
     """Position (2,) and covariance (2, 2) after the last final step, on the floor plan if there is one."""
-    place = None if config.on_plan is None else config.on_plan.place(state.particles)
-    if place is not None:
-        return place.position_m, place.position_cov_m2
-    return pedestrian.present_position(state.tracker.pedestrian)
+    reckoned = pedestrian.present_position(state.tracker.pedestrian)
+    place = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
+    return reckoned if place is None else (place.position_m, place.position_cov_m2)
 
 
 def person_of(config: Config, state: State) -> Person | None:
@@ -250,83 +207,6 @@ def person_of(config: Config, state: State) -> Person | None:
     if session is None:
         return config.person
     return (config.person or Person()).pooled(Person((session,)))
-
-
-# The same of steps: a turn, or a door, is ten of them.
-_UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
-# Share of all windows, and number, above which it is worth saying that something is odd about them.
-_NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
-
-
-def notes_of(config: Config, state: State) -> list[Note]:
-    """What to keep in mind about the track so far: the same for a whole recording and for an app."""
-    seen = state.seen
-    notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
-    if state.finished and state.tracker.pedestrian.n_final == 0:
-        notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
-    moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
-    if moving_s:
-        words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
-        notes.append(Note("steps", words + "the phone shakes as on wheels, and no distance is counted there"))
-    of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
-    if seen.without_gyroscope:
-        words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
-        notes.append(Note("sensors", words + "there was no angular rate"))
-    if seen.unknown > notable:
-        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
-        notes.append(Note("contexts", words + "contexts are unsure there"))
-    for sensor, last_s in config.merger.silent(state.merger):
-        notes.append(Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it"))
-    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
-        if stream.n_late:
-            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
-            notes.append(Note("samples", words + "and were left out"))
-    if seen.stairs_unknown > notable:
-        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
-        notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
-    if seen.irregular > notable:
-        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
-        notes.append(Note("steps", words + "steps there may be false"))
-    if state.walked.quick_and_soft > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
-        words = (
-            f"{state.walked.quick_and_soft} of {state.walked.n} steps are as quick as running and as soft as walking, "
-        )
-        notes.append(
-            Note("steps", words + "as on the spot: lengths and directions there are worse than the covariance says")
-        )
-    if state.walked.untrusted > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
-        words = f"in {state.walked.untrusted} of {state.walked.n} steps strides do not agree on where walking leads, "
-        words += "as in a bag: the turn of the phone alone leads there"
-        notes.append(Note("heading", words))
-    notes += [*config.notes, *height.notes(state.height)]
-    if config.on_plan is not None:
-        notes += config.on_plan.notes(state.particles)
-    frame, where = state.tracker.pedestrian.frame, state.locations
-    if where.n_unusable:
-        words = (
-            f"{where.n_unusable} of {where.n} locations are not used: no place on Earth, no accuracy, or back in time"
-        )
-        notes.append(Note("fixes", words))
-    if state.finished and where.origin is not None and frame.alignment is None:
-        words = "the locations do not settle which way the track lies: its north is the most probable one"
-        notes.append(Note("fixes", words))
-    if frame.moves:
-        far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
-        words = (
-            f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
-        )
-        notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
-    if state.n_lost_climbs:
-        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
-        notes.append(Note("sensors", words + "both need one clock"))
-    if state.finished and frame.name == "north" and frame.compass is not None:
-        words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
-        notes.append(Note("heading", words))
-    if state.n_rejected_fixes:
-        notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
-    if state.finished and state.waiting_fixes:
-        notes.append(Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}"))
-    return notes
 
 
 # A window and the climb rate that it uses share at least half of their seconds.
@@ -356,8 +236,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     output.passages.extend(last.passages)
     state = _with_pressure(config, state, np.inf, output)
     known, passages = height.finish(state.height)
-    output.floor_passages.extend(passages)
-    state = replace(state, height=known)
+    state = _with_passages(config, replace(state, height=known), passages, output)
     due = [f for f in state.waiting_fixes if received_s(f) <= end_s]
     later = [f for f in state.waiting_fixes if received_s(f) > end_s]
     state = replace(state, tracker=tracker, waiting_fixes=tuple(later), finished=True)
@@ -403,8 +282,18 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
         known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
-        output.floor_passages.extend(passages)
         state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
+        state = _with_passages(config, state, passages, output)
+    return state
+
+
+def _with_passages(config: Config, state: State, passages: Sequence[FloorPassage], output: Output) -> State:
+    """State whose particles know how somebody came to other storeys, and the output with that."""
+    output.floor_passages.extend(passages)
+    if config.on_plan is not None:
+        for passage in passages:
+            particles = config.on_plan.on_passage(state.particles, passage, state.tracker.pedestrian, config.model)
+            state = replace(state, particles=particles)
     return state
 
 
@@ -415,7 +304,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         if update.is_final:
             up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
             known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
-            output.floor_passages.extend(passages)
+            state = _with_passages(config, state, passages, output)
         else:
             own = known.known
         there = {"height_m": own.height_m, "height_std_m": own.height_std_m, "floor": own.floors.floor}
@@ -423,7 +312,8 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
         if config.on_plan is not None and update.is_final:
             known_now = state.tracker.pedestrian
             state = replace(state, particles=config.on_plan.on_step(state.particles, update, known_now, config.model))
-            update = _on_plan(update, config.on_plan.place(state.particles))
+            reckoned = update.position_m, update.position_cov_m2
+            update = _on_plan(update, config.on_plan.place(state.particles, reckoned))
         output.updates.append(update)
     return replace(state, height=known, last_update=output.updates[-1]) if updates else state
 
@@ -443,9 +333,11 @@ def _on_plan(update: StepUpdate, place: OnPlan | None) -> StepUpdate:
 
 
 def _use_due_fixes(config: Config, state: State, until_s: float) -> tuple[State, list[FixResult]]:
+    if not state.waiting_fixes or due_s(config, state.waiting_fixes[0]) > until_s:
+        return state, []
     n_due = bisect_right(state.waiting_fixes, until_s, key=lambda f: due_s(config, f))
     used, due = list[FixResult](), state.waiting_fixes[:n_due]
-    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:]) if due else state
+    state = replace(state, waiting_fixes=state.waiting_fixes[n_due:])
     for fix in due:
         state, result = _use_fix(config, state, fix, until_s)
         used.append(result)

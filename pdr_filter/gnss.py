@@ -22,7 +22,7 @@ MIN_ACCURACY_M = 4.9
 # autocorrelation of a standing receiver has a bend (D. L. Wilson's twenty days of a Garmin 12XL).
 CORRELATION_S = 20.0
 # Half of it: fixes in between would hardly say more, and those that show the turn of a track are few and so reach back
-# for minutes (`filter.alignment.MAX_PAIRS`).
+# for minutes (`filter.turn.MAX_PAIRS`).
 INTERVAL_S = 10.0
 # Two locations of one moment.
 _SAME_S = 0.01
@@ -54,19 +54,18 @@ def position_fixes(
     a phone that says 0 (Android), less (iOS) or nothing does not know where it is.
     """
     fixes: list[PositionFix] = []
+    origin, last_s, n_unusable = state.origin, state.last_s, state.n_unusable
     # one by one: the bits of a vectorised sine depend on its length
-    for row in zip(time_s, latitude_deg, longitude_deg, accuracy_m, strict=True):
-        t, latitude, longitude, accuracy = (float(value) for value in row)
-        is_usable = _is_place(latitude, longitude) and 0 < accuracy < MAX_ACCURACY_M and state.last_s < t < math.inf
-        state = replace(state, n=state.n + 1, n_unusable=state.n_unusable + (not is_usable))
-        if not is_usable or t < state.last_s + interval_s:
-            continue
-        origin = state.origin or Origin(latitude, longitude)
-        std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
-        place_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
-        fixes.append(PositionFix(t, place_m, cov_m2, correlation_s=CORRELATION_S))
-        state = replace(state, origin=origin, last_s=t)
-    return state, tuple(fixes)
+    rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist()
+    for t, latitude, longitude, accuracy in rows:
+        if not _is_usable(latitude, longitude, accuracy) or not last_s < t < math.inf:
+            n_unusable += 1
+        elif t >= last_s + interval_s:
+            origin, last_s = origin or Origin(latitude, longitude), t
+            std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
+            place_m, cov_m2 = origin.east_north_m(latitude, longitude), std_m**2 * np.eye(2)
+            fixes.append(PositionFix(t, place_m, cov_m2, correlation_s=CORRELATION_S))
+    return LocationState(origin, last_s, state.n + len(rows), n_unusable), tuple(fixes)
 
 
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
@@ -87,6 +86,18 @@ def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     return tuple(found)
 
 
+def origin_of(location: Samples) -> Origin | None:
+    """The first usable place of a whole stream of locations, the zero of its fixes; None if none is usable."""
+    latitude_deg, longitude_deg, _, accuracy_m = location.values.T
+    rows = zip(
+        location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
+    )
+    for t, latitude, longitude, accuracy in rows:
+        if math.isfinite(t) and _is_usable(latitude, longitude, accuracy):
+            return Origin(latitude, longitude)
+    return None
+
+
 def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | None, tuple[PositionFix, ...]]:
     """Where the fixes of a whole stream of locations have their zero, and the fixes; None and no fix if none is usable.
 
@@ -99,6 +110,7 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
     return state.origin, fixes
 
 
-def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
-    """Whether it is one on Earth; apps write 0, 0 where they have none."""
-    return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+def _is_usable(latitude_deg: float, longitude_deg: float, accuracy_m: float) -> bool:
+    """Whether it is a place on Earth, and how well is known; apps write 0, 0 where they have none."""
+    is_place = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+    return is_place and 0 < accuracy_m < MAX_ACCURACY_M

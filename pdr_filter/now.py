@@ -13,8 +13,9 @@ from pdr_filter.config import Config
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Place
 from pdr_filter.filter.motion import HEADING_OFFSET
-from pdr_filter.filter.pedestrian import StepUpdate, own_place
-from pdr_filter.filtering import State, notes_of
+from pdr_filter.filter.pedestrian import StepUpdate, own_place, present_position
+from pdr_filter.filtering import State
+from pdr_filter.notes import notes_of
 from pdr_filter.sensing.merging import SENSORS
 from pdr_filter.sensing.steps.gate import StepGateState
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
@@ -101,7 +102,8 @@ def now(config: Config, state: State) -> Now:
         way_m = speed_mps * max(newest_s - last.step.time_s, 0.0)
         place = _further(place, way_m, device_rad - last.step.device_heading_rad)
     place = place if frame.is_joined else frame.world(place)
-    on_plan = None if config.on_plan is None else config.on_plan.place(state.particles)
+    reckoned = present_position(pedestrian)
+    on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
     if on_plan is not None:
         base = replace(own_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
         base = base if frame.is_joined else frame.world(base)

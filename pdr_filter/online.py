@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
 from pdr_filter.config import Config, on_plan
+from pdr_filter.filter import pedestrian
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
@@ -21,7 +22,6 @@ from pdr_filter.filtering import (
     arrive,
     finish,
     init,
-    notes_of,
     person_of,
     present_position,
     step,
@@ -31,6 +31,7 @@ from pdr_filter.io.limits import MIN_SAMPLES
 from pdr_filter.io.recording import Subject
 from pdr_filter.io.units import unit_of_rate, wrong_rate, wrong_time
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.notes import notes_of
 from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
@@ -256,7 +257,10 @@ class OnlineFilter:
     @property
     def on_plan(self) -> OnPlan | None:
         """Where the particles on the floor plan are, in one place or several; None before there are some."""
-        return None if self.config.on_plan is None else self.config.on_plan.place(self.state.particles)
+        if self.config.on_plan is None:
+            return None
+        reckoned = pedestrian.present_position(self.state.tracker.pedestrian)
+        return self.config.on_plan.place(self.state.particles, reckoned)
 
     @property
     def height_m(self) -> float:

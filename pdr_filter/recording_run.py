@@ -5,13 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, get_args
+from typing import TYPE_CHECKING, Literal
 
 import numpy as np
 
 from pdr_filter.aligned import aligned
 from pdr_filter.config import Config, on_plan
-from pdr_filter.filter.alignment import Frame, Place
+from pdr_filter.filter.alignment import Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
 from pdr_filter.filtering import (
@@ -22,14 +22,14 @@ from pdr_filter.filtering import (
     climb_at,
     finish,
     init,
-    notes_of,
     parts,
     person_of,
     step,
 )
-from pdr_filter.gnss import fixes_of
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.notes import notes_of
+from pdr_filter.placing import GnssUse, is_placed, uses_location, with_north
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -42,7 +42,6 @@ from pdr_filter.values import (
     CONTEXTS,
     Fix,
     FixResult,
-    HeadingFix,
     ImuBlock,
     IntArray,
     Origin,
@@ -58,9 +57,6 @@ from pdr_filter.values import (
 
 if TYPE_CHECKING:
     from pdr_filter.calibration import Calibration
-
-# What becomes of a recording's own locations.
-GnssUse = Literal["filter", "align", "off"]
 
 
 def track(
@@ -128,9 +124,9 @@ def track(
     for fix in fixes:
         check_fix(fix)
     config = on_plan(config or default_config(recording), plan, start)
-    with_location = _with_location(recording, config, fixes, gnss)
-    is_placed = _is_placed(origin, heading_rad, fixes, gnss)
-    with_location = with_location and not is_placed
+    with_location = uses_location(recording, config, fixes, gnss)
+    has_place = is_placed(origin, heading_rad, fixes, gnss)
+    with_location = with_location and not has_place
     recording, fixes = one_clock(recording, fixes)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
@@ -145,123 +141,16 @@ def track(
         config = config.with_weighting(weighting)
     if with_location:
         config = config.in_world_frame()
-    config = _with_north(config, recording, origin, heading_rad, with_location, gnss, north)
+    config = with_north(config, recording, origin, heading_rad, with_location, gnss, north)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
-    if is_placed and recording.location is not None and gnss is None:
+    if has_place and recording.location is not None and gnss is None:
         words = "the recording's own locations are not used: its place or heading was given"
         result = replace(result, notes=(*result.notes, words))
     if origin is None:
         return result if heading_rad is None else result.turned(heading_rad)
     here = Origin.of(origin)
     return result.placed(here if heading_rad is None else replace(here, turn_rad=heading_rad))
-
-
-def _is_placed(
-    origin: Origin | tuple[float, float] | None, heading_rad: float | None, fixes: Sequence[Fix], gnss: str | None
-) -> bool:
-    """Whether somebody says where the track lies or which way; ValueError for what contradicts itself."""
-    if origin is None and heading_rad is None:
-        return False
-    if gnss not in ("off", None):
-        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
-        raise ValueError(
-            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
-            "one or the other out"
-        )
-    turn_rad = None if origin is None else Origin.of(origin).turn_rad
-    if heading_rad is not None and not np.isfinite(heading_rad):
-        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
-    if heading_rad is not None and turn_rad is not None:
-        raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
-    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
-        raise ValueError(
-            f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
-            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
-        )
-    return True
-
-
-def _with_location(recording: Recording, config: Config, fixes: Sequence[Fix], gnss: str | None) -> bool:
-    """Whether the locations of a recording are used; ValueError for what contradicts itself."""
-    if gnss is not None and gnss not in get_args(GnssUse):
-        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
-    is_asked = gnss in ("filter", "align")
-    if is_asked and recording.location is None:
-        raise MissingSensorError(
-            f'{recording.name or "the recording"} has no location, got gnss="{gnss}": leave it out'
-        )
-    has_metres = config.on_plan is not None and config.on_plan.plan.origin is None
-    if is_asked and has_metres:
-        raise ValueError(
-            f'gnss="{gnss}" needs to know where on Earth the plan is, got a plan in metres: give one in longitude and '
-            "latitude, or FloorPlan.read its origin, or leave gnss out"
-        )
-    if gnss == "align" and config.on_plan is not None:
-        raise ValueError('gnss="align" turns and shifts a track that the plan has placed: give gnss="filter" or "off"')
-    own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
-    if is_asked and own_frame:
-        raise ValueError(
-            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has positions in a frame '
-            'of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
-            "pdr_filter.gnss.position_fixes)"
-        )
-    own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
-    if gnss == "align" and own_frame:
-        raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')
-    # a plan in metres has a frame of its own, too
-    own_frame |= has_metres
-    return recording.location is not None and (is_asked or (gnss is None and not own_frame))
-
-
-# Of magnetic north where nobody knows the place: root mean squares are 9.5 degrees over the twenty largest cities of
-# the world, and 15 over the globe from 55 degrees south to 65 north.
-_UNKNOWN_DECLINATION_STD_RAD = 0.2
-_YEAR_S = 365.2425 * 86400.0
-
-
-def _with_north(
-    config: Config,
-    recording: Recording,
-    origin: Origin | tuple[float, float] | None,
-    heading_rad: float | None,
-    with_location: bool,
-    gnss: str | None,
-    north: str | None,
-) -> Config:
-    """The configuration with north of the magnetometer, if it is used; ValueError for what contradicts itself."""
-    if north not in ("magnetic", "off", None):
-        raise ValueError(f'north must be "magnetic" or "off", got {north!r}')
-    where = None if origin is None else Origin.of(origin)
-    missing = [name for name in ("gyroscope", "magnetometer") if name not in recording.streams]
-    if north == "magnetic":
-        if heading_rad is not None or (where is not None and where.turn_rad is not None):
-            raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
-        if gnss == "align":
-            raise ValueError('gnss="align" and north="magnetic" both turn the track: leave one out')
-        if missing:
-            raise MissingSensorError(
-                f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave '
-                "it out"
-            )
-    by_itself = with_location and gnss != "align" and not missing and config.learns_directions
-    if north == "off" or (north is None and not by_itself):
-        return config
-    if where is None and recording.location is not None:
-        where = fixes_of(recording.location)[0]
-    if where is None:
-        return config if north is None else config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
-    epoch_s = recording.epoch_s
-    if epoch_s is None or not np.isfinite(epoch_s):
-        return config.with_magnetic_north(where.declination_rad())
-    return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
-
-
-def live_config(first: Recording, config: Config) -> Config:
-    """The configuration of `track` for a recording of which only the first seconds are known."""
-    if first.location is None:
-        return config
-    return _with_north(config.in_world_frame(), first, None, None, with_location=True, gnss=None, north=None)
 
 
 def outputs(
@@ -309,7 +198,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     if origin is not None:
         frame = frame.drawn()
         origin = frame.origin(origin)
-    updates = [_in_frame(frame, u) for u in whole.updates if u.is_final]
+    updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     is_on_plan = any(update.on_plan is not None for update in updates)
     if config.on_plan is not None:
@@ -440,16 +329,3 @@ def _whole(numbers: Sequence[int]) -> IntArray:
     array = np.array(numbers, dtype=np.int64)
     array.flags.writeable = False
     return array
-
-
-def _in_frame(frame: Frame, update: StepUpdate) -> StepUpdate:
-    """A step that was reported before the turn was settled, by what is known in the end."""
-    if update.of_start is None:
-        return update
-    place = frame.world(update.of_start)
-    return replace(
-        update,
-        position_m=read_only(place.position_m),
-        position_cov_m2=read_only(place.cov_m2),
-        walking_heading_rad=place.heading_rad,
-    )

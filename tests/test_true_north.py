@@ -11,7 +11,9 @@ from helpers import cut_randomly
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import UNKNOWN_FRAME, Alignment, Compass, PairedPoint, Place, align, open_turn
+from pdr_filter.filter.alignment import Alignment, Place
+from pdr_filter.filter.frame import UNKNOWN_FRAME
+from pdr_filter.filter.turn import Compass, PairedPoint, align, open_turn
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.simulate import Leg, simulate

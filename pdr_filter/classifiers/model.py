@@ -46,7 +46,8 @@ _MACHINE, _FAMILIARITY, _STAIRS = "machine_", "familiarity_", "stairs_"
 _LEVEL_AND_STAIRS = [CONTEXTS.index(c) for c in ("walking", "upstairs", "downstairs")]
 # Of the steps of a day: of 6,000 are ten flights of 16 up stairs, and as many down.
 _OF_A_DAY = read_only(np.array([0.94, 0.03, 0.03]))
-_THIRDS = read_only(np.full(3, 1 / 3))
+_IN_THIRDS = np.eye(len(CONTEXTS))
+_IN_THIRDS[np.ix_(_LEVEL_AND_STAIRS, _LEVEL_AND_STAIRS)] = 1 / 3
 
 # In a wheel the models are inside the package, in a checkout at the top level.
 _PACKAGE = Path(__file__).resolve().parents[1]
@@ -197,13 +198,13 @@ class ContextModel:
         return Path(folder) / f"{self.name}.npz"
 
 
-def not_told_apart(prob: FloatArray, share: FloatArray | float, division: FloatArray = _OF_A_DAY) -> FloatArray:
+def not_told_apart(prob: FloatArray, share: FloatArray) -> FloatArray:
     """Context probabilities (..., C), a share (...) of those of walking and stairs being divided as a day is."""
     if not np.any(share):
         return prob
-    share, gait = np.asarray(share)[..., None], prob[..., _LEVEL_AND_STAIRS]
+    share, gait = share[..., None], prob[..., _LEVEL_AND_STAIRS]
     result = prob.copy()
-    result[..., _LEVEL_AND_STAIRS] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * division
+    result[..., _LEVEL_AND_STAIRS] = (1 - share) * gait + share * gait.sum(axis=-1, keepdims=True) * _OF_A_DAY
     return result
 
 
@@ -212,7 +213,7 @@ def to_be_told_apart(prob: FloatArray, share: float) -> FloatArray:
 
     A day's division is a prior. As evidence, window after window, it would outvote what the other sensor measures.
     """
-    return not_told_apart(prob, share, _THIRDS)
+    return (1.0 - share) * prob + share * (prob @ _IN_THIRDS) if share else prob
 
 
 def load_model(name_or_path: str | Path) -> ContextModel:

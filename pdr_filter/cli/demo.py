@@ -15,7 +15,8 @@ from pdr_filter.cli.console import escape, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.texts import file_name
-from pdr_filter.recording_run import GnssUse, track
+from pdr_filter.placing import GnssUse
+from pdr_filter.recording_run import track
 from pdr_filter.report.html import write_report
 from pdr_filter.report.palette import context_colours
 from pdr_filter.simulate import demo_walk

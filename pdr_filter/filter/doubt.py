@@ -17,7 +17,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from pdr_filter.filter.alignment import Alignment, PairedPoint, agreement_limit, align, least_squares_error
+from pdr_filter.filter.alignment import Alignment
+from pdr_filter.filter.turn import PairedPoint, agreement_limit, align, least_squares_error
 
 # T: somebody who walks leaves a reflection behind after some tens of seconds.
 EPISODE_S = 20.0

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, PairedPoint, align, walked_var_m2
+from pdr_filter.filter.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
@@ -25,6 +25,7 @@ from pdr_filter.filter.pedestrian import (
     shared_cov,
     with_open_turn,
 )
+from pdr_filter.filter.turn import PairedPoint, align
 from pdr_filter.values import (
     Fix,
     FixOutcome,
@@ -226,7 +227,7 @@ def _on_first_positions(
     if agreeing[-1] is not pair:
         return replace(state, frame=frame), "rejected", np.inf
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass)
+    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
     state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment))

@@ -111,7 +111,29 @@ def _transitions() -> FloatArray:
 _TRANSITIONS = _transitions()
 _PRESSURE = read_only(np.array([1.0, 0.0, 1.0, 1.0]))  # what the states add up to
 _CLIMBED = read_only(np.eye(N_STATES)[CLIMBED])
-_NOT_LIFTED = [LEVEL, SLOPE, UP, DOWN, JUMP, DRIFT]
+
+
+def _entries(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatArray:
+    array = np.zeros(shape)
+    for index, value in at.items():
+        array[index] = value
+    return read_only(array)
+
+
+# Of each mode: which states last (a rate in a lift only), what a step climbs, the variances of each prediction, and
+# those that grow with its time, where nobody makes steps and where somebody does.
+_LASTS = _entries(
+    {(m, s, s): 1.0 for m in range(N_MODES) for s in range(N_STATES) if s != RATE or m == LIFT},
+    (N_MODES, N_STATES, N_STATES),
+)
+_RISEN = _entries({(UP, CLIMBED): RISER_M, (DOWN, CLIMBED): -RISER_M}, (N_MODES, N_STATES))
+_AT_ONCE = {(m, CLIMBED, CLIMBED): STAIRS_STD_M**2 for m in (UP, DOWN)} | {(JUMP, AIR, AIR): JUMP_STD_M**2}
+_BY_TIME = {(m, AIR, AIR): AIR_WALK_M**2 + (m == DRIFT) * DRIFT_M**2 for m in range(N_MODES)}
+_NOISE = _entries(_AT_ONCE, (N_MODES, N_STATES, N_STATES))
+_WALK = tuple(
+    _entries(more, (N_MODES, N_STATES, N_STATES))
+    for more in (_BY_TIME, _BY_TIME | {(SLOPE, SLOPED, SLOPED): SLOPE_MPS**2})
+)
 _STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "upstairs", "downstairs"))
 _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
 
@@ -265,7 +287,7 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     if not elapsed_s > 0:  # the first, or a clock that was set back
         elapsed_s = 1.0
     mean, cov, prob = imm.mix(known.mean, known.cov, known.prob, _TRANSITIONS)
-    _predict(mean, cov, elapsed_s, n_steps)
+    mean, cov = _predict(mean, cov, elapsed_s, n_steps)
     variance = DRAUGHT_STD_M**2 + climb.height_std_m**2
     mean, cov, log_likelihood = _measured(mean, cov, _PRESSURE, climb.height_m, variance)
     log_likelihood = log_likelihood + second.log_evidence
@@ -330,26 +352,18 @@ def _climbed(
     )
 
 
-def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) -> None:
-    """Lead mixed estimates on by a time, in place."""
-    mean[_NOT_LIFTED, RATE] = 0.0
-    cov[_NOT_LIFTED, RATE, :] = 0.0
-    cov[_NOT_LIFTED, :, RATE] = 0.0
-    cov[:, AIR, AIR] += AIR_WALK_M**2 * elapsed_s
-    if n_steps:
-        cov[SLOPE, SLOPED, SLOPED] += SLOPE_MPS**2 * elapsed_s
-    mean[UP, CLIMBED] += n_steps * RISER_M
-    mean[DOWN, CLIMBED] -= n_steps * RISER_M
-    cov[UP : DOWN + 1, CLIMBED, CLIMBED] += STAIRS_STD_M**2
-    cov[JUMP, AIR, AIR] += JUMP_STD_M**2
-    cov[DRIFT, AIR, AIR] += DRIFT_M**2 * elapsed_s
-    # x = F x, P = F P F' + Q of a rate that lasts; after a gap all heights that a lift may have come to are alike
-    elapsed_s = min(elapsed_s, LONGEST_STEP_S)
-    mean[LIFT, CLIMBED] += elapsed_s * mean[LIFT, RATE]
-    cov[LIFT, CLIMBED, :] += elapsed_s * cov[LIFT, RATE, :]
-    cov[LIFT, :, CLIMBED] += elapsed_s * cov[LIFT, :, RATE]
-    by_acceleration = LIFT_ACCELERATION_MPS2 * elapsed_s * np.array([0.5 * elapsed_s, 1.0])
-    cov[LIFT, CLIMBED : RATE + 1, CLIMBED : RATE + 1] += np.outer(by_acceleration, by_acceleration)
+def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
+    """Mixed estimates led on by a time: x = F x + n c, P = F P F' + Q."""
+    # after a gap all heights that a lift may have come to are alike
+    lifted_s = min(elapsed_s, LONGEST_STEP_S)
+    F, Q = _LASTS.copy(), _NOISE + elapsed_s * _WALK[n_steps > 0]
+    F[LIFT, CLIMBED, RATE] = lifted_s
+    to_climbed, to_rate = 0.5 * LIFT_ACCELERATION_MPS2 * lifted_s**2, LIFT_ACCELERATION_MPS2 * lifted_s
+    Q[LIFT, CLIMBED, CLIMBED] = to_climbed**2
+    Q[LIFT, CLIMBED, RATE] = Q[LIFT, RATE, CLIMBED] = to_climbed * to_rate
+    Q[LIFT, RATE, RATE] = to_rate**2
+    mean = (F @ mean[:, :, None])[:, :, 0] + n_steps * _RISEN
+    return mean, F @ cov @ F.swapaxes(1, 2) + Q
 
 
 def _measured(

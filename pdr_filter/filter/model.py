@@ -8,7 +8,7 @@ from functools import cached_property
 
 import numpy as np
 
-from pdr_filter.filter.alignment import START_FRAME, Frame
+from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
 from pdr_filter.filter.step_length import StepLengths
 from pdr_filter.filter.weighting import ModeEvidence

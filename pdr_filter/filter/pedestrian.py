@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Compass, Frame, PairedPoint, Place, moved
+from pdr_filter.filter.alignment import Alignment, Place, moved
 from pdr_filter.filter.doubt import Doubt
+from pdr_filter.filter.frame import Frame
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -23,6 +24,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
+from pdr_filter.filter.turn import Compass, PairedPoint
 from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, replace, wrap_angle
 
 # Final steps that are remembered for late fixes: half a minute of walking.
@@ -62,6 +64,18 @@ class StepUpdate:
     floor: int = 0
     # Where particles on a floor plan are; with it position, covariance and heading are theirs. None without a plan.
     on_plan: OnPlan | None = None
+
+    def in_frame(self, frame: Frame) -> StepUpdate:
+        """The step by what is known of the frame later on, if it was reported before the turn was settled."""
+        if self.of_start is None:
+            return self
+        place = frame.world(self.of_start)
+        return replace(
+            self,
+            position_m=read_only(place.position_m),
+            position_cov_m2=read_only(place.cov_m2),
+            walking_heading_rad=place.heading_rad,
+        )
 
     def to_dict(self) -> dict[str, Any]:
         """The fields as JSON has them: None for what is not finite, contexts by their names, and the step's time."""

@@ -43,6 +43,9 @@ _LETTERS = {"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD}
 _SHORTEST = 3  # letters of a word that may have something before it
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
+# Behind an axis, as in `ax_g` and `gyro_z_dps`.
+_UNIT_WORD = re.compile(r"(?<=[xyz])[_ .]+(m?g|m_?p?s_?2|m?dps|deg_?p?s|rad_?p?s|ut)$", re.IGNORECASE)
+_UNIT_OF_WORD = {"mps2": "m/s2", "ms2": "m/s2", "degps": "deg/s", "degs": "deg/s", "radps": "rad/s", "rads": "rad/s"}
 
 # Factors to the unit of the stream, by how the apps write units, without spaces and in lower case.
 _ACCELERATIONS = {
@@ -121,8 +124,9 @@ def quantity_of_file(name: str) -> tuple[str, int]:
 
 def column_of(place: int, name: str) -> Column:
     """What a name says; see the examples above."""
-    unit_found = _UNIT.search(name)
-    unit = normal_unit(unit_found[1]) if unit_found else ""
+    unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
+    unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
+    unit = _UNIT_OF_WORD.get(unit, unit)
     words = name[: unit_found.start()] if unit_found else name
     stem = letters(words)
     if stem in ("x", "y", "z"):
@@ -140,7 +144,7 @@ def column_of(place: int, name: str) -> Column:
 def is_time(name: str) -> bool:
     """Whether a name is one of a time."""
     stem = letters(_UNIT.sub("", name))
-    return stem in ("t", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
+    return stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
 
 
 def time_unit_of(name: str) -> str:

@@ -57,8 +57,12 @@ AXES = ("x", "y", "z")
 
 
 def looks_like(header: str) -> bool:
-    """Whether the header line of a CSV file is one of phyphox."""
-    return header.startswith(tuple(f"{time}{separator}" for time in (TIME, f'"{TIME}"') for separator in SEPARATORS))
+    """Whether the header line of a CSV file is one of phyphox: a time, and a column with its unit in brackets."""
+    for separator in SEPARATORS:
+        time, _, others = header.partition(separator)
+        if time.strip('"') == TIME and others:
+            return others.split(separator, 1)[0].rstrip('" ').endswith(")")
+    return False
 
 
 def read_phyphox(path: str | Path) -> Recording:

@@ -30,7 +30,7 @@ from pdr_filter.live.messages import FORCE, Message, MessageError, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.online import OnlineFilter
-from pdr_filter.recording_run import live_config
+from pdr_filter.placing import live_config
 from pdr_filter.values import FloatArray, PositionFix, Samples
 
 # A state is saved when this much has come since the last time; the journal has what is newer.

@@ -12,12 +12,23 @@ _CELL_M = 1.0
 _LEAST_SHARE = 0.01
 
 
-def on_plan(position_m: FloatArray, weight: FloatArray, heading_rad: FloatArray, elsewhere: float = 0.0) -> OnPlan:
+def on_plan(
+    position_m: FloatArray,
+    weight: FloatArray,
+    heading_rad: FloatArray,
+    elsewhere: float = 0.0,
+    there: tuple[FloatArray, FloatArray] | None = None,
+) -> OnPlan:
     """What particles at positions (N, 2), with weights (N,) that sum to one and walking headings (N,), say.
 
-    With the probability `elsewhere` the walk is where none of them is.
+    With the probability `elsewhere` the walk is where none of them is: `there`, with a mean (2,) and a covariance
+    (2, 2), if that is known; mean and covariance are then those of both.
     """
     mean, cov = moments(position_m, weight)
+    if there is not None:
+        away = there[0] - mean
+        mean, cov = mean + elsewhere * away, (1.0 - elsewhere) * cov + elsewhere * there[1]
+        mean, cov = read_only(mean), read_only(cov + elsewhere * (1.0 - elsewhere) * away[:, None] * away)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = groups(position_m)
     share = np.bincount(group, weight)

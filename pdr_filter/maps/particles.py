@@ -26,30 +26,42 @@ import numpy as np
 from numpy.random import Generator, Philox
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Compass, OpenTurn
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE
-from pdr_filter.filter.pedestrian import TRAIL_STEPS, PedestrianState, StepUpdate, shared_cov
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, shared_cov
+from pdr_filter.filter.turn import Compass
 from pdr_filter.maps.clusters import n_needed, on_plan
 from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.maps.moves import (
+    EAST,
+    N_COLUMNS,
+    NORTH,
+    OFFSET,
+    SCALE,
+    THROUGH,
+    TURN,
+    alone_cov_m2,
+    backwards,
+    led_on,
+    rotated,
+    turned,
+)
 from pdr_filter.maps.start import ANYWHERE, Start, start_of
 from pdr_filter.maps.terrain import Ground, Terrain
 from pdr_filter.values import (
     Fix,
     FixOutcome,
     FloatArray,
+    FloorPassage,
     HeadingFix,
     IntArray,
     Note,
     OnPlan,
     PositionFix,
-    Step,
     check_numbers,
     wrap_angle,
 )
 
-EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
-N_COLUMNS = 6
 # Side of the cells in which particles are counted for their number: metres, and a twelfth of a circle.
 _COUNT_M, _COUNT_RAD = 1.0, math.pi / 6
 # Particles are counted every so many steps, and whenever they are drawn again.
@@ -166,7 +178,7 @@ class ParticleFilter:
         is_first = len(state.way) == 0 or update.gap_before_s > 0
         since_s = step.duration_s if is_first else step.time_s - state.way[-1, 0]
         state, is_placed = _in_turned_frame(state, known), known.frame.is_joined or known.frame.turn is not None
-        state = replace(state, way=_led_on(state.way, step, mean_m), heading_rad=step.device_heading_rad)
+        state = replace(state, way=led_on(state.way, step, mean_m), heading_rad=step.device_heading_rad)
         if len(state.weight) == 0:
             if self.start is not None:
                 return self._from_start(state, self.start, known, model, rng, scale_std)
@@ -175,7 +187,7 @@ class ParticleFilter:
         x, from_m = state.particles.copy(), state.particles[:, :2]
         z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
         mode = np.searchsorted(prob, rng.random(n), side="right")
-        log_weight = _turned(x, step, known, model, since_s, mode, z[0])
+        log_weight = turned(x, step, known, model, since_s, mode, z[0])
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + np.sqrt(model.residual_var_m2)[mode] * z[1])
         own = model.directions
         psi = step.device_heading_rad + x[:, OFFSET]
@@ -238,7 +250,7 @@ class ParticleFilter:
             state, _ = _weighed(state, -0.5 * (error / fix.std_rad) ** 2)
         else:
             error = backwards(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
-            cov = _as_alone(fix, state.last_fix_s)
+            cov = alone_cov_m2(fix, state.last_fix_s)
             state, _ = _weighed(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
             state = replace(state, last_fix_s=fix.time_s)
         state = replace(state, parent=np.arange(len(state.weight)))
@@ -249,14 +261,35 @@ class ParticleFilter:
             return self._again(state, known, model, ground, rng, 0.0, fix.time_s)
         return self._resampled(state, rng, must_count=False)
 
+    def on_passage(
+        self, state: ParticleState, passage: FloorPassage, known: PedestrianState, model: PedestrianModel
+    ) -> ParticleState:
+        """State after somebody has come to another storey: who took a lift was in one."""
+        ground = self.ground(passage.to_floor)
+        if passage.how != "lift" or ground is None or len(state.weight) == 0 or len(state.way) == 0:
+            return state
+        rng, state = self._random(state)
+        then_m = np.array([np.interp(passage.end_s, state.way[:, 0], state.way[:, k]) for k in (1, 2)])
+        out_m = backwards(state.particles, state.way[-1, 1:3] - then_m)
+        state, _ = _weighed(state, -ground.lift_costs(out_m))
+        state = replace(state, parent=np.arange(len(state.weight)))
+        if _n_effective(state) < _LEAST_EFFECTIVE:
+            return self._again(state, known, model, ground, rng, 0.0, passage.end_s)
+        return self._resampled(state, rng, must_count=False)
+
     # --- what is known ------------------------------------------------------------------------------------------------
 
-    def place(self, state: ParticleState) -> OnPlan | None:
-        """Where the particles are; None before there are some."""
+    def place(self, state: ParticleState, reckoned: tuple[FloatArray, FloatArray]) -> OnPlan | None:
+        """Where the particles are; None before there are some.
+
+        As far as the walk is where none of them is, it is where dead reckoning says with its covariance, if that begins
+        on the plan.
+        """
         if len(state.weight) == 0:
             return None
         heading_rad = state.heading_rad + state.particles[:, OFFSET]
-        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere)
+        there = reckoned if self.start is None else None
+        return on_plan(state.particles[:, :2], state.weight, heading_rad, state.elsewhere, there)
 
     def notes(self, state: ParticleState) -> list[Note]:
         """Where the plan and the steps contradict each other, in words."""
@@ -293,8 +326,8 @@ class ParticleFilter:
         particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
         if open_turn is not None:
             open_turn = open_turn.with_compass(known.frame.compass)
-            angle_rad, at = _drawn_turns(open_turn, rng, n)
-            particles[:, :2] = _rotated(particles[:, :2], angle_rad) + open_turn.origin_m[at]
+            angle_rad, at = open_turn.samples(rng, n)
+            particles[:, :2] = rotated(particles[:, :2], angle_rad) + open_turn.origin_m[at]
             particles[:, :2] += math.sqrt(open_turn.origin_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
@@ -400,55 +433,6 @@ class ParticleFilter:
         return replace(state, particles=particles, events=events)
 
 
-def _led_on(way: FloatArray, step: Step, length_m: float) -> FloatArray:
-    heading_rad = step.device_heading_rad
-    last = way[-1, 1:3] if len(way) else np.zeros(2)
-    to = last + length_m * np.array([math.sin(heading_rad), math.cos(heading_rad)])
-    return np.concatenate([way, [[step.time_s, *to, heading_rad]]])[-TRAIL_STEPS:]
-
-
-def backwards(particles: FloatArray, since_m: FloatArray) -> FloatArray:
-    """Where particles (N, 6) were before a way (2,) in the direction of the device: each with its offset and scale."""
-    return particles[:, :2] - np.exp(particles[:, [SCALE]]) * _rotated(since_m[None], particles[:, OFFSET])
-
-
-def _rotated(vector_m: FloatArray, angle_rad: FloatArray) -> FloatArray:
-    """Vectors (N, 2) east, north turned clockwise by angles (N,)."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    east, north = vector_m.T
-    return np.column_stack([c * east + s * north, c * north - s * east])
-
-
-def _turned(
-    x: FloatArray,
-    step: Step,
-    known: PedestrianState,
-    model: PedestrianModel,
-    since_s: float,
-    mode: IntArray,
-    z: FloatArray,
-) -> FloatArray:
-    """Lead the heading offsets of particles over a step, in place; log weights (N,).
-
-    o_k = o_{k-1} + N(0, q), and strides show v = o_k + N(0, r): o_k is drawn from its distribution given v, and
-    the weight is that of v given o_{k-1}, N(o_{k-1}, q + r).
-    """
-    measured, unmeasured = model.noise.heading_drift.variances_rad2(
-        since_s, step.heading_unknown_s, step.yaw_bias_std_radps, model.directions.drift_rad2_per_s
-    )
-    q = np.minimum((measured + unmeasured + step.offset_change_std_rad**2)[mode], MAX_HEADING_VARIANCE)
-    r, log_weight = step.walking_heading_std_rad**2, np.zeros(len(x))
-    if np.isfinite(r) and step.time_s > known.first_heading_s:
-        shown = step.walking_heading_rad - step.device_heading_rad - known.first_heading_rad + x[:, TURN]
-        v = wrap_angle(shown - x[:, OFFSET])
-        gain = q / np.maximum(q + r, 1e-12)
-        log_weight = -0.5 * (v**2 / np.maximum(q + r, 1e-12) + np.log(np.maximum(q + r, 1e-12)))
-        x[:, OFFSET] += gain * v
-        q = (1.0 - gain) * q
-    x[:, OFFSET] += np.sqrt(q) * z
-    return log_weight
-
-
 def _turned_rad(known: PedestrianState) -> float:
     """By how much heading fixes and position fixes have turned the frame of the tracker's states so far."""
     frame = known.frame
@@ -473,23 +457,6 @@ def _with_compass(state: ParticleState, known: PedestrianState) -> tuple[Particl
     turn_rad = state.particles[:, TURN]
     log_weight = np.log(new.density(turn_rad)) - (0.0 if old is None else np.log(old.density(turn_rad)))
     return replace(state, compass=new), log_weight
-
-
-def _drawn_turns(open_turn: OpenTurn, rng: Generator, n: int) -> tuple[FloatArray, IntArray]:
-    """Angles (n,) of its density, at even intervals of its probability, and the index of each."""
-    n_angles = len(open_turn.prob)
-    share = (np.arange(n) + rng.random()) / n
-    at = np.minimum(np.searchsorted(np.cumsum(open_turn.prob), share), n_angles - 1)
-    angles_rad = np.linspace(-math.pi, math.pi, n_angles, endpoint=False)  # as in `filter.alignment`
-    return angles_rad[at] + (rng.random(n) - 0.5) * 2 * math.pi / n_angles, at
-
-
-def _as_alone(fix: PositionFix, last_s: float) -> FloatArray:
-    """Covariance of a fix whose error lasts: as many such fixes say together (`filter.fixes`)."""
-    if fix.correlation_s == 0 or math.isinf(last_s):
-        return fix.cov_m2
-    left = min(math.exp(-abs(fix.time_s - last_s) / fix.correlation_s), 0.999)
-    return (1 + left) / (1 - left) * fix.cov_m2
 
 
 def _weighed(state: ParticleState, log_weight: FloatArray) -> tuple[ParticleState, float]:

@@ -13,6 +13,8 @@ from pdr_filter.values import BoolArray, FloatArray, check_numbers
 
 _Field = NDArray[np.float32]
 _STEP_M = 0.7
+# How far from a lift its ride seems to end: the first step out of it, and what a track is off within a few steps.
+_BESIDE_M = 1.0
 
 
 @dataclass(frozen=True)
@@ -34,10 +36,11 @@ class Terrain:
     stay_room: float = 0.3
     stay_outside: float = 1.0
     off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
+    off_lift: float = 4.6  # of a ride in a lift somewhere else than in those that are drawn
     soft_m: float = 0.5  # how well edges are drawn
 
     def __post_init__(self) -> None:
-        check_numbers(self, zero=("wall", "room", "outside", "stay_room", "stay_outside", "off_stairs"))
+        check_numbers(self, zero=("wall", "room", "outside", "stay_room", "stay_outside", "off_stairs", "off_lift"))
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,6 +81,21 @@ class Ground:
         """Cost of being at positions (..., 2)."""
         index, inside = self.storey.index(position_m)
         return np.where(inside, self.height[index], self.terrain.outside)
+
+    @cached_property
+    def _to_lift_m(self) -> _Field:
+        """Distance of each cell from the nearest lift, flat."""
+        from scipy.ndimage import distance_transform_edt
+
+        return CELL_M * np.asarray(distance_transform_edt(self.storey.cells != LIFT), dtype=np.float32).ravel()
+
+    def lift_costs(self, position_m: FloatArray) -> FloatArray:
+        """Cost of having left a lift at positions (N, 2): that of where lifts and doors are about a metre away."""
+        if not (self.storey.cells == LIFT).any():
+            return np.zeros(len(position_m))
+        index, inside = self.storey.index(position_m)
+        away_m = np.where(inside, self._to_lift_m[index], np.inf)
+        return -np.logaddexp(-0.5 * (away_m / _BESIDE_M) ** 2, -self.terrain.off_lift)
 
     def costs(self, from_m: FloatArray, to_m: FloatArray, on_stairs: BoolArray) -> tuple[FloatArray, FloatArray]:
         """Cost of steps (N, 2) to (N, 2), and the part of it for what they went through, (N,) each.

@@ -18,7 +18,10 @@ class Cluster:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class OnPlan:
-    """What particles on a floor plan say after a step: mean and covariance of all, and where they are in groups."""
+    """What particles on a floor plan say after a step: mean and covariance of all, and where they are in groups.
+
+    Mean and covariance hold dead reckoning as well, as far as the walk may be where no particle is.
+    """
 
     position_m: FloatArray  # (2,) east, north
     position_cov_m2: FloatArray  # (2, 2)

@@ -12,8 +12,8 @@ from scipy.stats import chi2
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import PairedPoint
 from pdr_filter.filter.doubt import EPISODE_S, LOG_ODDS_BEFORE, Doubt
+from pdr_filter.filter.turn import PairedPoint
 from pdr_filter.io.recording import Recording
 from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.simulate import Leg, simulate

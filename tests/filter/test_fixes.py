@@ -12,9 +12,11 @@ from scipy.stats import chi2, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import UNKNOWN_FRAME, PairedPoint, Place, align, open_turn
+from pdr_filter.filter.alignment import Place
+from pdr_filter.filter.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.pedestrian import present_position
+from pdr_filter.filter.turn import PairedPoint, align, open_turn
 from pdr_filter.filtering import add_fixes, init
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate

@@ -16,6 +16,7 @@ import pdr_filter as pdr
 from pdr_filter.maps.clusters import groups, n_needed, on_plan
 from pdr_filter.maps.storey import FREE
 from pdr_filter.maps.terrain import Ground, Terrain
+from pdr_filter.values import FloorPassage
 
 WALK = round_the_block()
 # Two fixes a few metres apart: they say the start, and hardly the direction.
@@ -80,6 +81,17 @@ def test_two_groups_of_particles_are_two_clusters_with_their_shares() -> None:
     assert_allclose([c.share for c in doubted.clusters], [0.6, 0.2])
 
 
+def test_the_ellipse_reaches_as_far_as_the_walk_may_be_where_no_particle_is() -> None:
+    rng = np.random.default_rng(0)
+    particles, reckoned = rng.normal([0, 0], 0.5, (1000, 2)), rng.normal([6, -2], 1.5, (1000, 2))
+    there = reckoned.mean(axis=0), np.cov(reckoned.T, bias=True)
+    place = on_plan(particles, np.full(1000, 1e-3), np.zeros(1000), 0.2, there)
+    # four to one: the particles four times, and the others once
+    both = np.concatenate([*[particles] * 4, reckoned])
+    assert_allclose(place.position_m, both.mean(axis=0))
+    assert_allclose(place.position_cov_m2, np.cov(both.T, bias=True))
+
+
 def test_more_particles_are_needed_where_they_are_spread_further() -> None:
     rng = np.random.default_rng(0)
     needed = [n_needed(rng.integers(0, k, (5000, 3)), 100, 100_000) for k in (1, 3, 10)]
@@ -95,6 +107,26 @@ def test_a_step_costs_anybody_what_it_costs_on_average_over_the_storey(plan: pdr
     to_m = places + 0.7 * np.column_stack([np.sin(angle), np.cos(angle)])
     cost, _ = ground.costs(places, to_m, np.zeros(len(places), dtype=bool))
     assert_allclose(ground.of_anybody, -np.log(np.exp(-cost).mean()), rtol=0.05)
+
+
+def test_who_came_by_lift_was_in_one(tmp_path: Path) -> None:
+    lifts = [feature("lift", box(9, -1, 11, 1)), feature("lift", box(29, -1, 31, 1))]
+    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [*FEATURES, *lifts]))
+    config = pdr.recipes.default().with_plan(plan)
+    on_plan, known = config.on_plan, config.tracker.init().pedestrian
+    assert on_plan is not None
+    # a quarter of the particles in each lift, the others in the corridor, two steps after they got out to the north
+    particles = np.zeros((4000, 6))
+    particles[:, :2] = np.repeat([[10, 1.4], [30, 1.4], [20, 1.4], [5, 1.4]], 1000, axis=0)
+    way = np.array([[20.0, 0, 0, 0], [20.5, 0, 0.7, 0], [21.0, 0, 1.4, 0]])
+    before = replace(on_plan.init(), particles=particles, weight=np.full(4000, 1 / 4000), way=way)
+    by_lift = FloorPassage(5.0, 20.0, 0, 1, "lift")
+    after = on_plan.on_passage(before, by_lift, known, config.model)
+    in_lift = np.isin(after.particles[:, 0], [10, 30])
+    assert after.weight[in_lift].sum() == pytest.approx(1 / (1 + math.exp(-4.6)), abs=0.005)
+    for how in ("stairs", "unknown"):
+        same = on_plan.on_passage(before, replace(by_lift, how=how), known, config.model)
+        assert_array_equal(same.weight, before.weight)
 
 
 # --- invariances ------------------------------------------------------------------------------------------------------

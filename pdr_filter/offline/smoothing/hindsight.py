@@ -9,7 +9,8 @@ import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.filter import imm
-from pdr_filter.filter.alignment import Alignment, Frame, moved
+from pdr_filter.filter.alignment import Alignment, moved
+from pdr_filter.filter.frame import Frame
 from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.filter.motion import HEADING_OFFSET, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.filter.tracker import Passage

@@ -19,10 +19,11 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.clusters import moments
-from pdr_filter.maps.particles import EAST, NORTH, OFFSET, SCALE, ParticleFilter, ParticleState, backwards
+from pdr_filter.maps.moves import EAST, NORTH, OFFSET, SCALE, backwards
+from pdr_filter.maps.particles import ParticleFilter, ParticleState
 from pdr_filter.recording_run import collected, outputs
 from pdr_filter.tracks import Track
-from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, read_only, wrap_angle
+from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
 
 _MORE = 4
 # How well a plan shows where somebody is: edges are drawn, and kept away from, to some decimetres.
@@ -74,6 +75,11 @@ class _Remembering(ParticleFilter):
     ) -> ParticleState:
         after = super().on_fix(state, fix, outcome, known, model, floor)
         return self._remembered(after, state, is_moved=outcome == "moved")
+
+    def on_passage(
+        self, state: ParticleState, passage: FloorPassage, known: PedestrianState, model: PedestrianModel
+    ) -> ParticleState:
+        return self._remembered(super().on_passage(state, passage, known, model), state)
 
     def _remembered(
         self, after: ParticleState, before: ParticleState, is_step: bool = False, is_moved: bool = False

@@ -11,11 +11,13 @@ them, and on eight changes of storey (ipin2023) the rates on stairs are 0.2 to 0
 
 from __future__ import annotations
 
+import math
+from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers
+from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, check_numbers
 
 GAS_CONSTANT_J_PER_MOL_K = 8.314462618
 MOLAR_MASS_OF_AIR_KG_PER_MOL = 0.0289644  # dry; damp air at 20 degrees is up to 0.9 % lighter
@@ -103,58 +105,71 @@ class ClimbRate:
 
     def step(self, state: ClimbState, time_s: FloatArray, pressure_hpa: FloatArray) -> tuple[ClimbState, list[Climb]]:
         """New state and the windows that became complete, from samples (N,), N >= 0; ValueError for Pa or kPa."""
-        samples = checked_pressure(time_s, pressure_hpa)
-        kept: list[tuple[float, float]] = [(t, p) for t, p in state.samples.T.tolist()]
+        fresh = checked_pressure(time_s, pressure_hpa)
+        times, pressures = (samples.tolist() for samples in state.samples)
         due_s, behind_s, n_behind, quantum_hpa = state.due_s, state.behind_s, state.n_behind, state.quantum_hpa
-        climbs: list[Climb] = []
-        for t, p in samples.T.tolist():
-            if kept and t <= kept[-1][0]:
+        first = 0  # of the samples since a gap
+        windows: list[tuple[int, int, int, float]] = []
+        for t, p in fresh.T.tolist():
+            if len(times) > first and t <= times[-1]:
                 n_behind = n_behind + 1 if t > behind_s else 1
                 behind_s = t
                 if n_behind < _CLOCK_RESET_SAMPLES:
                     continue
-                kept = []
+                first = len(times)
             n_behind, behind_s = 0, -np.inf
-            if not kept or t - kept[-1][0] > self.max_gap_s:
-                kept, due_s = [(t, p)], t + self.window_s
+            if len(times) == first or t - times[-1] > self.max_gap_s:
+                first, due_s = len(times), t + self.window_s
+                times.append(t)
+                pressures.append(p)
                 continue
-            if p != kept[-1][1]:
-                quantum_hpa = min(quantum_hpa, abs(p - kept[-1][1]))
-            nearest_s = t + 0.5 * (t - kept[-1][0])  # until when no later sample is expected to be nearer
-            kept.append((t, p))
+            if p != pressures[-1]:
+                quantum_hpa = min(quantum_hpa, abs(p - pressures[-1]))
+            nearest_s = t + 0.5 * (t - times[-1])  # until when no later sample is expected to be nearer
+            times.append(t)
+            pressures.append(p)
             if nearest_s >= due_s:
-                due_s += self.hop_s * (np.floor((nearest_s - due_s) / self.hop_s) + 1)
-                kept = self._of_window(kept)
-                if len(kept) >= 3:
-                    climbs.append(self._fit(np.array(kept).T, quantum_hpa))
-        kept = self._of_window(kept)
-        return ClimbState(np.array(kept).reshape(-1, 2).T, float(due_s), behind_s, n_behind, quantum_hpa), climbs
+                due_s += self.hop_s * (math.floor((nearest_s - due_s) / self.hop_s) + 1)
+                start = bisect_left(times, t - self.window_s - _ROUNDING_S, lo=first)
+                last = bisect_right(times, t - self.hop_s + _ROUNDING_S, lo=first)
+                if len(times) - start >= 3:
+                    windows.append((start, last, len(times), quantum_hpa))
+        samples = np.array([times, pressures])
+        start = bisect_left(times, times[-1] - self.window_s - _ROUNDING_S, lo=first) if times else 0
+        kept = samples[:, start:].copy()
+        return ClimbState(kept, due_s, behind_s, n_behind, quantum_hpa), self._fits(samples, windows) if windows else []
 
-    def _of_window(self, samples: list[tuple[float, float]]) -> list[tuple[float, float]]:
-        """The samples of the window that ends with the last of them."""
-        return [s for s in samples if s[0] >= samples[-1][0] - self.window_s - _ROUNDING_S]
+    def _fits(self, samples: FloatArray, windows: list[tuple[int, int, int, float]]) -> list[Climb]:
+        """Climbs of windows: first sample, first of the last hop, end, and the least difference so far."""
+        starts, lasts, ends = np.array([w[:3] for w in windows]).T
+        quantum_hpa, n, n_last = np.array([w[3] for w in windows]), ends - starts, ends - lasts
+        time_s, pressure_hpa = samples[:, _ranges(starts, n)]
+        each = np.cumsum(n) - n
 
-    def _fit(self, samples: FloatArray, quantum_hpa: float) -> Climb:
-        time_s, pressure_hpa = np.ascontiguousarray(samples)
-        mean_hpa = pressure_hpa.mean()
-        height_m = -self.scale_height_m * (pressure_hpa - mean_hpa) / mean_hpa
-        from_middle_s = time_s - time_s.mean()
-        spread_s2 = (from_middle_s * from_middle_s).sum()
-        rate_mps = (from_middle_s * height_m).sum() / spread_s2
-        residual_m = height_m - rate_mps * from_middle_s
-        noise_m = self.scale_height_m * self.noise_hpa / mean_hpa
-        variance_m2 = max((residual_m * residual_m).sum() / (len(time_s) - 2), noise_m**2)
-        last_hpa = pressure_hpa[time_s > time_s[-1] - self.hop_s + _ROUNDING_S]
+        def sums(values: FloatArray) -> FloatArray:
+            return np.add.reduceat(values, each)
+
+        mean_hpa = sums(pressure_hpa) / n
+        metres_per_hpa = self.scale_height_m / mean_hpa
+        height_m = -np.repeat(metres_per_hpa, n) * (pressure_hpa - np.repeat(mean_hpa, n))
+        from_middle_s = time_s - np.repeat(sums(time_s) / n, n)
+        spread_s2 = sums(from_middle_s * from_middle_s)
+        rate_mps = sums(from_middle_s * height_m) / spread_s2
+        residual_m = height_m - np.repeat(rate_mps, n) * from_middle_s
+        noise_m = metres_per_hpa * self.noise_hpa
+        std_mps = np.sqrt(np.maximum(sums(residual_m * residual_m) / (n - 2), noise_m**2) / spread_s2)
+        last_hpa = np.add.reduceat(samples[1, _ranges(lasts, n_last)], np.cumsum(n_last) - n_last) / n_last
         # noise is of each sample, rounding of all of them alike
-        rounding_m = self.scale_height_m / mean_hpa * (quantum_hpa if quantum_hpa < np.inf else 0.0) / np.sqrt(12)
-        return Climb(
-            float(time_s[-1]),
-            float(rate_mps),
-            float(np.sqrt(variance_m2 / spread_s2)),
-            len(time_s),
-            float(-self.scale_height_m * np.log(last_hpa.mean() / STANDARD_PRESSURE_HPA)),
-            float(np.hypot(noise_m / np.sqrt(len(last_hpa)), rounding_m)),
-        )
+        rounding_m = metres_per_hpa * np.where(np.isfinite(quantum_hpa), quantum_hpa, 0.0) / math.sqrt(12)
+        end_m = -self.scale_height_m * np.log(last_hpa / STANDARD_PRESSURE_HPA)
+        end_std_m = np.hypot(noise_m / np.sqrt(n_last), rounding_m)
+        columns = (samples[0, ends - 1], rate_mps, std_mps, n, end_m, end_std_m)
+        return [Climb(*row) for row in zip(*(column.tolist() for column in columns), strict=True)]
+
+
+def _ranges(starts: IntArray, n: IntArray) -> IntArray:
+    """Indices of all ranges one after the other."""
+    return np.repeat(starts - (np.cumsum(n) - n), n) + np.arange(n.sum())
 
 
 def checked_pressure(time_s: FloatArray, pressure_hpa: FloatArray) -> FloatArray:
@@ -195,7 +210,9 @@ _STAIRS_STD_MPS = float(
     np.sqrt((RISER_M * STAIR_CADENCE_STD_HZ) ** 2 + (STAIR_CADENCE_HZ * RISER_STD_M) ** 2 + OTHER_STD_MPS**2)
 )
 _OF_STAIRS = {"upstairs": (_STAIRS_MPS, _STAIRS_STD_MPS), "downstairs": (-_STAIRS_MPS, _STAIRS_STD_MPS)}
-_MEAN_MPS, _STD_MPS = np.array([_OF_STAIRS.get(c, (0.0, OTHER_STD_MPS)) for c in CONTEXTS]).T
+_MEAN_MPS, _VAR_MPS2 = np.array(
+    [(m, std**2) for m, std in (_OF_STAIRS.get(c, (0.0, OTHER_STD_MPS)) for c in CONTEXTS)]
+).T
 
 
 def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
@@ -208,8 +225,9 @@ def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
     and must not be the only one. A rate with a large `std_mps` is no evidence.
 
     """
-    if not (np.isfinite(climb_rate_mps) and std_mps >= 0):
+    if not (math.isfinite(climb_rate_mps) and std_mps >= 0):
         raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
-    std = np.sqrt(_STD_MPS**2 + std_mps**2)
-    density = np.exp(-0.5 * ((climb_rate_mps - _MEAN_MPS) / std) ** 2) / (np.sqrt(2 * np.pi) * std)
+    var = _VAR_MPS2 + std_mps**2
+    away = climb_rate_mps - _MEAN_MPS
+    density = np.exp(-0.5 * away * away / var) / np.sqrt(2 * math.pi * var)
     return np.log((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * LIFT_MAX_MPS))

@@ -28,10 +28,10 @@ from pdr_filter.values import FloatArray, Step, replace
 _READING_S = 0.5
 # Columns of the samples that wait for a whole reading, and of readings that wait for their step.
 _FIELD, _QUAT, _KNOWN, _SAMPLE_COLUMNS = slice(0, 3), slice(3, 7), 7, 8
-_TIME, _VALUE, _ROTATION, _READING_COLUMNS = 0, slice(1, 4), slice(4, 13), 13
+_TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 # Steps become known some seconds after their contact, behind a gate most of all; no result depends on more.
 _MAX_LATENCY_S = 20.0
-_M, _B = slice(0, 3), slice(3, 6)
+_M, _B, _F = slice(0, 3), slice(3, 6), 6
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,11 +39,9 @@ class MagneticNorthState:
     """Readings that wait, and the sums of the regression."""
 
     samples: FloatArray  # (R, 8) since the last whole reading
-    readings: FloatArray  # (W, 13) mean field in the attitude's frame and mean rotation, by their last time
+    readings: FloatArray  # (W, 50) last time, and [X f]' [X f] of the mean rotation and the mean field
     n: float  # readings used, those of long ago counted less
-    squares: FloatArray  # (6, 6) sum of X' X, X = [1 R]
-    products: FloatArray  # (6,) sum of X' f
-    total_ut2: float  # sum of f' f
+    squares: FloatArray  # (7, 7) sum of [X f]' [X f], X = [1 R]
     variance_ut2: float  # of e on each axis
     used_s: float  # time of the last reading used
 
@@ -86,9 +84,7 @@ class MagneticNorth:
             samples=np.empty((0, _SAMPLE_COLUMNS)),
             readings=np.empty((0, _READING_COLUMNS)),
             n=0.0,
-            squares=np.zeros((6, 6)),
-            products=np.zeros(6),
-            total_ut2=0.0,
+            squares=np.zeros((7, 7)),
             variance_ut2=self.disturbance_ut**2,
             used_s=-math.inf,
         )
@@ -127,25 +123,20 @@ class MagneticNorth:
         """State with the readings of a step, the heading of north in the attitude's frame, and its deviation."""
         if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
             state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
-        time_s = state.readings[:, _TIME]
-        mine = (time_s > max(step.time_s - step.duration_s, state.used_s)) & (time_s <= step.time_s)
-        for row in state.readings[mine]:
-            state = self._with_reading(state, row)
+        before_s = max(step.time_s - step.duration_s, state.used_s)
+        first, end = np.searchsorted(state.readings[:, _TIME], [before_s, step.time_s], side="right").tolist()
+        if end > first:
+            state = self._with_readings(state, state.readings[first:end])
         if state.n == 0:
             return state, 0.0, math.inf
         return self._solved(state)
 
-    def _with_reading(self, state: MagneticNorthState, row: FloatArray) -> MagneticNorthState:
-        stay = math.exp((state.used_s - row[_TIME]) / self.memory_s)
-        X, f = np.column_stack([np.eye(3), row[_ROTATION].reshape(3, 3)]), row[_VALUE]
-        return replace(
-            state,
-            n=stay * state.n + 1.0,
-            squares=stay * state.squares + X.T @ X,
-            products=stay * state.products + X.T @ f,
-            total_ut2=stay * state.total_ut2 + float(f @ f),
-            used_s=float(row[_TIME]),
-        )
+    def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
+        used_s = float(readings[-1, _TIME])
+        left = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
+        stay = math.exp((state.used_s - used_s) / self.memory_s)
+        squares = stay * state.squares + (left @ readings[:, _SQUARES]).reshape(7, 7)
+        return replace(state, n=stay * state.n + float(left.sum()), squares=squares, used_s=used_s)
 
     def _solved(self, state: MagneticNorthState) -> tuple[MagneticNorthState, float, float]:
         """The regression with the variance of e so far, from whose residuals follows that of the next one.
@@ -156,24 +147,26 @@ class MagneticNorth:
         """
         c = 1.0 / math.tanh(0.5 / self.correlation_readings)
         weight = 1.0 / (c * state.variance_ut2)
-        prior = np.zeros(6)
-        prior[_M], prior[_B] = 1e-9, 1.0 / self.iron_std_ut**2  # next to nothing is known of m
-        P = np.linalg.inv(np.diag(prior) + weight * state.squares)
-        x = weight * (P @ state.products)
-        left_ut2 = state.total_ut2 - 2.0 * float(x @ state.products) + float(x @ state.squares @ x)
+        XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
+        of_m, of_b = 1e-9, 1.0 / self.iron_std_ut**2  # next to nothing is known of m
+        P = np.linalg.inv(np.diag([of_m, of_m, of_m, of_b, of_b, of_b]) + weight * XX)
+        x = weight * (P @ Xf)
+        left_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
         own = self.disturbance_readings * self.disturbance_ut**2
         # one of the independent readings went into m
         seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
         state = replace(state, variance_ut2=(own + share) / (self.disturbance_readings + seen))
         east, north = float(x[0]), float(x[1])
         psi = math.atan2(east, north)
-        u = np.array([math.cos(psi), -math.sin(psi)])
-        var = float(u @ P[:2, :2] @ u) / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
+        cosine, sine = math.cos(psi), math.sin(psi)
+        (ee, en), (_, nn) = P[:2, :2].tolist()
+        across_ut2 = cosine**2 * ee - 2.0 * cosine * sine * en + sine**2 * nn
+        var = across_ut2 / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
         return state, psi - self.declination_rad, math.sqrt(var)
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
-    """Time, mean field in the attitude's frame, and mean rotation (R, 13) of whole samples (R, size, 8)."""
+    """Time and [X f]' [X f] (R, 50) of whole samples (R, size, 8), X and f being their means."""
     w, x, y, z = np.moveaxis(samples[:, :, _QUAT], 2, 0)
     to_frame = np.array(
         [
@@ -182,5 +175,7 @@ def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
             [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
         ]
     )
-    field = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2)
-    return np.column_stack([time_s, field.T, to_frame.mean(axis=3).reshape(9, -1).T])
+    Xf = np.empty((len(samples), 3, 7))
+    Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), np.moveaxis(to_frame.mean(axis=3), 2, 0)
+    Xf[:, :, _F] = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2).T
+    return np.column_stack([time_s, (Xf.swapaxes(1, 2) @ Xf).reshape(-1, 49)])

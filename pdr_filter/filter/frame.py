@@ -1,0 +1,157 @@
+"""Which frame a track is in, and what is known of how to bring it into that of its fixes."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from pdr_filter.filter.alignment import Alignment, Place
+from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
+from pdr_filter.filter.turn import MAX_ANGLE_STD_RAD, MAX_PAIRS, Compass, OpenTurn, PairedPoint, agreed_turn
+from pdr_filter.values import Origin, wrap_angle
+
+
+@dataclass(frozen=True, eq=False)
+class Frame:
+    """Whether the track is in the frame of the fixes, and what is known of how to bring it there."""
+
+    is_joined: bool
+    since: int = 0  # steps before the heading was lost and the frame with it, zero for that of the start
+    pairs: tuple[PairedPoint, ...] = ()  # fixes until it is; where the heading was lost the place there before them
+    agreeing: tuple[PairedPoint, ...] = ()  # those of them that can all be right
+    turn: OpenTurn | None = None  # from the first of them on, as they show it
+    compass: Compass | None = None  # until it is
+    north_var_rad2: float = math.inf  # of the turn before any position fix: infinite if it may be anything
+    north: Alignment | None = None  # how a heading fix had turned the frame of the start before the position fixes
+    alignment: Alignment | None = None  # how the frame of the start became that of the fixes
+    later: tuple[Alignment, ...] = ()  # how frames after a lost heading became it, and how fixes moved the track
+
+    @property
+    def moves(self) -> tuple[Alignment, ...]:
+        """How fixes moved the track, each from its step on (`doubt`)."""
+        return tuple(turn for turn in self.later if turn.since == turn.n_steps)
+
+    @property
+    def turn_var_rad2(self) -> float:
+        """Variance of a turn that is not in the filter's states: of a frame that is joined, none."""
+        if self.is_joined:
+            return 0.0
+        known = self._open
+        return known.angle_var_rad2 if known else 0.0 if self.compass is None else self.compass.std_rad**2
+
+    @property
+    def is_known(self) -> bool:
+        """Whether positions are in the frame of fixes, be the turn settled or not."""
+        return self.turn is not None or self.alignment is not None
+
+    @property
+    def name(self) -> str:
+        """Which one positions are in: that of the "fixes", that of the start with true "north", or of the "start"."""
+        if self.is_known:
+            return "fixes"
+        return "start" if self.compass is None else "north"
+
+    @cached_property
+    def _open(self) -> OpenTurn | None:
+        """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
+        return None if self.turn is None else self.turn.with_compass(self.compass)
+
+    def world(self, place: Place) -> Place:
+        """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
+        for turn in (self.north, self.alignment, *self.later):
+            if turn is not None and turn.turns(place):
+                place = turn.world(place)
+        if self.is_joined or place.n_steps < self.since:
+            return place
+        if self._open is not None:
+            return self._open.world(place)
+        if self.compass is None:
+            return place
+        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
+        about_start = Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
+        return about_start.world(place)
+
+    def origin(self, place: Origin) -> Origin:
+        """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
+
+        The turn is that of the frame of the start, a heading fix before them included.
+        """
+        before_rad = 0.0 if self.north is None else self.north.angle_rad
+        known = self.alignment or self._open
+        if known is None:
+            return place
+        var_m2 = known.centre_var_m2 if isinstance(known, Alignment) else known.origin_var_m2
+        return replace(
+            place,
+            turn_rad=float(wrap_angle(before_rad + known.angle_rad)),
+            turn_std_rad=math.sqrt(known.angle_var_rad2),
+            position_std_m=math.sqrt(var_m2),
+        )
+
+    def drawn(self) -> Frame:
+        """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
+        if self._open is None:
+            return self
+        return replace(self, turn=self._open.most_probable(), compass=None)
+
+    def with_pair(self, pair: PairedPoint) -> Frame:
+        """With one more pair: the first of them and the latest are kept."""
+        pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
+        return replace(self, pairs=pairs)._turned()
+
+    def _turned(self) -> Frame:
+        """With what the pairs say of the turn."""
+        if not self.pairs:
+            return self
+        agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2)
+        return replace(self, agreeing=agreeing, turn=turn)
+
+    def with_north(self, north: Alignment) -> Frame:
+        """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
+        known = replace(self, compass=None, north_var_rad2=north.angle_var_rad2)
+        known = replace(known, later=(*self.later, north)) if self.since else replace(known, north=north)
+        return known._turned()
+
+    def with_compass(self, compass: Compass) -> Frame:
+        """With what the magnetic field says by now; a heading fix knows better."""
+        return replace(self, compass=compass) if self.is_open else self
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether fixes and compass leave little doubt of the turn."""
+        return self._open is not None and self._open.is_narrow
+
+    @property
+    def is_open(self) -> bool:
+        """Whether nothing but positions and the magnetic field has settled the turn."""
+        return not self.is_joined and self.north_var_rad2 > MAX_ANGLE_STD_RAD**2
+
+    def joined(self, alignment: Alignment) -> Frame:
+        """With the turn settled."""
+        frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
+        if self.since == 0:
+            return replace(frame, alignment=alignment)
+        return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
+
+    def opened(self, pair: PairedPoint, turn_var_rad2: float, n_steps: int) -> Frame:
+        """With the turn open again from the place of a pair on, where the heading was lost."""
+        var = turn_var_rad2 if turn_var_rad2 < MAX_HEADING_VARIANCE else math.inf
+        return replace(self, is_joined=False, since=n_steps, pairs=(pair,), north_var_rad2=var)._turned()
+
+    def most_probable(self, n_steps: int) -> Alignment:
+        """The alignment of a turn that stays open, for what comes after."""
+        assert self._open is not None
+        return self._open.alignment(self.agreeing, n_steps)
+
+    def moved(self, alignment: Alignment) -> Frame:
+        """With the places of the track moved."""
+        return replace(self, pairs=tuple(pair.moved(alignment) for pair in self.pairs))._turned()
+
+
+START_FRAME = Frame(is_joined=True)
+
+
+UNKNOWN_FRAME = Frame(is_joined=False)

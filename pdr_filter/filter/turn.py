@@ -1,0 +1,295 @@
+"""The turn from the frame in which a track starts to that of its position fixes, while it is open and as it settles.
+
+Dead reckoning knows neither where it starts nor which way is north. The first fix shows where it is. The turn is
+anything then, and a density over all turns, which the fixes that follow narrow: the likelihood of a turn is that of
+what it leaves between the fixes and the track, whose errors grow as the filter says. Positions are the mean and the
+covariance over that density, so that they are in the frame of the fixes from the first one on. A density that has
+become narrow is a rotation with a standard deviation, in which the filter is linear: the track goes over into the frame
+of the fixes (least squares as in W. Kabsch, "A solution for the best rotation to relate two sets of vectors", Acta
+Cryst. A32, 1976, in the plane). Where the heading is lost later on, in a time without samples, the turn is open again
+from there on, about the place where the track was.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.random import Generator
+
+from pdr_filter.filter.alignment import EYE, Alignment, Place, turned_cov
+from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
+from pdr_filter.values import FloatArray, IntArray, read_only, wrap_angle
+
+# A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
+MAX_ANGLE_STD_RAD = 0.26
+
+
+# Fixes that are remembered for it; of more, the first and the last ones.
+MAX_PAIRS = 24
+
+
+_ANGLES_RAD: FloatArray = np.linspace(-np.pi, np.pi, 120, endpoint=False)
+
+
+_TURNS = np.exp(1j * _ANGLES_RAD)
+
+
+# One in so many good sets of fixes loses one of them.
+_DISAGREE_PROB = 1e-3
+
+
+_APART = 10.0
+
+
+# How often a compass points anywhere: a phone that is held across, a magnet in its case. It did in 1 of 102 recordings,
+# where somebody ran with the phone in his hand (tests/benchmarks/absolute_heading.py), 1 in 21 at most. With so
+# much doubt no compass alone settles a turn.
+_ASTRAY_PROB = 0.05
+
+
+_ASTRAY_DENSITY = _ASTRAY_PROB / (2.0 * math.pi)
+
+
+def _rotations(angle_rad: FloatArray) -> FloatArray:
+    """R (A, 2, 2) for columns east, north, clockwise."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
+
+
+_ROTATIONS = _rotations(_ANGLES_RAD)
+
+
+_TURNED_TWICE = _TURNS.conj() ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class PairedPoint:
+    """A fix, and where the track was at its time."""
+
+    track_m: FloatArray  # (2,)
+    world_m: FloatArray  # (2,)
+    var_m2: float  # of the fix, mean of both axes
+    walked_var_m2: float = 0.0  # of the track since its start, but for its heading: it only grows
+    time_s: float = 0.0
+    correlation_s: float = 0.0  # of the errors of fixes, see `PositionFix`
+
+    def moved(self, alignment: Alignment) -> PairedPoint:
+        """With the place of the track moved."""
+        return replace(self, track_m=read_only(alignment.positions(self.track_m)))
+
+
+@dataclass(frozen=True, slots=True)
+class Compass:
+    """What the magnetic field says of the turn from the frame of the start to true north."""
+
+    angle_rad: float
+    var_rad2: float
+
+    @property
+    def std_rad(self) -> float:
+        """Standard deviation where it does not point anywhere; that of a uniform angle at most."""
+        return math.sqrt(min(self.var_rad2, MAX_HEADING_VARIANCE))
+
+    def density(self, angle_rad: FloatArray) -> FloatArray:
+        """Density at turns (A,): normal, but for the compasses that point anywhere."""
+        away = wrap_angle(angle_rad - self.angle_rad)
+        peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
+        return peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_DENSITY
+
+    def weighed(self, angle_rad: float) -> tuple[float, float]:
+        """Information about a turn near an angle, and by how much the angle is too large for it."""
+        astray_prob = _ASTRAY_DENSITY / float(self.density(np.array(angle_rad)))
+        return (1.0 - astray_prob) / self.var_rad2, float(wrap_angle(angle_rad - self.angle_rad))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class OpenTurn:
+    """What is known of a turn that is not settled: a probability for each angle, and where the track's origin is."""
+
+    prob: FloatArray  # (A,) of `_ANGLES_RAD`
+    origin_m: FloatArray  # (A, 2) in the world
+    origin_var_m2: float
+    drawn: int | None = None  # the one turn under which places are reported, with mean squares about them; else means
+
+    @property
+    def direction(self) -> complex:
+        """Mean of e^(i angle): as long as the turn is sure."""
+        return complex(self.prob @ _TURNS)
+
+    def with_compass(self, compass: Compass | None) -> OpenTurn:
+        """The density with what a compass says."""
+        if compass is None:
+            return self
+        prob = self.prob * compass.density(_ANGLES_RAD)
+        return OpenTurn(prob / prob.sum(), self.origin_m, self.origin_var_m2, self.drawn)
+
+    @property
+    def is_narrow(self) -> bool:
+        """Whether the density is so narrow that it is a rotation."""
+        length = min(max(abs(self.direction), 1e-12), 1.0)
+        return -2.0 * math.log(length) <= MAX_ANGLE_STD_RAD**2
+
+    @property
+    def angle_rad(self) -> float:
+        """The turn under which places are reported, or the mean direction."""
+        return cmath.phase(self.direction) if self.drawn is None else float(_ANGLES_RAD[self.drawn])
+
+    @property
+    def angle_var_rad2(self) -> float:
+        """Mean square of the turn about that."""
+        return float(self.prob @ wrap_angle(_ANGLES_RAD - self.angle_rad) ** 2)
+
+    @property
+    def _best(self) -> int:
+        """Index of the most probable turn; of equal ones, as all are after one fix but for rounding, the smallest."""
+        return int(np.argmax(self.prob - 1e-9 * np.abs(_ANGLES_RAD)))
+
+    def most_probable(self) -> OpenTurn:
+        """The same with places reported under the most probable turn."""
+        return replace(self, drawn=self._best)
+
+    def alignment(self, pairs: Sequence[PairedPoint], n_steps: int) -> Alignment:
+        """The most probable turn about the centre of the pairs that show it, as if it were settled."""
+        best, of_each = self._best, centre_weights(pairs)
+        drawn, centre_m = self.most_probable(), of_each @ np.array([p.track_m for p in pairs])
+        world_m = _ROTATIONS[best] @ centre_m + self.origin_m[best]
+        return Alignment(drawn.angle_rad, drawn.angle_var_rad2, centre_m, world_m, self.origin_var_m2, n_steps)
+
+    def samples(self, rng: Generator, n: int) -> tuple[FloatArray, IntArray]:
+        """Angles (n,), at even intervals of the probability, and the index of each."""
+        share = (np.arange(n) + rng.random()) / n
+        at = np.minimum(np.searchsorted(np.cumsum(self.prob), share), len(self.prob) - 1)
+        return _ANGLES_RAD[at] + (rng.random(n) - 0.5) * 2 * math.pi / len(self.prob), at
+
+    def world(self, place: Place) -> Place:
+        """A place in the world: mean and covariance over all turns."""
+        each = _ROTATIONS @ place.position_m + self.origin_m
+        reported = self.prob @ each if self.drawn is None else each[self.drawn]
+        away = each - reported
+        cov = turned_cov(place.cov_m2, complex(self.prob @ _TURNED_TWICE)) + self.origin_var_m2 * EYE
+        cov += (self.prob[:, None] * away).T @ away
+        return Place(reported, cov, place.heading_rad + self.angle_rad, place.n_steps)
+
+
+class _Fit(NamedTuple):
+    """Pairs in the frame of the start, less the shift that fits each turn best; both axes are alike."""
+
+    pairs: tuple[PairedPoint, ...]
+    projected: FloatArray  # (N, N) inverse covariance of the errors along one axis with the best shift taken off
+    of_each: FloatArray  # (N,) how much each counts in the best shift: one in sum
+    shift_var_m2: float
+    track: FloatArray  # (N, 2)
+    away: FloatArray  # (A, N, 2) of the fixes turned back by each of `_ANGLES_RAD`
+    squares: FloatArray  # (A,) of the errors over their covariance, what is known of the north among them
+
+
+def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
+    """Errors of the fixes are alike as the fixes say; those of the track are shared by all that came after them."""
+    walked = np.array([p.walked_var_m2 for p in pairs])
+    shared = np.minimum(walked[:, None], walked) - walked.min()
+    weight = np.linalg.inv(_fix_cov(pairs) + shared)
+    of_each = weight.sum(axis=0)
+    information = float(of_each.sum())
+    projected = weight - of_each[:, None] * of_each / information
+    track_m = np.array([p.track_m for p in pairs])
+    away = _turned_back(pairs, _ROTATIONS) - track_m
+    squares = ((projected @ away) * away).sum(axis=(1, 2)) + _ANGLES_RAD**2 / north_var_rad2
+    return _Fit(tuple(pairs), projected, of_each / information, 1.0 / information, track_m, away, squares)
+
+
+def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """Covariance (N, N) of the errors of fixes along one axis."""
+    std, time_s = np.sqrt([p.var_m2 for p in pairs]), np.array([p.time_s for p in pairs])
+    correlation_s = np.array([p.correlation_s for p in pairs])
+    alike_s = np.minimum(correlation_s[:, None], correlation_s)
+    apart_s = np.abs(time_s[:, None] - time_s)
+    alike = np.exp(-apart_s / np.maximum(alike_s, 1e-9)) * (alike_s > 0)
+    np.fill_diagonal(alike, 1.0)
+    return std[:, None] * std * alike
+
+
+def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
+    """The density of the turn that some pairs show, one at least."""
+    return _open_turn(_fitted(pairs, north_var_rad2))
+
+
+def _open_turn(fit: _Fit) -> OpenTurn:
+    prob = np.exp(-0.5 * (fit.squares - fit.squares.min()))
+    origin_m = (_ROTATIONS @ (fit.of_each @ fit.away)[:, :, None])[:, :, 0]
+    return OpenTurn(prob / prob.sum(), origin_m, fit.shift_var_m2)
+
+
+def align(
+    pairs: Sequence[PairedPoint], n_steps: int, north_var_rad2: float = math.inf, compass: Compass | None = None
+) -> Alignment | None:
+    """The alignment that the pairs show, or None while they leave the turn open.
+
+    From the most probable turn of the density by Gauss-Newton; with e_i the fixes turned back into the frame of the
+    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre. A compass
+    counts with the probability that it does not point anywhere.
+    """
+    fit = _fitted(pairs, north_var_rad2)
+    turn = _open_turn(fit).with_compass(compass)
+    if not turn.is_narrow:
+        return None
+    angle_rad, information = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0
+    for _ in range(5):
+        back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
+        slope = np.stack([-back[:, 1], back[:, 0]], axis=1)
+        of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
+        of_fixes = fit.projected @ slope
+        information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
+        pull = float((of_fixes * (back - fit.track)).sum()) + angle_rad / north_var_rad2
+        angle_rad -= (pull + of_compass * too_large_rad) / information
+    centre_m, world_m = fit.of_each @ fit.track, fit.of_each @ np.array([p.world_m for p in pairs])
+    return Alignment(angle_rad, 1.0 / information, centre_m, world_m, fit.shift_var_m2, n_steps)
+
+
+def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
+    """How much each of the pairs counts in the centre of their alignment, (N,): one in sum."""
+    return _fitted(pairs, math.inf).of_each
+
+
+def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
+    """Sum of squared errors over their covariance that the best shift and turn leave, chi-square distributed."""
+    return float(_fitted(pairs, north_var_rad2).squares.min())
+
+
+def agreement_limit(n_free: int) -> float:
+    """Chi-square that one in a thousand sets of good fixes exceeds."""
+    from scipy.special import chdtri  # which takes as long to load as all the rest of a filter
+
+    return float(chdtri(n_free, _DISAGREE_PROB)) if n_free > 0 else math.inf
+
+
+def agreed_turn(
+    pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf
+) -> tuple[tuple[PairedPoint, ...], OpenTurn]:
+    """The pairs that can all be right, and the density of the turn that they show.
+
+    As long as they cannot, the one is left out that costs the others most. Of two or three none is in the minority:
+    they must be ten standard deviations apart.
+    """
+    fit = _agreeing(pairs, north_var_rad2)
+    return fit.pairs, _open_turn(fit)
+
+
+def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> _Fit:
+    fit = _fitted(pairs, north_var_rad2)
+    while (n := len(fit.pairs)) > 1:
+        limit = agreement_limit(2 * n - 3) if n > 3 else _APART**2
+        if fit.squares.min() <= limit:
+            break
+        others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n))
+        fit = min((_fitted(some, north_var_rad2) for some in others), key=lambda some: some.squares.min())
+    return fit
+
+
+def _turned_back(pairs: Sequence[PairedPoint], rotations: FloatArray) -> FloatArray:
+    """The fixes turned back by each rotation, (A, N, 2)."""
+    return np.array([p.world_m for p in pairs]) @ rotations

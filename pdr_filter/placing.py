@@ -1,0 +1,125 @@
+"""Which frame a recording's track is in: what is used of its locations, of a given place and of the magnetic field."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Literal, get_args
+
+import numpy as np
+
+from pdr_filter.config import Config
+from pdr_filter.gnss import origin_of
+from pdr_filter.io.recording import MissingSensorError, Recording
+from pdr_filter.values import Fix, HeadingFix, Origin, PositionFix
+
+# What becomes of a recording's own locations.
+GnssUse = Literal["filter", "align", "off"]
+
+
+def is_placed(
+    origin: Origin | tuple[float, float] | None, heading_rad: float | None, fixes: Sequence[Fix], gnss: str | None
+) -> bool:
+    """Whether somebody says where the track lies or which way; ValueError for what contradicts itself."""
+    if origin is None and heading_rad is None:
+        return False
+    if gnss not in ("off", None):
+        given = " and ".join(n for n, v in (("origin", origin), ("heading_rad", heading_rad)) if v is not None)
+        raise ValueError(
+            f'gnss="{gnss}" takes place and north from the recording\'s locations, and {given} says them too: leave '
+            "one or the other out"
+        )
+    turn_rad = None if origin is None else Origin.of(origin).turn_rad
+    if heading_rad is not None and not np.isfinite(heading_rad):
+        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
+    if heading_rad is not None and turn_rad is not None:
+        raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
+    if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):
+        raise ValueError(
+            f"heading_rad turns a track in the frame of its start, got {heading_rad} beside fixes in a frame of their "
+            "own: leave it out, and turn the result with Track.turned if that frame does not have true north"
+        )
+    return True
+
+
+def uses_location(recording: Recording, config: Config, fixes: Sequence[Fix], gnss: str | None) -> bool:
+    """Whether the locations of a recording are used; ValueError for what contradicts itself."""
+    if gnss is not None and gnss not in get_args(GnssUse):
+        raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
+    is_asked = gnss in ("filter", "align")
+    if is_asked and recording.location is None:
+        raise MissingSensorError(
+            f'{recording.name or "the recording"} has no location, got gnss="{gnss}": leave it out'
+        )
+    has_metres = config.on_plan is not None and config.on_plan.plan.origin is None
+    if is_asked and has_metres:
+        raise ValueError(
+            f'gnss="{gnss}" needs to know where on Earth the plan is, got a plan in metres: give one in longitude and '
+            "latitude, or FloorPlan.read its origin, or leave gnss out"
+        )
+    if gnss == "align" and config.on_plan is not None:
+        raise ValueError('gnss="align" turns and shifts a track that the plan has placed: give gnss="filter" or "off"')
+    own_frame = any(isinstance(fix, PositionFix) for fix in fixes)
+    if is_asked and own_frame:
+        raise ValueError(
+            f'gnss="{gnss}" makes the first location of the recording the origin, and fixes has positions in a frame '
+            'of their own: leave one of them out, or give gnss="off" and the locations among the fixes (see '
+            "pdr_filter.gnss.position_fixes)"
+        )
+    own_frame |= any(isinstance(fix, HeadingFix) for fix in fixes)
+    if gnss == "align" and own_frame:
+        raise ValueError('gnss="align" finds the turn of the whole track, got a HeadingFix: leave one of them out')
+    # a plan in metres has a frame of its own, too
+    own_frame |= has_metres
+    return recording.location is not None and (is_asked or (gnss is None and not own_frame))
+
+
+# Of magnetic north where nobody knows the place: root mean squares are 9.5 degrees over the twenty largest cities of
+# the world, and 15 over the globe from 55 degrees south to 65 north.
+_UNKNOWN_DECLINATION_STD_RAD = 0.2
+
+
+_YEAR_S = 365.2425 * 86400.0
+
+
+def with_north(
+    config: Config,
+    recording: Recording,
+    origin: Origin | tuple[float, float] | None,
+    heading_rad: float | None,
+    with_location: bool,
+    gnss: str | None,
+    north: str | None,
+) -> Config:
+    """The configuration with north of the magnetometer, if it is used; ValueError for what contradicts itself."""
+    if north not in ("magnetic", "off", None):
+        raise ValueError(f'north must be "magnetic" or "off", got {north!r}')
+    where = None if origin is None else Origin.of(origin)
+    missing = [name for name in ("gyroscope", "magnetometer") if name not in recording.streams]
+    if north == "magnetic":
+        if heading_rad is not None or (where is not None and where.turn_rad is not None):
+            raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
+        if gnss == "align":
+            raise ValueError('gnss="align" and north="magnetic" both turn the track: leave one out')
+        if missing:
+            raise MissingSensorError(
+                f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave '
+                "it out"
+            )
+    by_itself = with_location and gnss != "align" and not missing and config.learns_directions
+    if north == "off" or (north is None and not by_itself):
+        return config
+    if where is None and recording.location is not None:
+        where = origin_of(recording.location)
+    if where is None:
+        return config if north is None else config.with_magnetic_north(0.0, _UNKNOWN_DECLINATION_STD_RAD)
+    epoch_s = recording.epoch_s
+    if epoch_s is None or not np.isfinite(epoch_s):
+        return config.with_magnetic_north(where.declination_rad())
+    return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
+
+
+def live_config(first: Recording, config: Config) -> Config:
+    """The configuration of `track` for a recording of which only the first seconds are known."""
+    if first.location is None:
+        return config
+    return with_north(config.in_world_frame(), first, None, None, with_location=True, gnss=None, north=None)

@@ -1,0 +1,39 @@
+"""What the name of a column says: quantity, axis and unit."""
+
+from __future__ import annotations
+
+import pytest
+
+from pdr_filter.io.columns import column_of, is_time
+from pdr_filter.io.phyphox import looks_like
+
+
+@pytest.mark.parametrize(
+    ("name", "quantity", "axis", "unit"),
+    [
+        ("ax_g", "acceleration", "x", "g"),
+        ("gz_dps", "gyroscope", "z", "dps"),
+        ("acc_y_mps2", "acceleration", "y", "m/s2"),
+        ("acc.y.m_s2", "acceleration", "y", "m/s2"),
+        ("gyro_x_rad_s", "gyroscope", "x", "rad/s"),
+        ("Gyro Y degps", "gyroscope", "y", "deg/s"),
+        ("mag_z_uT", "magnetometer", "z", "ut"),
+        ("accX", "acceleration", "x", ""),
+        ("gFx", "acceleration", "x", "g"),
+    ],
+)
+def test_a_unit_behind_the_axis_is_that_of_the_column(name: str, quantity: str, axis: str, unit: str) -> None:
+    column = column_of(0, name)
+    assert (column.quantity, column.axis, column.unit) == (quantity, axis, unit)
+
+
+@pytest.mark.parametrize("name", ["ts", "t", "timestamp_ms", "elapsed"])
+def test_short_names_of_a_time_are_known(name: str) -> None:
+    assert is_time(name)
+
+
+def test_a_table_whose_columns_have_no_units_is_not_one_of_phyphox() -> None:
+    assert looks_like('"Time (s)";"Beschleunigung x (m/s^2)"')
+    assert looks_like("Time (s),Acceleration x (m/s^2),Acceleration y (m/s^2)")
+    # Physics Toolbox with several sensors at once
+    assert not looks_like("Time (s),gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)")
