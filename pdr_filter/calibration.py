@@ -16,7 +16,7 @@ from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
-from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, check_columns, check_cov, read_only, table
+from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, check_columns, check_cov, how_many, read_only, table
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -237,7 +237,7 @@ class Calibration:
         """Whose parameters are used, in words."""
         name, asked = self.person_of(subject), subject.id if subject else None
         n_people = len(self.subject_ids)
-        of_all = f"of the calibrated population ({n_people} {'person' if n_people == 1 else 'people'})"
+        of_all = f"of the calibrated population ({how_many(n_people, 'person', 'people')})"
         if asked is not None:
             return f"of {asked}" if name else f"{of_all}, as {asked} was not calibrated"
         if name is None:
@@ -292,7 +292,7 @@ class Calibration:
         rows, n_people = self.segments, len(self.subject_ids)
         lines = [
             f"{len(rows)} segments, {rows.distance_m.sum():.0f} m, {len(set(rows.recording))} recordings, "
-            f"{n_people} {'person' if n_people == 1 else 'people'}",
+            + how_many(n_people, "person", "people"),
             "",
             f"{'context':<12}{'segments':>9}  {'model':<28}{'population: k +- std (people differ by)'}",
         ]

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
 from pdr_filter.config import Config
+from pdr_filter.counts import StepCounts, WindowCounts
 from pdr_filter.filter import height
 from pdr_filter.filtering import State
 from pdr_filter.sensing.merging import SENSORS
-from pdr_filter.values import Note
+from pdr_filter.values import Note, how_many
 
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
@@ -18,70 +21,81 @@ _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
 
 def notes_of(config: Config, state: State) -> list[Note]:
     """What to keep in mind about the track so far: the same for a whole recording and for an app."""
-    seen = state.seen
     notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
-    moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
-    if moving_s:
-        words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
-        notes.append(Note("steps", words + "the phone shakes as on wheels, and no distance is counted there"))
-    of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
-    if seen.without_gyroscope:
-        words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
-        notes.append(Note("sensors", words + "there was no angular rate"))
-    if seen.unknown > notable:
-        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
-        notes.append(Note("contexts", words + "contexts are unsure there"))
-    for sensor, last_s in config.merger.silent(state.merger):
-        notes.append(Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it"))
-    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
-        if stream.n_late:
-            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
-            notes.append(Note("samples", words + "and were left out"))
-    if seen.stairs_unknown > notable:
-        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
-        notes.append(Note("contexts", words + "them from trouser pockets, and no barometer told"))
-    if seen.irregular > notable:
-        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
-        notes.append(Note("steps", words + "steps there may be false"))
-    if state.walked.quick_and_soft > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
-        words = (
-            f"{state.walked.quick_and_soft} of {state.walked.n} steps are as quick as running and as soft as walking, "
-        )
-        notes.append(
-            Note("steps", words + "as on the spot: lengths and directions there are worse than the covariance says")
-        )
-    if state.walked.untrusted > max(_UNTRUSTED_SHARE * state.walked.n, _UNTRUSTED_NUMBER):
-        words = f"in {state.walked.untrusted} of {state.walked.n} steps strides do not agree on where walking leads, "
-        words += "as in a bag: the turn of the phone alone leads there"
-        notes.append(Note("heading", words))
+    notes += [*_of_sensors(config, state), *_of_windows(state.seen), *_of_steps(state.walked)]
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
+    return [*notes, *_of_frame(state), *_of_fixes(state)]
+
+
+def _of_sensors(config: Config, state: State) -> Iterator[Note]:
+    moving_s, seen_s = state.sensing.rattle.moving_s, state.sensing.rattle.seen_s
+    if moving_s:
+        words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
+        yield Note("steps", words + "the phone shakes as on wheels, and no distance is counted there")
+    for sensor, last_s in config.merger.silent(state.merger):
+        yield Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it")
+    for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
+        if stream.n_late:
+            words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "
+            yield Note("samples", words + "and were left out")
+    if state.n_lost_climbs:
+        words = f"{how_many(state.n_lost_climbs, 'climb rate')} of the barometer not used: its times are ahead of the "
+        yield Note("sensors", words + "samples, both need one clock")
+
+
+def _of_windows(seen: WindowCounts) -> Iterator[Note]:
+    of_all, notable = f"of {seen.n} windows", max(_NOTABLE_SHARE * seen.n, _NOTABLE_NUMBER)
+    if seen.without_gyroscope:
+        words = f"contexts of {seen.without_gyroscope} {of_all} without gyroscope, which are less sure: "
+        yield Note("sensors", words + "there was no angular rate")
+    if seen.unknown > notable:
+        words = f"{seen.unknown} {of_all} are unlike all that the context model was trained on: "
+        yield Note("contexts", words + "contexts are unsure there")
+    if seen.stairs_unknown > notable:
+        words = f"in {seen.stairs_unknown} {of_all} stairs would be taken for level walking: the context model knows "
+        yield Note("contexts", words + "them from trouser pockets, and no barometer told")
+    if seen.irregular > notable:
+        words = f"in {seen.irregular} {of_all} the phone seems to be handled, not carried by somebody who walks: "
+        yield Note("steps", words + "steps there may be false")
+
+
+def _of_steps(walked: StepCounts) -> Iterator[Note]:
+    notable = max(_UNTRUSTED_SHARE * walked.n, _UNTRUSTED_NUMBER)
+    if walked.quick_and_soft > notable:
+        words = (
+            f"{walked.quick_and_soft} of {walked.n} steps are as quick as running and as soft as walking, as on the "
+        )
+        yield Note("steps", words + "spot: lengths and directions there are worse than the covariance says")
+    if walked.untrusted > notable:
+        words = f"in {walked.untrusted} of {walked.n} steps strides do not agree on where walking leads, as in a bag: "
+        yield Note("heading", words + "the turn of the phone alone leads there")
+
+
+def _of_frame(state: State) -> Iterator[Note]:
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
-        words = (
-            f"{where.n_unusable} of {where.n} locations are not used: no place on Earth, no accuracy, or back in time"
-        )
-        notes.append(Note("fixes", words))
+        words = f"{where.n_unusable} of {where.n} locations are not used: no place on Earth, no accuracy, or back in "
+        yield Note("fixes", words + "time")
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
-        notes.append(Note("fixes", words))
+        yield Note("fixes", words)
     if frame.moves:
         far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
         words = (
             f"fixes that agree with each other and not with the track moved it by {far_m} m: after a ride, or wrong "
         )
-        notes.append(Note("fixes", words + "first fixes; what was before stays as it was"))
-    if state.n_lost_climbs:
-        words = f"{state.n_lost_climbs} climb rates of the barometer are not used: its times are ahead of the samples, "
-        notes.append(Note("sensors", words + "both need one clock"))
+        yield Note("fixes", words + "first fixes; what was before stays as it was")
     if state.finished and frame.name == "north" and frame.compass is not None:
         words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
-        notes.append(Note("heading", words))
+        yield Note("heading", words)
+
+
+def _of_fixes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
-        notes.append(Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}"))
+        yield Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}")
     if state.finished and state.waiting_fixes:
-        notes.append(Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}"))
-    return notes
+        yield Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")

@@ -314,6 +314,8 @@ class OnlineFilter:
         loaded = cls(content["config"])
         if not serialise.like(content["state"], loaded.state):
             raise ValueError("these bytes hold a state of another configuration; save the filter again")
+        if not serialise.same_count(content["state"].sensing, content["state"].sensing.n_samples):
+            raise ValueError("these bytes hold a state whose parts have counted other samples; save the filter again")
         loaded.state = content["state"]
         _try(loaded)
         return loaded
@@ -345,7 +347,8 @@ def _try(online: OnlineFilter) -> None:
         numbers = [copy.position_m, *(u.position_m for u in updates), *(u.mode_prob for u in updates)]
         if not all(np.isfinite(n).all() for n in numbers):
             raise ValueError("its positions are no numbers")
-        check_cov(copy.position_cov_m2, "the covariance of its position")
+        for cov_m2 in (copy.position_cov_m2, *(u.position_cov_m2 for u in updates)):
+            check_cov(cov_m2, "the covariance of its position")
     except Exception as error:  # whatever a damaged state provokes
         raise ValueError(f"these bytes hold a filter that cannot go on ({error}); save the filter again") from error
 

@@ -2,7 +2,8 @@
 
 The bytes are zlib-compressed JSON. Arrays are stored as their exact bytes, dataclasses by the name of a dataclass of
 this package; any other type is refused, on the way out and on the way in. What comes in must be as the dataclasses
-declare their fields; of states, which hold what their configuration says, `like` looks at the shapes too.
+declare their fields; of states, which hold what their configuration says, `like` looks at the shapes too, and
+`same_count` at what their parts have counted.
 """
 
 from __future__ import annotations
@@ -66,6 +67,20 @@ def like(value: object, model: object) -> bool:
         shape, first = cast(tuple[int, ...], value.shape), cast(tuple[int, ...], model.shape)
         return len(shape) == len(first) and all(n in (0, m) for m, n in zip(shape, first, strict=True))
     return True
+
+
+def same_count(value: object, n_samples: int) -> bool:
+    """Whether the parts of a state of a segment of so many samples have counted and kept the same ones.
+
+    A part says so by its `fits`; of one that has none its own parts do.
+    """
+    if isinstance(value, tuple):
+        return all(same_count(part, n_samples) for part in cast(tuple[object, ...], value))
+    if not is_dataclass(value):
+        return True
+    if hasattr(value, "fits"):
+        return bool(cast(Any, value).fits(n_samples))
+    return all(same_count(getattr(value, f.name), n_samples) for f in fields(value))
 
 
 def _check_size(text: bytes) -> None:

@@ -7,13 +7,14 @@ import copy
 import hashlib
 import io
 import json
+import os
 import random
 import sys
 import warnings
 import zipfile
 import zlib
-from collections.abc import Iterator
-from contextlib import suppress
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from functools import cache, partial
 from pathlib import Path
@@ -155,7 +156,7 @@ def changed(tree: Any, rng: random.Random) -> Any:
         arrays = [p for p in paths if isinstance(at(tree, p), dict) and "array" in at(tree, p)]
         if arrays:
             path = rng.choice(arrays)
-            with suppress(ValueError, TypeError):  # of an array that is damaged already
+            with suppress(Exception):  # of an array that is damaged already
                 at(tree, path[:-1])[path[-1]] = changed_array(at(tree, path), rng)
             return tree
     what = rng.random()
@@ -166,7 +167,8 @@ def changed(tree: Any, rng: random.Random) -> Any:
     elif what < 0.7:
         parent[key] = copy.deepcopy(at(tree, rng.choice(paths)))
     elif what < 0.8 and isinstance(value, float | int) and not isinstance(value, bool):
-        parent[key] = value * rng.choice([-1, 2, 1e3, 1e9, 1e-9])
+        with suppress(OverflowError):
+            parent[key] = value * rng.choice([-1, 2, 1e3, 1e9, 1e-9])
     elif what < 0.9 and isinstance(value, list):
         parent[key] = rng.choice([value * 2, value[::-1], value[:-1], value[:1] * 1000])
     elif isinstance(parent, dict):
@@ -196,12 +198,13 @@ def use_filter(blob: bytes) -> None:
     if online.state.finished:
         return
     time_s, *signals = between(PAUSE_S, END_S)
-    try:
-        updates = online.push(time_s, *signals)
+    with later():
+        if online.state.merger.is_used:  # this number was changed: it takes sensors apart
+            updates = online.push_accelerometer(time_s, signals[0]) + online.push_gyroscope(time_s, signals[1])
+        else:
+            updates = online.push(time_s, *signals)
         updates += online.finish()
         _ = online.notes
-    except ValueError as error:
-        raise AssertionError(f"only later: {error}") from error
     for update in updates:
         cov = update.position_cov_m2
         assert np.isfinite([*update.position_m, *update.mode_prob, *cov.ravel()]).all()
@@ -261,7 +264,7 @@ def mutated_npz(packed: bytes, rng: random.Random) -> bytes:
             files[rng.choice(["x.npy", "../x.npy", name.replace("_", "-", 1)])] = files.pop(name)
             break
         else:
-            with suppress(ValueError, TypeError):
+            with suppress(Exception):  # damaged already
                 array = np.load(io.BytesIO(files[name]), allow_pickle=False)
                 shape = array.shape
                 node = {
@@ -286,10 +289,8 @@ def use_model(path: Path) -> None:
     model = load_model(path)
     rows = np.random.default_rng(0).normal(size=(3, len(model.feature_names)))
     for row in (*rows, model.feature_mean, model.feature_mean + 10 * model.feature_scale):
-        try:
+        with later():
             prob = model.predict(row)
-        except ValueError as error:
-            raise AssertionError(f"only later: {error}") from error
         assert np.isfinite(prob).all()
         assert abs(prob.sum() - 1) < 1e-6
 
@@ -297,13 +298,11 @@ def use_model(path: Path) -> None:
 def use_calibration(path: Path) -> None:
     """Load, ask for everybody's step lengths, report: ValueError only from loading."""
     calibration = load_calibration(path)
-    try:
+    with later():
         for name in (None, *calibration.subject_ids):
             config = calibration.config(recipes.default(), Subject(id=name))
             assert np.isfinite([mode.step_length.theta[0] for mode in config.model.modes]).all()
         _ = calibration.report(), calibration.distrusted, calibration.subjects, repr(calibration)
-    except ValueError as error:
-        raise AssertionError(f"only later: {error}") from error
 
 
 # --- one input --------------------------------------------------------------------------------------------------------
@@ -313,19 +312,62 @@ def try_one(form: str, number: int, seed: int, folder: Path) -> str:
     """What happened to an input: "worked", "refused", or what went wrong."""
     rng = random.Random(f"{form} {seed} {number}")
     kind, _, recipe = form.partition(":")
+    if kind == "filter":
+        blob = mutated_filter(good_filter(recipe, located=number % 2 == 1), rng)
+        return outcome(partial(use_filter, blob), folder)
+    path = good_files(form, folder, number)
+    mutated_files(path, rng)
+    return outcome(partial({"model": use_model, "calibration": use_calibration}[form], path), folder)
+
+
+def outcome(use: Callable[[], None], folder: Path) -> str:
+    """What happens when something is used: "worked", "refused", or what went wrong; no other folder is touched."""
     with warnings.catch_warnings(), np.errstate(all="ignore"):
         warnings.simplefilter("ignore")
-        if kind == "filter":
-            blob = mutated_filter(good_filter(recipe, located=number % 2 == 1), rng)
-            use = partial(use_filter, blob)
-        else:
-            path = good_files(form, folder, number)
-            mutated_files(path, rng)
-            use = partial({"model": use_model, "calibration": use_calibration}[form], path)
         try:
-            use()
+            with only_in(folder):
+                use()
         except ValueError as error:
             return "refused" if len(str(error)) > 20 else f"refused without a reason: {error}"
         except BaseException as error:
             return f"{type(error).__name__}: {str(error)[:120]}"
     return "worked"
+
+
+@contextmanager
+def later() -> Iterator[None]:
+    """What is used after loading may not be refused any more."""
+    try:
+        yield
+    except ValueError as error:
+        raise AssertionError(f"only later: {error}") from error
+
+
+_CODE = (".py", ".pyc", ".so")  # of modules that are imported late
+_allowed: list[str] = []  # the folder, while something is used
+_opened: list[str] = []  # files elsewhere
+
+
+@contextmanager
+def only_in(folder: Path) -> Iterator[None]:
+    """OSError at the end if a file elsewhere was opened, to read or to write."""
+    _listen()
+    _allowed.append(os.path.realpath(folder))
+    _opened.clear()
+    try:
+        yield
+    finally:
+        _allowed.pop()
+        if _opened:
+            raise OSError(f"opened {_opened[0]}")
+
+
+@cache
+def _listen() -> None:
+    def heard(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and _allowed and isinstance(arguments[0], str | bytes):
+            where = os.path.realpath(os.fsdecode(arguments[0]))
+            if not where.startswith(_allowed[-1]) and not where.endswith(_CODE):
+                _opened.append(where)
+
+    sys.addaudithook(heard)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import json
 import tracemalloc
@@ -15,7 +16,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from saved_mutations import FILTERS, a_calibration, at, between, good_filter, try_one
+from saved_mutations import FILTERS, a_calibration, at, between, good_filter, nodes, try_one
 
 import pdr_filter as pdr
 from pdr_filter import recipes, serialise
@@ -41,8 +42,8 @@ def test_a_mutation_is_refused_at_loading_or_works(form: str, n: int, tmp_path: 
 # --- saved filters ---------------------------------------------------------------------------------------------------
 
 
-def tree() -> Any:
-    return json.loads(zlib.decompress(good_filter("default", located=False)))
+def tree(recipe: str = "default") -> Any:
+    return json.loads(zlib.decompress(good_filter(recipe, located=False)))
 
 
 def load(content: Any) -> pdr.OnlineFilter:
@@ -68,6 +69,7 @@ ATTITUDE_OF_CONFIG = ("value", "dict", "config", "fields", "sensing", "fields", 
         ((*SENSING, "cadence"), {"tuple": [{"tuple": [1.0]}]}, "cadence of SensingState must be"),
         ((*SENSING, "processed_s"), 1e31, "processed_s of SensingState must be"),
         ((*SENSING, "n_samples"), 2**60, "n_samples of SensingState must be"),
+        ((*STATE, "n_climbs_used"), -1, "n_climbs_used of State is a number of things, got -1"),
         ((*SENSING, "steps"), None, "a state of another configuration"),
         ((*SENSING, "attitude", "fields", "vqf"), {"dict": {}}, "cannot go on"),
         ((*SENSING, "rattle", "fields", "extra"), 1.0, "RattleState has no extra"),
@@ -90,6 +92,49 @@ def test_a_state_whose_arrays_have_other_shapes_than_those_of_its_configuration_
     cov["shape"] = shape
     with pytest.raises(ValueError, match="a state of another configuration"):
         load(content)
+
+
+def counters(recipe: str) -> list[tuple[str, ...]]:
+    """Where a filter counts the samples of its segment, or has the number of one of them."""
+    sensing = at(tree(recipe), SENSING)
+    names = ("n_samples", "n_emitted", "first", "window_start", "last_contact")
+    return [path for path in nodes(sensing) if path[-1] in names and "report" not in path]
+
+
+@pytest.mark.parametrize("recipe", recipes.RECIPES)
+def test_parts_that_have_counted_other_samples_are_refused(recipe: str) -> None:
+    content = tree(recipe)
+    found = counters(recipe)
+    assert len(found) > 5
+    for path in found:
+        parent = at(content, (*SENSING, *path[:-1]))
+        right = parent[path[-1]]
+        parent[path[-1]] = right + 1_000_000  # the trial walk would not find this
+        with pytest.raises(ValueError, match="counted other samples"):
+            load(content)
+        parent[path[-1]] = right
+    load(content)
+
+
+@pytest.mark.parametrize("recipe", recipes.RECIPES)
+def test_signals_of_a_detector_that_are_longer_than_it_keeps_are_refused(recipe: str) -> None:
+    content = tree(recipe)
+    line = at(content, (*SENSING, "steps", "fields", "line"))
+    array = np.frombuffer(base64.b64decode(line["array"]), dtype=line["dtype"]).reshape(line["shape"])
+    line["array"] = base64.b64encode(np.concatenate([array] * 3, axis=1).tobytes()).decode()
+    line["shape"] = [len(array), 3 * array.shape[1]]
+    with pytest.raises(ValueError, match="a state of another configuration"):
+        load(content)
+
+
+@pytest.mark.parametrize("until_s", [0.05, 0.3, 1.5, 8.5])
+@pytest.mark.parametrize("recipe", recipes.RECIPES)
+def test_a_filter_can_be_saved_at_any_time_of_a_segment(recipe: str, until_s: float) -> None:
+    online = pdr.OnlineFilter(recipes.RECIPES[recipe](None))
+    online.push(*between(0.0, until_s))
+    assert pdr.OnlineFilter.load(online.save()).save() == online.save()
+    online.push(*between(20.0, 20.0 + until_s))  # after a gap
+    assert pdr.OnlineFilter.load(online.save()).save() == online.save()
 
 
 def test_positions_that_are_no_numbers_are_refused() -> None:

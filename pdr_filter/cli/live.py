@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import asyncio
+import socket
 import sys
 import tempfile
 import uuid
@@ -19,7 +20,7 @@ import typer
 from pdr_filter.cli import console
 
 if TYPE_CHECKING:
-    from pdr_filter.live.server import Live
+    from pdr_filter.live.hub import Live
 
 
 class Platform(StrEnum):
@@ -68,6 +69,10 @@ class Phones:
     recipe: Annotated[str, typer.Option(help="Name of a recipe.")] = "default"
     max_devices: Annotated[int, typer.Option(min=1, help="Phones at once.")] = 64
     workers: Annotated[int, typer.Option(min=1, help="Processes that share the phones.")] = 1
+    scheduler: Annotated[
+        str | None,
+        typer.Option(help="A Dask cluster whose machines share the phones, such as tcp://host:8786; all see --record."),
+    ] = None
 
     def check(self) -> None:
         """ValueError for a recipe that does not exist."""
@@ -103,9 +108,9 @@ class Sources:
 
         session = uuid.uuid4().hex[:8]
         made: list[Callable[[], Coroutine[Any, Any, None]]] = [
-            *(partial(sources.phyphox, address, shared.take) for address in self.phyphox or ()),
+            *(sources.Phyphox(address, shared.take).run for address in self.phyphox or ()),
             *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
-            *(partial(sources.mqtt, address, shared.take) for address in self.mqtt or ()),
+            *(sources.Mqtt(address, shared.take).run for address in self.mqtt or ()),
         ]
         replay = [] if self.replay is None else [sources.replay(self.replay, self.speed, shared.take)]
         return [*(sources.again(source, say) for source in made), *replay]
@@ -127,7 +132,8 @@ def live(
             import uvicorn
 
             from pdr_filter.live.certificate import certificate
-            from pdr_filter.live.server import Live, app
+            from pdr_filter.live.hub import Live
+            from pdr_filter.live.server import app
         except ImportError as error:
             raise ValueError(f'live needs a web server ({error}): pip install "pdr_filter[live]"') from None
         from pdr_filter.live.access import is_loopback, made_token
@@ -140,38 +146,61 @@ def live(
         settings = Settings(phones.recipe, phones.height_m, platform, phones.max_devices)
         folder = record or Path(opened.enter_context(tempfile.TemporaryDirectory(prefix="pdr_filter_live_")))
         folder.mkdir(parents=True, exist_ok=True)
-        shared = Live(settings, folder, phones.workers)
+        shared = Live(settings, folder, phones.workers, phones.scheduler or "")
         certified: dict[str, Any] = {}
         if address.https:
             certified["ssl_certfile"] = certificate(folder / "certificate", address.name)
         config = uvicorn.Config(
             app(shared, token, tiles),
             **certified,
-            host=address.host,
-            port=address.port,
             log_level="warning",
             ws_max_size=4 * 1024**2,
             timeout_graceful_shutdown=2,
+            lifespan="off",
         )
 
         def say(port: int) -> None:
             _say(address, port, token)
 
-        asyncio.run(_served(uvicorn.Server(config), sources.tasks(shared), say))
+        bound = opened.enter_context(_bound(address.host, address.port))
+        asyncio.run(_run(shared, uvicorn.Server(config), bound, sources, say))
 
 
-async def _served(server: Any, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]) -> None:
+def _bound(host: str, port: int) -> socket.socket:
+    """A socket at this address; ValueError if it cannot be had."""
+    made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
+    made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        made.bind((host, port))
+    except OSError as error:
+        made.close()
+        raise ValueError(f"cannot listen at {host}, port {port}: {error.strerror}; see --host and --port") from None
+    return made
+
+
+async def _run(shared: Live, server: Any, bound: socket.socket, sources: Sources, say: Callable[[int], None]) -> None:
+    """Serve with workers that run."""
+    try:
+        await shared.start()
+        await _served(server, bound, sources.tasks(shared), say)
+    finally:
+        await shared.stop()
+
+
+async def _served(
+    server: Any, bound: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
+) -> None:
     """Serve until somebody ends it; sources begin when phones are answered."""
-    serving = asyncio.create_task(server.serve())
-    while not server.started:
-        if serving.done():
-            raise OSError("the server did not start; is the port free?")
+    serving = asyncio.create_task(server.serve([bound]))
+    while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
-    say(server.servers[0].sockets[0].getsockname()[1])
+    say(bound.getsockname()[1])
     fetching = [asyncio.create_task(_told(source)) for source in sources]
-    await serving
-    for task in fetching:
-        task.cancel()
+    try:
+        await serving
+    finally:
+        for task in fetching:
+            task.cancel()
 
 
 async def _told(source: Coroutine[Any, Any, None]) -> None:

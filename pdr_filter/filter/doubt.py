@@ -52,6 +52,10 @@ class Doubt:
             return Doubt((self.stray, pair))
         return Doubt(self.pairs if self.stray is None else (), pair)
 
+    def explains(self, pair: PairedPoint) -> bool:
+        """Whether one more fix is where two or more of them show it: then it need not be where the track does."""
+        return self.stray is None and len(self.pairs) > 1 and _agree((*self.pairs, pair))
+
     def alignment(self, heading_var_rad2: float, n_steps: int, can_turn: bool) -> Alignment | None:
         """How the track must be shifted and turned, or None as long as it may be right.
 
@@ -59,9 +63,7 @@ class Doubt:
         track is from fixes too (`can_turn`), it may be any.
         """
         pairs = self.pairs
-        if self.stray is not None or len(pairs) < _MIN_DOUBTS:
-            return None
-        if (pairs[-1].time_s - pairs[0].time_s) / EPISODE_S < LOG_ODDS_BEFORE:
+        if not self._lasts:
             return None
         # a heading that is known exactly divides nothing
         turn_var = max(heading_var_rad2, 1e-12)
@@ -69,10 +71,27 @@ class Doubt:
             if not can_turn:
                 return None
             turn_var = math.inf
-        staying = tuple(replace(pair, track_m=pairs[0].track_m) for pair in pairs)
-        if least_squares_error(staying, turn_var) - least_squares_error(pairs, turn_var) < 2.0 * LOG_ODDS_BEFORE:
+        if not self._follows(turn_var):
             return None
         return align((*pairs[:-1], replace(pairs[-1], var_m2=2.0 * pairs[-1].var_m2)), n_steps, turn_var)
+
+    @property
+    def contradicts(self) -> bool:
+        """Whether a track whose turn is open must be shifted."""
+        return self._lasts and self._follows(math.inf)
+
+    @property
+    def _lasts(self) -> bool:
+        """Whether that fixes are off together is less probable than that the track is."""
+        if self.stray is not None or len(self.pairs) < _MIN_DOUBTS:
+            return False
+        return (self.pairs[-1].time_s - self.pairs[0].time_s) / EPISODE_S >= LOG_ODDS_BEFORE
+
+    def _follows(self, turn_var: float) -> bool:
+        """Whether that the fixes stay in one place is less probable than that they follow the track."""
+        staying = tuple(replace(pair, track_m=self.pairs[0].track_m) for pair in self.pairs)
+        gained = least_squares_error(staying, turn_var) - least_squares_error(self.pairs, turn_var)
+        return gained >= 2.0 * LOG_ODDS_BEFORE
 
 
 def _agree(pairs: Sequence[PairedPoint]) -> bool:

@@ -22,6 +22,7 @@ from pdr_filter.filter.pedestrian import (
     in_other_frame,
     own_place,
     parameters_cov,
+    present_position,
     shared_cov,
     with_open_turn,
 )
@@ -62,9 +63,21 @@ def use_fix(
         return state, "rejected", np.inf
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
+    fix = _after_gap(model, state, fix)
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, then[:2])
     return _on_known_frame(model, arithmetic, state, fix, then[:2])
+
+
+def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix) -> PositionFix:
+    """What a fix from before the end of a gap says of the place there: anything may have been walked since."""
+    if state.gap_s == 0.0 or len(state.trail) == 0:
+        return fix
+    into_gap_s = max(fix.time_s - float(state.trail[-1, TRAIL_TIME]), 0.0)
+    if state.gap_s <= into_gap_s:
+        return fix
+    var_m2 = float(model.noise.gap_var_m2(state.gap_s - into_gap_s))
+    return replace(fix, cov_m2=read_only(fix.cov_m2 + var_m2 * np.eye(2)))
 
 
 def _on_position(
@@ -224,8 +237,11 @@ def _on_first_positions(
     pair, _ = _paired(state, fix, then_m)
     frame = state.frame.with_pair(pair)
     agreeing = frame.agreeing
+    if state.doubt.explains(pair):  # with any turn the place of one fix may be reached: the others are evidence, too
+        return _on_doubted_place(state, pair)
     if agreeing[-1] is not pair:
-        return replace(state, frame=frame), "rejected", np.inf
+        return _on_doubted_place(replace(state, frame=frame), pair)
+    state = replace(state, doubt=Doubt())
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
     alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
@@ -233,6 +249,23 @@ def _on_first_positions(
     state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment))
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), agreeing)
     return state, "turned", nis
+
+
+def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
+    """State after a fix that cannot be right if the others are.
+
+    After a lost heading the place of the track is one of them. Fixes that contradict it for long move the track: it
+    goes on from them, with its turn open.
+    """
+    state = replace(state, doubt=state.doubt.with_rejected(pair) if state.frame.since else Doubt())
+    if not state.doubt.contradicts:
+        return state, "rejected", np.inf
+    n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)
+    joined = state.frame.joined(turn)
+    state = in_other_frame(state, turn)
+    state = replace(state, frame=joined.opened(state.doubt.pairs, np.inf, n_steps), doubt=Doubt())
+    moved = Alignment(0.0, 0.0, before_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
+    return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf
 
 
 def _with_other_half(

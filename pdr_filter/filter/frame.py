@@ -106,7 +106,8 @@ class Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
-        agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2)
+        # what is known of a place from before is no fix among others: see `doubt` for when it is wrong
+        agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure=1 if self.since else 0)
         return replace(self, agreeing=agreeing, turn=turn)
 
     def with_north(self, north: Alignment) -> Frame:
@@ -134,12 +135,14 @@ class Frame:
         frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
         if self.since == 0:
             return replace(frame, alignment=alignment)
+        if self.since == alignment.n_steps:  # no step was reported in it
+            return frame
         return replace(frame, later=(*self.later, replace(alignment, since=self.since)))
 
-    def opened(self, pair: PairedPoint, turn_var_rad2: float, n_steps: int) -> Frame:
-        """With the turn open again from the place of a pair on, where the heading was lost."""
+    def opened(self, pairs: tuple[PairedPoint, ...], turn_var_rad2: float, n_steps: int) -> Frame:
+        """With the turn open again from the place of the first pair on, where the heading was lost."""
         var = turn_var_rad2 if turn_var_rad2 < MAX_HEADING_VARIANCE else math.inf
-        return replace(self, is_joined=False, since=n_steps, pairs=(pair,), north_var_rad2=var)._turned()
+        return replace(self, is_joined=False, since=n_steps, pairs=pairs, north_var_rad2=var)._turned()
 
     def most_probable(self, n_steps: int) -> Alignment:
         """The alignment of a turn that stays open, for what comes after."""

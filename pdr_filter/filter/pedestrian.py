@@ -240,7 +240,7 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         mean=mean,
         cov=cov,
         shared_m=np.zeros_like(state.shared_m),
-        frame=frame.opened(here, float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
+        frame=frame.opened((here,), float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
         doubt=Doubt(),
         last_fix=None,
         gap_since_fix=False,

@@ -15,6 +15,9 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import LOG_SCALE, Mode
 from pdr_filter.filter.pedestrian import PedestrianState
 from pdr_filter.filter.step_length import RECORDING_STD, TYPICAL_STEP, StepLengthFit, length_and_jacobian
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_json, write_text
+from pdr_filter.values import check_numbers, check_whole
 
 # Fixes that leave nine tenths of the variance have said nothing.
 _LEARNT = 0.9
@@ -29,8 +32,7 @@ class Session:
     n_fixes: int  # positions and speeds that were used
 
     def __post_init__(self) -> None:
-        if not (0 < self.step_length_m < math.inf and 0 < self.std < math.inf and self.n_fixes >= 0):
-            raise ValueError(f"a session needs a positive, finite length and standard deviation, got {self}")
+        check_numbers(self, zero=("n_fixes",))
 
 
 @dataclass(frozen=True, slots=True)
@@ -69,22 +71,20 @@ class Person:
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
-        Path(path).write_text(json.dumps(content, indent=1) + "\n", encoding="utf-8")
-        return Path(path)
+        return write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Person:
         """Read what `save` wrote; ValueError that names the file if it is none."""
         try:
-            content = json.loads(Path(path).read_text(encoding="utf-8"))
+            content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_person"] != 1:
                 raise ValueError(f"version {content['pdr_filter_person']}")
-            return cls(
-                tuple(
-                    Session(float(s["step_length_m"]), float(s["std"]), int(s["n_fixes"])) for s in content["sessions"]
-                )
-            )
-        except (KeyError, TypeError, ValueError) as error:
+            sessions = tuple(Session(**session) for session in content["sessions"])
+            for session in sessions:
+                check_whole(session)
+            return cls(sessions)
+        except Exception as error:  # whatever a damaged file provokes
             raise ValueError(f"{path}: no person file of pdr_filter ({error}); write one with Person.save") from None
 
     def in_model(self, model: PedestrianModel) -> PedestrianModel:

@@ -268,24 +268,24 @@ def agreement_limit(n_free: int) -> float:
 
 
 def agreed_turn(
-    pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf
+    pairs: tuple[PairedPoint, ...], north_var_rad2: float = math.inf, n_sure: int = 0
 ) -> tuple[tuple[PairedPoint, ...], OpenTurn]:
     """The pairs that can all be right, and the density of the turn that they show.
 
     As long as they cannot, the one is left out that costs the others most. Of two or three none is in the minority:
-    they must be ten standard deviations apart.
+    they must be ten standard deviations apart. The first `n_sure` stay.
     """
-    fit = _agreeing(pairs, north_var_rad2)
+    fit = _agreeing(pairs, north_var_rad2, n_sure)
     return fit.pairs, _open_turn(fit)
 
 
-def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float) -> _Fit:
+def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int) -> _Fit:
     fit = _fitted(pairs, north_var_rad2)
-    while (n := len(fit.pairs)) > 1:
+    while (n := len(fit.pairs)) > max(n_sure, 1):
         limit = agreement_limit(2 * n - 3) if n > 3 else _APART**2
         if fit.squares.min() <= limit:
             break
-        others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n))
+        others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n_sure, n))
         fit = min((_fitted(some, north_var_rad2) for some in others), key=lambda some: some.squares.min())
     return fit
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.recording import Recording
-from pdr_filter.values import FloatArray, Samples
+from pdr_filter.values import FloatArray, Samples, how_many
 
 # A pause longer than this in a sensor that samples faster is a gap: within it a step can be missed.
 GAP_S = 0.3
@@ -72,7 +72,7 @@ class StreamDescription:
             rate += f", {self.requested_hz:.1f} Hz requested"
             if self.is_slow:
                 rate += f" ({100 * self.mean_rate_hz / self.requested_hz:.0f} %)"
-        gaps = f"{self.n_gaps} gaps" + (f" (longest {self.longest_gap_s:.2f} s)" if self.n_gaps else "")
+        gaps = how_many(self.n_gaps, "gap") + (f" (longest {self.longest_gap_s:.2f} s)" if self.n_gaps else "")
         return f"{self.name}: {rate}, {gaps}, {self.n_duplicates} repeated and {self.n_backward} backward times"
 
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 import errno
+import json
 import os
 import secrets
 import stat
 from collections.abc import Generator, Mapping
 from contextlib import ExitStack, contextmanager
 from pathlib import Path
-from typing import IO
+from typing import IO, Any
 
 from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
@@ -46,6 +47,15 @@ def read_small(path: Path, most: int) -> bytes:
     if len(content) > most:
         raise RecordingError(f"{path}: more than {most} bytes; take out of it what is not needed")
     return content
+
+
+def read_json(path: Path, most: int) -> Any:
+    """What a small regular file of JSON holds; RecordingError if it is none."""
+    content = read_small(path, most)
+    try:
+        return json.loads(content)
+    except (ValueError, RecursionError) as error:
+        raise RecordingError(f"{path}: not JSON ({error}); save it as UTF-8 again") from error
 
 
 def inside(path: Path, *folders: Path) -> Path:

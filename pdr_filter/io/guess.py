@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -19,7 +20,7 @@ from pdr_filter.io.evidence import constant_part, turning
 from pdr_filter.io.groups import Group
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheet_data import SheetData, is_new_place
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
 # Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
 _GRAVITY_SHARE = 0.6
@@ -137,7 +138,8 @@ def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: flo
         ticks = data.ticks(group.time)
         is_date = group.time in data.sheet.dates
         unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks[known], dtype=np.float64))
-        time_s = (ticks - ticks[:1]).astype(np.float64) * TIME_UNITS[unit] if len(ticks) else np.empty(0)
+        time_s = (ticks - _first(ticks)).astype(np.float64) * TIME_UNITS[unit]
+        known &= np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_place(values)
     return _Stream(group, data, unit, time_s[known], values[known], bool(declared), declared, is_time_declared)
@@ -297,5 +299,11 @@ def _span(s: _Stream) -> tuple[float, float]:
     """First and last time of a stream on the clock of its table, in s."""
     if s.group.time is None or len(s.time_s) == 0:
         return 0.0, float(len(s.values))
-    first = float(s.data.ticks(s.group.time)[0]) * TIME_UNITS[s.time_unit]
-    return first + float(np.nanmin(s.time_s)), first + float(np.nanmax(s.time_s))
+    first = float(_first(s.data.ticks(s.group.time))) * TIME_UNITS[s.time_unit]
+    return first + float(s.time_s.min()), first + float(s.time_s.max())
+
+
+def _first(ticks: IntArray | FloatArray) -> Any:
+    """The first time that is known; zero if none is."""
+    known = ticks[np.isfinite(ticks)]
+    return known[0] if len(known) else 0

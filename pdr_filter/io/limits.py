@@ -28,6 +28,7 @@ MAX_HEADER_LINES = 1000
 MAX_SMALL_BYTES = 1_000_000
 # Models, calibrations and fixes, which are read as a whole: a shipped model has 0.4 MB, a day of fixes 4 MB.
 MAX_DESCRIPTION_BYTES = 4 * 1024**2  # JSON
+MAX_PLAN_BYTES = 8 * 1024**2  # a floor plan of a mall has 0.15 MB
 MAX_WHOLE_BYTES = 64 * 1024**2
 MAX_UNPACKED_BYTES = 256 * 1024**2
 MAX_FIXES = 24 * 3600 * 2

@@ -66,7 +66,7 @@ class Mapping:
                 lines += [f"file = {_quoted(stream.file)}"]
             lines += [f"columns = [{', '.join(map(_quoted, stream.columns))}]"]
             lines += [f"unit = {_quoted(stream.unit)}"] if stream.unit else []
-            lines += [f"sign = {stream.sign}"] if stream.stream in _SIGNED else []
+            lines += [f"sign = {stream.sign}"] if stream.stream in _SIGNED or stream.sign != 1 else []
             if stream.time:
                 lines += [f"time = {_quoted(stream.time)}", f"time_unit = {_quoted(stream.time_unit)}"]
         return "\n".join(lines) + "\n"

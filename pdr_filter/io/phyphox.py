@@ -22,7 +22,7 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import SEPARATORS, TextTable, header_fields, to_number
-from pdr_filter.values import STANDARD_GRAVITY_MPS2
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, how_often
 
 TIME = "Time (s)"
 # Words of a column name, without axis and unit, in lower case: experiments of the app and those that users make with
@@ -204,7 +204,7 @@ def _read_meta(members: Members, parsed: Parsed) -> None:
                 parsed.clock = f"seconds of the experiment, which began at {epoch_s:.3f} s since 1970"
     pauses = sum(row[:1] == ["PAUSE"] for row in _meta_rows(members, names, "time.csv"))
     if pauses > 1:
-        parsed.notes.append(f"the experiment was paused {pauses - 1} times; its clock stood still meanwhile")
+        parsed.notes.append(f"the experiment was paused {how_often(pauses - 1)}; its clock stood still meanwhile")
     about = {row[0]: row[1] for row in _meta_rows(members, names, "device.csv") if len(row) >= 2}
     parsed.set_device(about.get("deviceManufacturer"), about.get("deviceModel"))
     if about.get("version"):

@@ -213,16 +213,20 @@ _PHYPHOX: Mapping[str, tuple[str, tuple[str, ...]]] = {
 
 
 def phyphox_buffers(config: bytes) -> dict[str, tuple[str, ...]]:
-    """Names of the buffers of each sensor, time first, from what phyphox answers at /config."""
+    """Names of the buffers of each sensor, time first, from what phyphox answers at /config.
+
+    As the app writes it (phyphox-android, RemoteServer.java, handleConfig): inputs with their source, and outputs as
+    objects of one name each. An input over Bluetooth has no outputs.
+    """
     try:
         inputs: list[dict[str, Any]] = json.loads(config)["inputs"]
         found: dict[str, tuple[str, ...]] = {}
         for given in inputs:
             sensor, keys = _PHYPHOX.get(given["source"], ("", ()))
-            places = {key: str(name) for output in given["outputs"] for key, name in output.items()}
+            places = {key: str(name) for output in given.get("outputs", ()) for key, name in output.items()}
             if sensor and {"t", *keys} <= places.keys():
                 found[sensor] = tuple(places[key] for key in ("t", *keys))
-    except (ValueError, KeyError, TypeError, AttributeError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise MessageError(f"/config is not that of phyphox ({printable(error)[:60]})") from None
     if FORCE not in found and not {LINEAR, GRAVITY} <= found.keys():
         raise MessageError(
@@ -236,15 +240,17 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
     """New samples of each sensor from what phyphox answers at /get."""
     try:
         content: dict[str, Any] = json.loads(answer)["buffer"]
-        columns = {name: [content[buffer]["buffer"] for buffer in buffers[name]] for name in buffers}
-    except (ValueError, KeyError, TypeError) as error:
+        columns = {name: [_floats(content[buffer]["buffer"]) for buffer in buffers[name]] for name in buffers}
+    except (ValueError, KeyError, TypeError, RecursionError) as error:
         raise MessageError(f"/get is not that of phyphox ({printable(error)[:60]})") from None
     found: dict[str, Rows] = {}
     for name, lists in columns.items():
+        if any(column.ndim != 1 for column in lists):
+            raise MessageError(f"/get is not that of phyphox (a buffer of {name} is no list of numbers)")
         n = min(map(len, lists))  # one may have grown while they were read
         if n:
-            table = _floats([column[:n] for column in lists]).T
-            found[name] = _plausible(table[:, 0], table[:, 1:])
+            time_s, *values = (column[:n] for column in lists)
+            found[name] = _plausible(time_s, np.column_stack(values))
     return found
 
 

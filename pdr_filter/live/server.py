@@ -1,17 +1,15 @@
-"""The web side: what phones send goes to the workers, what the workers say goes to pages and programs."""
+"""The addresses of the server: pages and programs ask, phones send."""
 
 from __future__ import annotations
 
 import asyncio
 import io
 import json
-import re
 import time
 import uuid
 import zipfile
-from collections import deque
-from collections.abc import AsyncGenerator, AsyncIterator
-from contextlib import asynccontextmanager
+from collections.abc import AsyncIterator
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 from urllib.parse import urlsplit
@@ -24,157 +22,83 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
 from pdr_filter.io.own_writer import FILES
-from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, Rates, is_token
+from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, is_token
 from pdr_filter.live.certificate import NAMES
 from pdr_filter.live.geojson import geojson
-from pdr_filter.live.settings import Event, Settings
-from pdr_filter.live.workers import Answer, Take, Workers
+from pdr_filter.live.hub import Live
+from pdr_filter.live.parts import Answer, Take
 
 PAGE = Path(__file__).parent / "page"
-_ASSETS = Path(__file__).parents[1] / "report" / "assets"  # uPlot, which reports hold, too
-# Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
-_MAX_WAITING = 500
-_MAX_READERS = 100
-_DEVICE = re.compile(rb'"device(?:Id)?"\s*:\s*"([^"\\]{1,200})"')
-_ALIVE_S = 15.0
+# uPlot and the map, which reports hold, too.
+_SHARED = [Path(__file__).parents[1] / "report" / name for name in ("assets", "page")]
 
 
-class Live:
-    """What the parts of a running server share."""
+class Site:
+    """What is at each address. `tiles` is the address of a map's tiles."""
 
-    def __init__(self, settings: Settings, folder: Path, n_workers: int = 1) -> None:
-        self.settings, self.folder, self.n_workers = settings, folder, n_workers
-        self.rates = Rates()
-        self.sessions: dict[str, Event] = {}
-        self._readers: set[Reader] = set()
-        self._workers: Workers | None = None
+    def __init__(self, live: Live, tiles: str) -> None:
+        self.live, self.tiles = live, tiles
 
-    @property
-    def workers(self) -> Workers:
-        """Of the server while it runs."""
-        if self._workers is None:
-            raise RuntimeError("the server does not run")
-        return self._workers
+    def routes(self) -> list[Route | WebSocketRoute]:
+        """All of them."""
+        return [
+            Route("/", self.page),
+            Route("/phone", self.page),
+            Route("/page/{name}", self.asset),
+            Route("/data", self.data, methods=["POST"]),
+            Route("/sessions", self.sessions),
+            Route("/sessions/{id}/fix", self.fix, methods=["POST"]),
+            Route("/sessions/{id}/track.geojson", self.track),
+            Route("/sessions/{id}/recording.zip", self.recording),
+            Route("/authority.pem", self.authority),
+            Route("/events", self.events),
+            WebSocketRoute("/ws", self.events_socket),
+            WebSocketRoute("/stream", self.stream),
+        ]
 
-    async def start(self) -> None:
-        """Start the workers, which go on with the sessions that they find."""
-        self._workers = Workers(self.settings, self.folder, self.n_workers, self._shown)
-        await self._workers.ready()
-        self.sessions = await self.tracks()
+    # --- the page ---
 
-    async def tracks(self) -> dict[str, Event]:
-        """Sessions with their paths, by their names."""
-        return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
-
-    def stop(self) -> None:
-        """Save everything."""
-        self.workers.close()
-
-    async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
-        """What became of the body of a message; `device` and the others are for messages that do not say them."""
-        if len(body) > MAX_BODY_BYTES:
-            return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
-        found = _DEVICE.search(body)
-        name = found[1].decode("utf-8", "replace") if found else device
-        if not self.rates.allows(name, len(body)):
-            return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
-        return await self.workers.take(Take(body, name, session, platform, time.time()))
-
-    def _shown(self, text: str) -> None:
-        """An event of a worker, to all who read."""
-        head = json.loads(text[: text.index(",")] + "}")["event"]
-        if head in ("session", "gone"):
-            event = json.loads(text)
-            if head == "gone":
-                self.sessions.pop(event["id"], None)
-            else:
-                self.sessions[event["id"]] = event
-        for reader in self._readers:
-            reader.put(text)
-
-    @property
-    def is_full(self) -> bool:
-        """Whether as many read as may."""
-        return len(self._readers) >= _MAX_READERS
-
-    async def events(self) -> AsyncIterator[str]:
-        """Everything there is to show, from the whole as it is now; "" now and then while there is nothing."""
-        reader = Reader()
-        self._readers.add(reader)
-        try:
-            while True:
-                if reader.is_stale:
-                    reader.clear()
-                    for event in await self.workers.whole():
-                        yield json.dumps(event, allow_nan=False)
-                yield await reader.get()
-        finally:
-            self._readers.discard(reader)
-
-
-class Reader:
-    """What waits for one who reads events; it is bounded, and who is too slow is told so by `is_stale`."""
-
-    def __init__(self) -> None:
-        self.is_stale = True
-        self._waiting: deque[str] = deque()
-        self._filled = asyncio.Event()
-
-    def __len__(self) -> int:
-        return len(self._waiting)
-
-    def put(self, text: str) -> None:
-        """Add an event, or forget them all."""
-        if len(self._waiting) >= _MAX_WAITING:
-            self.is_stale = True
-            self._waiting.clear()
-        self._waiting.append(text)
-        self._filled.set()
-
-    def clear(self) -> None:
-        """Begin anew."""
-        self.is_stale = False
-        self._waiting.clear()
-
-    async def get(self) -> str:
-        """The next event; "" after some time without one, or where there is a new beginning."""
-        if not self._waiting:
-            self._filled.clear()
-            try:
-                await asyncio.wait_for(self._filled.wait(), _ALIVE_S)
-            except TimeoutError:
-                return ""
-        return "" if self.is_stale else self._waiting.popleft()
-
-
-def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
-    """The application. Without a token it answers this machine only; `tiles` is the address of a map's tiles."""
-
-    @asynccontextmanager
-    async def lifespan(_: Starlette) -> AsyncGenerator[None]:
-        await live.start()
-        yield
-        live.stop()
-
-    async def page(request: Request) -> Response:
+    async def page(self, request: Request) -> Response:
+        """For people, and for the browser of a phone."""
         name = {"/": "index.html", "/phone": "phone.html"}[request.url.path]
-        return FileResponse(PAGE / name, headers=_policy(tiles))
+        return FileResponse(PAGE / name, headers=_policy(self.tiles))
 
-    async def asset(request: Request) -> Response:
+    async def asset(self, request: Request) -> Response:
+        """What the page loads."""
         name = request.path_params["name"]
-        path = next((p for p in (PAGE / name, _ASSETS / name) if p.is_file()), PAGE / name)
-        known = path.suffix in (".js", ".css", ".txt") and path.is_file()
-        return FileResponse(path, headers=_policy(tiles)) if known else PlainTextResponse("not found", 404)
+        path = next((p for folder in (PAGE, *_SHARED) if (p := folder / name).is_file()), None)
+        if path is None or path.suffix not in (".js", ".css", ".txt"):
+            return PlainTextResponse("not found", 404)
+        return FileResponse(path, headers=_policy(self.tiles))
 
-    async def data(request: Request) -> Response:
+    async def authority(self, _: Request) -> Response:
+        """Who says that the certificate is right."""
+        path = self.live.folder / "certificate" / NAMES[0]
+        kind = "application/x-x509-ca-cert"
+        return FileResponse(path, media_type=kind) if path.exists() else PlainTextResponse("not with --https", 404)
+
+    # --- what comes in ---
+
+    async def data(self, request: Request) -> Response:
+        """Messages of phones."""
         body = await _body(request)
-        return _TOO_LONG if body is None else _json(await live.take(body, **_named(request)))
+        return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
 
-    async def sessions(_: Request) -> Response:
-        return JSONResponse({"sessions": list(live.sessions.values()), "tiles": tiles})
+    async def stream(self, socket: WebSocket) -> None:
+        """The same over WebSocket; each has its answer."""
+        await socket.accept()
+        named = _named(socket)
+        named["session"] = named["session"] or uuid.uuid4().hex
+        named["device"] = named["device"] or f"websocket {named['session'][:6]}"
+        with suppress(WebSocketDisconnect, RuntimeError, OSError):  # the sender has gone
+            while (received := await socket.receive())["type"] != "websocket.disconnect":
+                body = received.get("bytes") or (received.get("text") or "").encode()
+                answer = await self.live.take(body, **named)
+                await socket.send_text(json.dumps({"status": answer.status, **answer.content}))
 
-    async def fix(request: Request) -> Response:
-        about = live.sessions.get(request.path_params["id"])
+    async def fix(self, request: Request) -> Response:
+        """Somebody says where a phone is."""
+        about = self.live.sessions.get(request.path_params["id"])
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
         try:
@@ -182,74 +106,56 @@ def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
         except (ValueError, RecursionError):
             return JSONResponse({"error": "not JSON; send east_m, north_m and perhaps std_m"}, 400)
         body = json.dumps({"device": about["device"], "session": about["session"], "fix": content}).encode()
-        return _json(await live.workers.take(Take(body, about["device"], received_s=time.time())))
+        return _json(await self.live.workers.take(Take(body, about["device"], received_s=time.time())))
 
-    async def download(request: Request) -> Response:
-        key, kind = request.path_params["id"], request.path_params["kind"]
-        tracks = await live.tracks()
-        if key not in tracks or kind not in ("track.geojson", "recording.zip"):
-            return JSONResponse({"error": "no such session or file"}, 404)
-        name = {"Content-Disposition": f'attachment; filename="{key}.{kind.partition(".")[2]}"'}
-        if kind == "track.geojson":
-            return Response(json.dumps(geojson(tracks[key])), media_type="application/geo+json", headers=name)
-        content = await asyncio.to_thread(_zipped, live.folder / key)
-        return Response(content, media_type="application/zip", headers=name)
+    # --- what goes out ---
 
-    async def authority(_: Request) -> Response:
-        path = live.folder / "certificate" / NAMES[0]
-        kind = "application/x-x509-ca-cert"
-        return FileResponse(path, media_type=kind) if path.exists() else PlainTextResponse("not with --https", 404)
+    async def sessions(self, _: Request) -> Response:
+        """Sessions, without their paths."""
+        return JSONResponse({"sessions": list(self.live.sessions.values()), "tiles": self.tiles})
 
-    async def events(_: Request) -> Response:
-        if live.is_full:
+    async def track(self, request: Request) -> Response:
+        """The path as GeoJSON."""
+        key = request.path_params["id"]
+        tracks = await self.live.tracks()
+        if key not in tracks:
+            return JSONResponse({"error": "no such session"}, 404)
+        content = json.dumps(geojson(tracks[key]))
+        return Response(content, media_type="application/geo+json", headers=_attachment(f"{key}.geojson"))
+
+    async def recording(self, request: Request) -> Response:
+        """What is on the disk."""
+        key = request.path_params["id"]
+        if key not in self.live.sessions:  # a name from outside is no path
+            return JSONResponse({"error": "no such session"}, 404)
+        content = await asyncio.to_thread(_zipped, self.live.folder / key)
+        return Response(content, media_type="application/zip", headers=_attachment(f"{key}.zip"))
+
+    async def events(self, _: Request) -> Response:
+        """Server-sent events."""
+        if self.live.is_full:
             return JSONResponse({"error": "too many read already"}, 503)
 
         async def lines() -> AsyncIterator[str]:
-            async for text in live.events():
+            async for text in self.live.events():
                 yield f"data: {text}\n\n" if text else ": still here\n\n"
 
         return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
-    async def events_socket(socket: WebSocket) -> None:
-        if live.is_full:
-            return await socket.close(1013)
-        await socket.accept()
-        try:
-            async for text in live.events():
-                await socket.send_text(text or "{}")
-        except (WebSocketDisconnect, RuntimeError, OSError):  # the reader has gone
-            return None
-
-    async def stream(socket: WebSocket) -> None:
-        await socket.accept()
-        named = _named(socket)
-        named["session"] = named["session"] or uuid.uuid4().hex
-        named["device"] = named["device"] or f"websocket {named['session'][:6]}"
-        try:
-            while True:
-                received = await socket.receive()
-                if received["type"] == "websocket.disconnect":
-                    return
-                body = received.get("bytes") or (received.get("text") or "").encode()
-                answer = await live.take(body, **named)
-                await socket.send_text(json.dumps({"status": answer.status, **answer.content}))
-        except (WebSocketDisconnect, RuntimeError, OSError):
+    async def events_socket(self, socket: WebSocket) -> None:
+        """The same over WebSocket."""
+        if self.live.is_full:
+            await socket.close(1013)
             return
+        await socket.accept()
+        with suppress(WebSocketDisconnect, RuntimeError, OSError):  # the reader has gone
+            async for text in self.live.events():
+                await socket.send_text(text or "{}")
 
-    routes = [
-        Route("/", page),
-        Route("/phone", page),
-        Route("/page/{name}", asset),
-        Route("/data", data, methods=["POST"]),
-        Route("/sessions", sessions),
-        Route("/sessions/{id}/fix", fix, methods=["POST"]),
-        Route("/sessions/{id}/{kind}", download),
-        Route("/authority.pem", authority),
-        Route("/events", events),
-        WebSocketRoute("/ws", events_socket),
-        WebSocketRoute("/stream", stream),
-    ]
-    made = Starlette(routes=routes, lifespan=lifespan)
+
+def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
+    """The application of a server that runs. Without a token it answers this machine only."""
+    made = Starlette(routes=Site(live, tiles).routes())
     made.add_middleware(Door, token=token)
     return made
 
@@ -322,6 +228,10 @@ def _json(answer: Answer) -> Response:
 def _named(asked: HTTPConnection) -> dict[str, str]:
     """What the address says of who sends."""
     return {name: asked.query_params.get(name, "")[:200] for name in ("device", "session", "platform")}
+
+
+def _attachment(name: str) -> dict[str, str]:
+    return {"Content-Disposition": f'attachment; filename="{name}"'}
 
 
 def _policy(tiles: str) -> dict[str, str]:

@@ -6,7 +6,7 @@ import asyncio
 import json
 import urllib.request
 import uuid
-from collections.abc import Awaitable, Callable, Mapping
+from collections.abc import Awaitable, Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
@@ -25,7 +25,7 @@ from pdr_filter.live.messages import (
     phyphox_rows,
     to_json,
 )
-from pdr_filter.live.workers import Answer
+from pdr_filter.live.parts import Answer
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
 Taker = Callable[..., Awaitable[Answer]]
@@ -34,6 +34,12 @@ _PART_S = 0.2
 # Between two tries to reach a phone or a broker.
 _AGAIN_S = 2.0
 _ANSWER_S = 5.0
+# Of phyphox, which has kept all since its start: some two hours of two sensors at 100 Hz.
+_MAX_ANSWER_BYTES = 64 * 1024**2
+# Of such a backlog as one message, some 0.2 MB.
+_LONG_S = 10.0
+# Messages of a broker that are under way to the workers.
+_AT_ONCE = 64
 
 
 async def _given(take: Taker, body: bytes, **named: str) -> None:
@@ -50,7 +56,8 @@ async def replay(file: Path, speed: float, take: Taker) -> None:
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
-    cuts = np.append(np.arange(float(time_s[0]), float(time_s.max()), _PART_S)[1:], np.inf)
+    part_s = min(_PART_S * max(speed, 1.0), 1.0)  # as often where it is faster, but of a second at most
+    cuts = np.append(np.arange(float(time_s[0]), float(time_s.max()), part_s)[1:], np.inf)
     session, loop = uuid.uuid4().hex[:8], asyncio.get_running_loop()
     begun, sent = loop.time(), dict.fromkeys(streams, 0)
     for number, end_s in enumerate(cuts):
@@ -64,7 +71,7 @@ async def replay(file: Path, speed: float, take: Taker) -> None:
                 sent[name] += n
         is_end = number == len(cuts) - 1
         message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
-        await asyncio.sleep(max(begun + (number + 1) * _PART_S / speed - loop.time(), 0.0))
+        await asyncio.sleep(max(begun + (number + 1) * part_s / speed - loop.time(), 0.0))
         await _given(take, to_json(message))
 
 
@@ -74,10 +81,8 @@ async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None
     while True:
         try:
             await source()
-        except MessageError:
-            raise
-        except Exception as error:  # whatever clients of networks raise
-            reason = f"{type(error).__name__}: {error}"
+        except Exception as error:  # whatever clients of networks raise; or the wrong experiment is open
+            reason = str(error) if isinstance(error, MessageError) else f"{type(error).__name__}: {error}"
             if reason != said:
                 say(f"{reason}; trying again")
             said = reason
@@ -87,35 +92,57 @@ async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None
 # --- phyphox ----------------------------------------------------------------------------------------------------------
 
 
-async def phyphox(address: str, take: Taker) -> None:
-    """Ask a phone with phyphox for its new samples five times a second; its remote access must be on."""
-    address = _with_scheme(address, "http").rstrip("/")
-    buffers = phyphox_buffers(await asyncio.to_thread(_got, f"{address}/config"))
-    await asyncio.to_thread(_got, f"{address}/control?cmd=start")
-    session, number, seen_s = "", 0, dict.fromkeys(buffers, -1.0)
-    while True:
-        answer = await asyncio.to_thread(_got, f"{address}/get?{_phyphox_query(buffers, seen_s)}")
-        rows = phyphox_rows(answer, buffers)
-        status: Any = json.loads(answer).get("status") or {}
-        found = str(status.get("session", session or uuid.uuid4().hex[:8]))
-        if found != session:  # its data were cleared: times begin again
-            is_first, session, number, seen_s = not session, found, 0, dict.fromkeys(buffers, -1.0)
-            if not is_first:
-                continue
-        new = {name: _later(rows[name], seen_s[name]) for name in rows}
-        new = {name: r for name, r in new.items() if len(r.time)}
-        if new:
-            await _given(take, to_json(Message(f"phyphox {urlsplit(address).netloc}", session, number, "android", new)))
-            number += 1
-            seen_s |= {name: float(r.time.max()) for name, r in new.items()}
-        await asyncio.sleep(_PART_S)
+class Phyphox:
+    """A phone with phyphox, whose remote access is on. It is asked for its new samples five times a second.
+
+    After a broken connection it goes on behind the last sample that it gave.
+    """
+
+    def __init__(self, address: str, take: Taker) -> None:
+        self._address, self._take = _with_scheme(address, "http").rstrip("/"), take
+        self._session, self._seen_s = "", dict[str, float]()
+
+    async def run(self) -> None:
+        """Ask until the connection breaks."""
+        buffers = phyphox_buffers(await self._got("config"))
+        if not self._session:
+            await self._got("control?cmd=start")
+        while True:
+            answer = await self._got(f"get?{_phyphox_query(buffers, self._seen_s)}")
+            rows = phyphox_rows(answer, buffers)
+            status: Any = json.loads(answer).get("status") or {}
+            found = str(status.get("session", self._session or uuid.uuid4().hex[:8]))
+            if found != self._session:  # another experiment: its times begin again
+                is_first, self._session, self._seen_s = not self._session, found, {}
+                if not is_first:
+                    continue
+            await self._give({name: _later(r, self._seen_s.get(name, -np.inf)) for name, r in rows.items()})
+            await asyncio.sleep(_PART_S)
+
+    async def _give(self, rows: Mapping[str, Rows]) -> None:
+        """New samples as messages, of which none is too long; their times say what came before."""
+        for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
+            message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
+            await _given(self._take, to_json(message))
+            self._seen_s |= {name: float(r.time.max()) for name, r in part.items()}
+
+    async def _got(self, path: str) -> bytes:
+        return await asyncio.to_thread(_got, f"{self._address}/{path}")
+
+
+def _parts(rows: Mapping[str, Rows]) -> Iterator[dict[str, Rows]]:
+    """Samples of all sensors, ten seconds after ten seconds."""
+    numbers = {name: np.floor(r.time / _LONG_S) for name, r in rows.items()}
+    for number in np.unique(np.concatenate([*numbers.values(), np.empty(0)])):
+        inside = {name: numbers[name] == number for name in rows}
+        yield {n: Rows(r.time[inside[n]], r.values[inside[n]]) for n, r in rows.items() if inside[n].any()}
 
 
 def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, float]) -> str:
     """Of each sensor what is later than what was seen: the buffer of times, and the others where that is later."""
     asked: list[str] = []
     for name, (time, *values) in buffers.items():
-        after = f"{seen_s[name]!r}"
+        after = f"{seen_s.get(name, 0.0)!r}"
         asked += [f"{quote(time)}={after}", *(f"{quote(v)}={after}%7C{quote(time)}" for v in values)]
     return "&".join(asked)
 
@@ -128,7 +155,10 @@ def _later(rows: Rows, seen_s: float) -> Rows:
 def _got(address: str) -> bytes:
     """What is at an address; a connection for each, because phyphox keeps none open."""
     with urllib.request.urlopen(address, timeout=_ANSWER_S) as answer:
-        return answer.read(MAX_BODY_BYTES)
+        content = answer.read(_MAX_ANSWER_BYTES + 1)
+    if len(content) > _MAX_ANSWER_BYTES:
+        raise MessageError(f"phyphox holds more than {_MAX_ANSWER_BYTES} bytes: clear its data and start it again")
+    return content
 
 
 # --- SensorServer -----------------------------------------------------------------------------------------------------
@@ -173,25 +203,36 @@ def _joined(bodies: list[bytes]) -> dict[str, Rows]:
 _MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 80, "wss": 443}
 
 
-async def mqtt(address: str, take: Taker) -> None:
-    """Take what is published under a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC; mqtts, ws and wss as well."""
-    import aiomqtt
+class Mqtt:
+    """What is published under a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC; mqtts, ws and wss as well."""
 
-    parts = urlsplit(_with_scheme(address, "mqtt"))
-    if parts.scheme not in _MQTT_PORTS or not parts.hostname:
-        raise MessageError(f"--mqtt takes mqtt://HOST:PORT/TOPIC, mqtts, ws or wss, got {address!r}")
-    client = aiomqtt.Client(
-        parts.hostname,
-        parts.port or _MQTT_PORTS[parts.scheme],
-        username=unquote(parts.username) if parts.username else None,
-        password=unquote(parts.password) if parts.password else None,
-        transport="websockets" if parts.scheme in ("ws", "wss") else "tcp",
-        tls_params=aiomqtt.TLSParameters() if parts.scheme in ("mqtts", "wss") else None,
-    )
-    async with client:
-        await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
-        async for message in client.messages:
-            await _given(take, message.payload)
+    def __init__(self, address: str, take: Taker) -> None:
+        self._address, self._take = urlsplit(_with_scheme(address, "mqtt")), take
+        if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
+            raise MessageError(f"--mqtt takes mqtt://HOST:PORT/TOPIC, mqtts, ws or wss, got {address!r}")
+
+    async def run(self) -> None:
+        """Take messages until the connection breaks."""
+        import aiomqtt
+
+        parts = self._address
+        client = aiomqtt.Client(
+            str(parts.hostname),
+            parts.port or _MQTT_PORTS[parts.scheme],
+            username=unquote(parts.username) if parts.username else None,
+            password=unquote(parts.password) if parts.password else None,
+            transport="websockets" if parts.scheme in ("ws", "wss") else "tcp",
+            tls_params=aiomqtt.TLSParameters() if parts.scheme in ("mqtts", "wss") else None,
+        )
+        giving = set[asyncio.Task[None]]()  # each reaches the worker of its phone in its turn
+        async with client:
+            await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
+            async for message in client.messages:
+                task = asyncio.create_task(_given(self._take, message.payload))
+                giving.add(task)
+                task.add_done_callback(giving.discard)
+                while len(giving) >= _AT_ONCE:
+                    await asyncio.wait(giving, return_when=asyncio.FIRST_COMPLETED)
 
 
 def _with_scheme(address: str, scheme: str) -> str:

@@ -1,231 +1,229 @@
-"""Processes that filter, so that the one that answers phones and pages never waits: each has its share of the devices.
+"""Who filters, so that the one that answers phones and pages never waits: each worker has its share of the devices.
 
-A worker that dies is started again and goes on from what its devices saved; what it had not answered is given to it
-again, and what it had taken already is recognised by the number or the time of the messages.
+A share is in a process of this machine, or in an actor of a Dask cluster (`live.cluster`). One that dies is started
+again and goes on from what its devices saved; what it had not answered is given to it again, and what it had taken
+already is recognised by the number or the time of the messages.
 """
 
 from __future__ import annotations
 
 import asyncio
-import json
+import logging
 import multiprocessing
-import signal
-import threading
 import time
-from collections.abc import Callable
+from collections import deque
+from collections.abc import Awaitable, Callable, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import dataclass
-from multiprocessing.connection import Connection
+from itertools import islice
 from pathlib import Path
-from queue import SimpleQueue
-from typing import TYPE_CHECKING, Any
+from typing import Protocol, TypeVar
 
-from pdr_filter.live.messages import MessageError
-from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
-
-if TYPE_CHECKING:
-    from pdr_filter.live.devices import Devices
+from pdr_filter.live.parts import Answer, Request, Said, Take, Tick, Whole, serve
+from pdr_filter.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
+# Requests that are given at once: the way there and back costs an actor some milliseconds, and the first of them waits
+# for the answer to the last.
+_AT_ONCE = 8
 # Tries for one request: a message that kills its worker must not do so for ever.
 _MAX_TRIES = 2
-_START_S = 60.0
+_TICK_S = 1.0
+_START_S, _CLOSE_S = 60.0, 20.0
 
 
-@dataclass(frozen=True, slots=True)
-class Take:
-    """A body of a device, as it was received."""
-
-    body: bytes
-    device: str
-    session: str = ""
-    platform: str = ""
-    received_s: float = 0.0
+T = TypeVar("T")
+_LOG = logging.getLogger(__name__)
 
 
-@dataclass(frozen=True, slots=True)
-class Whole:
-    """The question for all sessions, with their paths and what is known of now."""
+class LostError(ConnectionError):
+    """The process or the actor is gone, or answers no more."""
 
 
-@dataclass(frozen=True, slots=True)
-class Stop:
-    """The last request: save everything and end."""
+class Share(Protocol):
+    """One share of the devices, wherever it is."""
+
+    @property
+    def place(self) -> str:
+        """The process, or the machine."""
+        ...
+
+    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+        """What is said to each; LostError. One call at a time."""
+        ...
+
+    async def close(self) -> None:
+        """Save everything, and end."""
+        ...
 
 
-Request = Take | Whole | Stop
+class Process:
+    """A share in a process of this machine."""
 
+    def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
+        context = multiprocessing.get_context("spawn")
+        self._connection, theirs = context.Pipe()
+        self._process = context.Process(target=serve, args=(theirs, settings, folder, part, n_parts), daemon=True)
+        self._process.start()
+        theirs.close()
+        self._thread = ThreadPoolExecutor(1)  # of its own, so that nobody else's waiting holds it up
 
-@dataclass(frozen=True, slots=True)
-class Answer:
-    """Status as of HTTP, and what is said."""
+    @classmethod
+    async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
+        """A new process, when it takes requests."""
+        made = cls(settings, folder, part, n_parts)
+        await made._done(made._connection.recv)
+        return made
 
-    status: int
-    content: Any
+    @property
+    def place(self) -> str:
+        """The process."""
+        return f"process {self._process.pid}"
 
+    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+        """What is said to each; LostError."""
 
-def serve(connection: Connection, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-    """The loop of a worker: requests in, answers and events out, until the other end is closed."""
-    from pdr_filter.live.devices import Devices  # the filter is loaded here, and not where phones are answered
+        def exchanged() -> list[Said]:
+            self._connection.send(requests)
+            return self._connection.recv()
 
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal; the server says when to end
+        return await self._done(exchanged)
 
-    def emit(event: Event) -> None:
-        connection.send((None, json.dumps(event, allow_nan=False)))
+    async def close(self) -> None:
+        """Let it save everything, and end."""
+        self._connection.close()
+        await asyncio.get_running_loop().run_in_executor(self._thread, self._process.join, _START_S)
 
-    devices = Devices(settings, folder, emit, part, n_parts)
-    connection.send((None, ""))  # ready
-    ticked_at = time.monotonic()
-    while True:
+    async def _done(self, work: Callable[[], T]) -> T:
         try:
-            if connection.poll(1.0):
-                number, request = connection.recv()
-                if isinstance(request, Stop):
-                    raise EOFError
-                connection.send((number, _answer(devices, request)))
-        except (EOFError, OSError):
-            devices.close()
-            return
-        if time.monotonic() - ticked_at > 1.0:
-            devices.tick()
-            ticked_at = time.monotonic()
+            return await asyncio.get_running_loop().run_in_executor(self._thread, work)
+        except (EOFError, OSError) as error:
+            raise LostError(f"{self.place} is gone") from error
 
 
-def _answer(devices: Devices, request: Take | Whole) -> Answer:
-    if isinstance(request, Whole):
-        return Answer(200, [event for session in devices.sessions.values() for event in session.whole()])
-    try:
-        content = devices.take(request.body, request.device, request.session, request.platform, request.received_s)
-        return Answer(200, content)
-    except MessageError as error:
-        return Answer(400, {"error": str(error)})
-    except FixError as error:
-        return Answer(409, {"error": str(error)})
-    except BusyError as error:
-        return Answer(503, {"error": str(error)})
-    except ValueError as error:
-        return Answer(422, {"error": str(error)})
+@dataclass(slots=True, eq=False)
+class _Waiting:
+    """A request that has no answer yet."""
+
+    request: Request
+    answered: asyncio.Future[Answer]
+    n_tries: int = 0
 
 
 class _Worker:
-    """One process and the requests that it has not answered."""
+    """One share after the other, and the requests that wait for it."""
 
-    def __init__(self, make: Callable[[], tuple[Any, Connection]], show: Callable[[str], None]) -> None:
-        self._make, self._show = make, show
-        self._loop = asyncio.get_running_loop()
-        self._waiting: dict[int, tuple[Request, asyncio.Future[Answer], int]] = {}
-        self._number = 0
+    def __init__(self, start: Callable[[], Awaitable[Share]], show: Callable[[str], None]) -> None:
+        self._start, self._show = start, show
+        self._waiting: deque[_Waiting] = deque()
+        self._filled = asyncio.Event()
         self._closed = False
-        self.restarts = 0
-        self._start()
+        self._n_alone = 0  # requests that are given alone, because one of them may be what ended the last share
+        self._running: asyncio.Task[None] | None = None
 
-    @property
-    def pid(self) -> int:
-        """Of the process that runs now."""
-        return int(self.process.pid)
+    async def start(self) -> None:
+        """Return when requests are taken."""
+        share = await asyncio.wait_for(self._start(), _START_S)
+        self._running = asyncio.create_task(self._run(share))
 
     async def ask(self, request: Request) -> Answer:
-        """The answer to a request, from the process that has it or from the next one."""
-        if len(self._waiting) >= _MAX_WAITING:
+        """The answer to a request, from the share that has it or from the next one."""
+        if len(self._waiting) >= _MAX_WAITING or self._closed:
             return Answer(503, {"error": "too much at once; send it again later"})
-        self._number += 1
-        future: asyncio.Future[Answer] = self._loop.create_future()
-        number = self._number
-        self._waiting[number] = request, future, 1
-        self._outbox.put((number, request))
-        try:
-            return await future
-        finally:
-            self._waiting.pop(number, None)
+        waiting = _Waiting(request, asyncio.get_running_loop().create_future())
+        self._waiting.append(waiting)
+        self._filled.set()
+        return await waiting.answered
 
-    def close(self) -> None:
-        """End the process, which saves everything."""
+    async def close(self) -> None:
+        """End the share, which saves everything."""
         self._closed = True
-        self._outbox.put((0, Stop()))
-        self._outbox.put(None)
-        self.process.join(_START_S)
+        self._filled.set()
+        if self._running is not None:
+            with suppress(TimeoutError):  # of one that is lost and finds no place
+                await asyncio.wait_for(self._running, _CLOSE_S)
 
-    def _start(self) -> None:
-        self.process, self._connection = self._make()
-        self._outbox: SimpleQueue[tuple[int, Request] | None] = SimpleQueue()
-        self.ready = asyncio.Event()
-        threading.Thread(target=self._send, args=(self._connection, self._outbox), daemon=True).start()
-        threading.Thread(target=self._receive, args=(self._connection,), daemon=True).start()
-
-    def _send(self, connection: Connection, outbox: SimpleQueue[tuple[int, Request] | None]) -> None:
-        while (item := outbox.get()) is not None:
+    async def _run(self, share: Share) -> None:
+        """Give requests to the share, and to the next one where it is lost, until all are answered and it is closed."""
+        ticked_at = time.monotonic()
+        while self._waiting or not self._closed:
+            batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))
+            requests = [waiting.request for waiting in batch]
+            if time.monotonic() - ticked_at > _TICK_S:
+                requests.append(Tick())
+                ticked_at = time.monotonic()
+            if not requests:
+                self._filled.clear()
+                with suppress(TimeoutError):
+                    await asyncio.wait_for(self._filled.wait(), _TICK_S)
+                continue
             try:
-                connection.send(item)
-            except OSError:  # the process is gone; who receives from it starts the next one
-                return
+                said = await share.ask(requests)
+            except LostError as error:
+                _LOG.warning("%s; its phones go on elsewhere", error)
+                self._lost(batch)
+                share = await self._restart()
+                continue
+            self._n_alone = max(self._n_alone - len(batch), 0)
+            for one in said:
+                for event in one.events:
+                    self._show(event)
+            for waiting, one in zip(batch, said, strict=False):  # nobody waits for the answer to a tick
+                self._answered(waiting, one.answer)
+        with suppress(LostError):
+            await share.close()
 
-    def _receive(self, connection: Connection) -> None:
+    def _answered(self, waiting: _Waiting, answer: Answer) -> None:
+        self._waiting.remove(waiting)
+        if not waiting.answered.done():  # who asked may have gone
+            waiting.answered.set_result(answer)
+
+    def _lost(self, batch: Sequence[_Waiting]) -> None:
+        """A share ended while it had these."""
+        self._n_alone = len(batch)
+        for waiting in batch:
+            waiting.n_tries += 1
+        if len(batch) == 1 and batch[0].n_tries >= _MAX_TRIES:
+            self._answered(batch[0], Answer(500, {"error": "this message ended the process that took it, twice"}))
+
+    async def _restart(self) -> Share:
+        """The next share, however long it takes."""
         while True:
             try:
-                number, content = connection.recv()
-            except (EOFError, OSError):
-                break
-            self._loop.call_soon_threadsafe(self._received, number, content)
-        if not self._loop.is_closed():
-            self._loop.call_soon_threadsafe(self._gone)
+                return await asyncio.wait_for(self._start(), _START_S)
+            except (LostError, TimeoutError, ValueError) as error:
+                _LOG.warning("no worker yet: %s", error)
+                await asyncio.sleep(_TICK_S)
 
-    def _received(self, number: int | None, content: Any) -> None:
-        if number is not None:
-            _, future, _ = self._waiting.get(number, (None, None, 0))
-            if future is not None and not future.done():
-                future.set_result(content)
-        elif content:
-            self._show(content)
-        else:
-            self.ready.set()
 
-    def _gone(self) -> None:
-        if self._closed:
-            return
-        self.restarts += 1
-        self._outbox.put(None)
-        self._start()
-        for number, (request, future, n_tries) in list(self._waiting.items()):
-            if n_tries >= _MAX_TRIES:
-                if not future.done():
-                    future.set_result(Answer(500, {"error": "this message ended the process that took it, twice"}))
-                continue
-            self._waiting[number] = request, future, n_tries + 1
-            self._outbox.put((number, request))
+# Starts the share with this number, of so many.
+Starter = Callable[[int, int], Awaitable[Share]]
 
 
 class Workers:
-    """All of them; made inside of a running event loop."""
+    """All of them."""
 
-    def __init__(self, settings: Settings, folder: Path, n: int, show: Callable[[str], None]) -> None:
-        context = multiprocessing.get_context("spawn")
+    def __init__(self, start: Starter, n: int, show: Callable[[str], None]) -> None:
+        def starter(part: int) -> Callable[[], Awaitable[Share]]:
+            return lambda: start(part, n)
 
-        def made(part: int) -> tuple[Any, Connection]:
-            ours, theirs = context.Pipe()
-            process = context.Process(target=serve, args=(theirs, settings, folder, part, n), daemon=True)
-            process.start()
-            theirs.close()
-            return process, ours
+        self._workers = [_Worker(starter(part), show) for part in range(n)]
 
-        def maker(part: int) -> Callable[[], tuple[Any, Connection]]:
-            return lambda: made(part)
-
-        self.workers = [_Worker(maker(part), show) for part in range(n)]
-
-    async def ready(self) -> None:
+    async def start(self) -> None:
         """Return when all of them take messages."""
-        await asyncio.wait_for(asyncio.gather(*(w.ready.wait() for w in self.workers)), _START_S)
+        await asyncio.gather(*(worker.start() for worker in self._workers))
 
     async def take(self, request: Take) -> Answer:
         """What the worker of a device says to its message."""
-        return await self.workers[part_of(request.device, len(self.workers))].ask(request)
+        return await self._workers[part_of(request.device, len(self._workers))].ask(request)
 
     async def whole(self) -> list[Event]:
         """All there is to show: of each session its path, and what is known of now."""
-        answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self.workers))
-        return [event for answer in answers for event in answer.content]
+        answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self._workers))
+        return [event for answer in answers if answer.status == 200 for event in answer.content]
 
-    def close(self) -> None:
+    async def close(self) -> None:
         """End all of them."""
-        for worker in self.workers:
-            worker.close()
+        await asyncio.gather(*(worker.close() for worker in self._workers))

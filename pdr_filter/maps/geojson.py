@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
-from typing import Any, cast
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.io import limits
+from pdr_filter.io.files import read_json
 from pdr_filter.maps.storey import (
     CELL_M,
     FREE,
@@ -24,7 +25,7 @@ from pdr_filter.maps.storey import (
     Feature,
     Storey,
 )
-from pdr_filter.values import FloatArray, Origin, read_only
+from pdr_filter.values import FloatArray, IntArray, Origin, read_only
 
 # Words for the kinds of features, in property "type".
 _KINDS = {
@@ -39,6 +40,10 @@ _KIND_OF = {word: kind for kind, words in _KINDS.items() for word in words}
 _AREAS = ("floor", "room", "stairs", "lift")
 # Buildings: fewer metres across is a drawing in other units, and so is more.
 _LEAST_M, _MOST_M = 2.0, 3000.0
+# Cells of all storeys: a square kilometre, which malls do not have.
+_MOST_CELLS = 25_000_000
+# Cells that are looked at together.
+_BLOCK_CELLS = 1_000_000
 # Degrees: 0.05 are 5.6 km. Metres of a building span more.
 _MOST_DEG = 0.05
 # Of the walls' hull, which is the outline where none is drawn.
@@ -71,14 +76,14 @@ def read_plan(
     the middle of the plan.
     """
     path = Path(path)
+    if not path.exists():
+        raise FileNotFoundError(f"{path}: no such file")
     try:
-        content = json.loads(path.read_text(encoding="utf-8"))
-        if content["type"] != "FeatureCollection":
-            raise ValueError(f"type {content['type']}")
-        features, properties = list(content["features"]), dict(content.get("properties") or {})
-    except (OSError, KeyError, TypeError, ValueError, UnicodeDecodeError) as error:
-        if isinstance(error, FileNotFoundError):
-            raise
+        content = read_json(path, limits.MAX_PLAN_BYTES)
+        features, properties = content["features"], content.get("properties") or {}
+        if content["type"] != "FeatureCollection" or not isinstance(features, list) or not isinstance(properties, dict):
+            raise ValueError(f"type {content['type']}, features no list, or properties no object")
+    except (KeyError, TypeError, ValueError) as error:
         raise ValueError(f"{path}: no GeoJSON FeatureCollection ({error}); export one from QGIS") from None
     notes: list[str] = []
     try:
@@ -89,7 +94,13 @@ def read_plan(
         for d in drawn:
             _check_shape(d)
         floors = sorted({d.floor for d in drawn})
-        storeys = tuple(_storey(floor, [d for d in drawn if d.floor == floor]) for floor in floors)
+        of_floor = {floor: [d for d in drawn if d.floor == floor] for floor in floors}
+        if (n_cells := sum(np.prod(_grid(part)[1]) for part in of_floor.values())) > _MOST_CELLS:
+            raise ValueError(
+                f"the storeys have {n_cells * CELL_M**2 / 1e6:.1f} square kilometres together, more than "
+                f"{_MOST_CELLS * CELL_M**2 / 1e6:g}; draw one building, and look for a point that is far off"
+            )
+        storeys = tuple(_storey(floor, part) for floor, part in of_floor.items())
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
     name = str(content.get("name") or path.stem)
@@ -101,7 +112,9 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
         import shapely.geometry
     except ImportError:
         raise ImportError('floor plans need shapely: pip install "pdr_filter[maps]"') from None
-    properties = cast(dict[str, Any], feature.get("properties") or {})
+    properties: Any = feature.get("properties") or {} if isinstance(feature, dict) else None
+    if not isinstance(properties, dict):
+        raise ValueError(f"feature {number} is no feature with properties, got {str(feature)[:60]}; delete it")
     name, word = str(properties.get("name") or ""), str(properties.get("type") or "").lower()
     which = f"feature {number}" + (f" ({name!r})" if name else "")
     if not word:
@@ -123,7 +136,7 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
         raise ValueError(f"{which} is a {shape.geom_type}; draw it as a line or a polygon")
     try:
         storey = int(properties.get("floor", floor))
-    except (TypeError, ValueError):
+    except (TypeError, ValueError, OverflowError):
         raise ValueError(
             f"{which} has floor {properties.get('floor')!r}; give a whole number, 0 at the ground"
         ) from None
@@ -172,17 +185,24 @@ def _check_shape(drawn: _Drawn) -> None:
         )
 
 
-def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
+def _grid(drawn: Sequence[_Drawn]) -> tuple[FloatArray, IntArray]:
+    """South-west corner of the cells of a storey (2,), m, and the number of columns and rows (2,)."""
     import shapely
 
     points = np.concatenate([shapely.get_coordinates(d.shape) for d in drawn])
+    south_west = points.min(axis=0) - MARGIN_M
+    return south_west, np.ceil((points.max(axis=0) + MARGIN_M - south_west) / CELL_M).astype(int)
+
+
+def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
+    import shapely
+
     of_kind = {kind: [d for d in drawn if d.kind == kind] for kind in _KINDS}
     if not of_kind["floor"] and not of_kind["wall"]:
         raise ValueError(
             f'floor {floor} has neither an outline nor walls; draw a polygon of type "floor" about what people walk on'
         )
-    south_west = points.min(axis=0) - MARGIN_M
-    n_columns, n_rows = np.ceil((points.max(axis=0) + MARGIN_M - south_west) / CELL_M).astype(int)
+    south_west, (n_columns, n_rows) = _grid(drawn)
     east = south_west[0] + CELL_M * (np.arange(n_columns) + 0.5)
     north = south_west[1] + CELL_M * (np.arange(n_rows) + 0.5)
     cells = np.full((n_rows, n_columns), OUTSIDE, dtype=np.uint8)
@@ -191,16 +211,18 @@ def _storey(floor: int, drawn: Sequence[_Drawn]) -> Storey:
         """Cells whose middle is inside of an area."""
         shapely.prepare(shape)
         (x0, y0), (x1, y1) = np.reshape(shape.bounds, (2, 2))
-        columns = slice(*np.searchsorted(east, [x0, x1]))
-        rows = slice(*np.searchsorted(north, [y0, y1]))
-        x, y = np.meshgrid(east[columns], north[rows])
-        part = cells[rows, columns]
-        part[shapely.contains_xy(shape, x, y)] = kind
+        columns, (first, end) = slice(*np.searchsorted(east, [x0, x1])), np.searchsorted(north, [y0, y1])
+        n_together = max(_BLOCK_CELLS // max(columns.stop - columns.start, 1), 1)
+        for row in range(first, end, n_together):
+            rows = slice(row, min(row + n_together, end))
+            x, y = np.meshgrid(east[columns], north[rows])
+            cells[rows, columns][shapely.contains_xy(shape, x, y)] = kind
 
     doors = [d.shape for d in of_kind["door"]]
     near = shapely.unary_union(doors).buffer(_NEAR_M) if doors else shapely.Polygon()
     # without an outline the floor is what the walls are about
-    outlines = [d.shape for d in of_kind["floor"]] or [shapely.MultiPoint(points).convex_hull.buffer(_BESIDE_M)]
+    drawn_parts = shapely.GeometryCollection([d.shape for d in drawn])
+    outlines = [d.shape for d in of_kind["floor"]] or [drawn_parts.convex_hull.buffer(_BESIDE_M)]
     for outline in outlines:
         fill(outline, FREE)
     walls: list[Any] = [

@@ -26,7 +26,7 @@ from pdr_filter.report.geometry import (
     window_starts,
 )
 from pdr_filter.report.palette import FAINT, INK, context_colours, floor_colours
-from pdr_filter.values import FloatArray, TrackRows, Windows
+from pdr_filter.values import FloatArray, TrackRows, Windows, how_many
 
 _SIZE_IN = (8.0, 9.0)
 _MAX_NOTES = 3
@@ -235,7 +235,7 @@ def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]
 def _write_title(axes: Axes, track: TrackRows) -> None:
     minutes, seconds = divmod(round(track.duration_s), 60)
     duration = f"{minutes} min {seconds} s" if minutes else f"{track.duration_s:.1f} s"
-    steps = f"{track.n_steps} step" if track.n_steps == 1 else f"{track.n_steps:,} steps"
+    steps = how_many(track.n_steps, "step")
     facts = f"{steps}  ·  {track.distance_m:,.1f} m  ·  {duration}  ·  weighting {track.weighting}"
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")

@@ -213,6 +213,8 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> RadioMap:
 
 def _check(radio: RadioMap) -> None:
     """Raise ValueError unless the arrays fit together and are what they are called."""
+    if radio.floor.ndim != 1 or radio.rssi_dbm.ndim != 1:
+        raise ValueError(f"floor must be (N,) and rssi_dbm (H,), got {radio.floor.shape} and {radio.rssi_dbm.shape}")
     n, a, h = len(radio.floor), len(radio.bssid), len(radio.rssi_dbm)
     if radio.position_m.shape != (n, 2) or not 0 < n <= _MOST_POINTS:
         raise ValueError(

@@ -26,11 +26,11 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette, trust
 from pdr_filter.report.page_data import track_data
-from pdr_filter.values import TrackRows
+from pdr_filter.values import TrackRows, how_many
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01
-_SCRIPTS = ("assets/uPlot.iife.min.js", "page/map.js", "page/report.js")
+_SCRIPTS = ("assets/uPlot.iife.min.js", "page/canvas_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "page/report.css")
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
@@ -159,17 +159,13 @@ def _sentence(note: str) -> str:
 def _facts(track: TrackRows) -> str:
     minutes, seconds = divmod(round(track.duration_s), 60)
     lasted = f"{minutes} min {seconds} s" if minutes else f"{seconds} s"
-    facts = [_count(track.n_steps, "step"), f"{track.distance_m:,.1f} m", lasted, f"weighting {track.weighting}"]
+    facts = [how_many(track.n_steps, "step"), f"{track.distance_m:,.1f} m", lasted, f"weighting {track.weighting}"]
     if track.n_steps:
         facts.append(f"end {trust.end(track)}")
     if track.fixes:
         n_used = sum(fix.accepted for fix in track.fixes)
-        facts.append(f"{n_used} of {_count(len(track.fixes), 'fix', 'fixes')} used")
+        facts.append(f"{n_used} of {how_many(len(track.fixes), 'fix', 'fixes')} used")
     return " · ".join(facts)
-
-
-def _count(n: int, one: str, many: str = "") -> str:
-    return f"{n:,} {one if n == 1 else many or one + 's'}"
 
 
 def _seconds(track: TrackRows) -> list[tuple[str, str, str]]:

@@ -15,7 +15,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.sensing.clock import ClockState, follow, one_clock
 from pdr_filter.sensing.units import UnitsState, look, units
 from pdr_filter.sensing.watchdog import WatchdogState, watch, watchdog
-from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, replace
+from pdr_filter.values import BoolArray, FloatArray, ImuBlock, Samples, check_numbers, how_many, how_often, replace
 
 # Columns of the rows that wait in the state: time, specific force, angular rate, magnetic field, and the age of the
 # last finite angular rate and magnetic field.
@@ -78,8 +78,8 @@ class IntakeReport:
             found.append(f"{self.n_not_finite} of {self.n_received} samples had no finite value and were left out")
         if self.n_implausible:
             found.append(
-                f"{self.n_implausible} samples were beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s and "
-                "were left out"
+                f"{how_many(self.n_implausible, 'sample')} beyond {MAX_FORCE_MPS2:g} m/s2 or {MAX_RATE_RADPS:g} rad/s "
+                "left out"
             )
         for sensor, n_dead, so in (
             ("accelerometer", self.n_dead_force, "left out"),
@@ -91,9 +91,11 @@ class IntakeReport:
                     f"samples are {so}"
                 )
         if self.n_wild_field:
-            found.append(f"{self.n_wild_field} samples had a magnetic field beyond {MAX_FIELD_UT:g} uT: taken as none")
+            found.append(f"{how_many(self.n_wild_field, 'magnetic field')} beyond {MAX_FIELD_UT:g} uT: taken as none")
         if self.n_clock_jumps:
-            found.append(f"the clock jumped {self.n_clock_jumps} times; the track follows the samples, not the clock")
+            found.append(
+                f"the clock jumped {how_often(self.n_clock_jumps)}; the track follows the samples, not the clock"
+            )
         if self.n_not_increasing:
             found.append(
                 f"{self.n_not_increasing} of {self.n_received} samples had a repeated or backward time and were dropped"
@@ -110,7 +112,7 @@ class IntakeReport:
             )
         if self.n_gaps:
             found.append(
-                f"{self.n_gaps} gap{'s' if self.n_gaps > 1 else ''} ({self.lost_s:.1f} s in all, longest "
+                f"{how_many(self.n_gaps, 'gap')} ({self.lost_s:.1f} s in all, longest "
                 f"{self.longest_gap_s:.1f} s): steps in there are unknown and the covariance was grown"
             )
         missing_s = self.n_without_rate / self.rate_hz
@@ -135,6 +137,10 @@ class ConditionerState:
     watchdog: WatchdogState
     units: UnitsState
     report: IntakeReport
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether the segment of later stages can have so many samples; none of a new one has left yet."""
+        return self.n_emitted in (0, n_samples)
 
     def notes(self) -> tuple[str, ...]:
         """What is odd about the samples, in plain words."""

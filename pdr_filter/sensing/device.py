@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.files import read_small, write_text
+from pdr_filter.io.files import read_json, write_text
 from pdr_filter.values import FloatArray, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
@@ -55,9 +55,9 @@ class Device:
     def load(cls, path: str | Path) -> Device:
         """Read what `save` wrote; ValueError that names the file if it is none."""
         try:
-            content = json.loads(read_small(Path(path), limits.MAX_SMALL_BYTES))
+            content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_device"] != 1:
                 raise ValueError(f"version {content['pdr_filter_device']}")
             return cls(np.array(content["bias_radps"], float), np.array(content["bias_cov_radps2"], float))
-        except (KeyError, TypeError, ValueError) as error:
+        except Exception as error:  # whatever a damaged file provokes
             raise ValueError(f"{path}: no device file of pdr_filter ({error}); write one with Device.save") from None

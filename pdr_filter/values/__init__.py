@@ -42,6 +42,7 @@ from pdr_filter.values.track_rows import TrackRows
 from pdr_filter.values.uncertainty import RADIUS_68, RADIUS_95
 from pdr_filter.values.wifi import Wifi, WifiScan, address_text, loudness
 from pdr_filter.values.windows import Windows
+from pdr_filter.values.words import how_many, how_often
 
 __all__ = [
     "CARRYING_MODES",
@@ -90,6 +91,8 @@ __all__ = [
     "check_whole",
     "circular_mean",
     "heading_from_yaw",
+    "how_many",
+    "how_often",
     "loudness",
     "median",
     "read_only",

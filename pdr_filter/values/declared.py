@@ -18,7 +18,8 @@ _LARGEST, _LARGEST_WHOLE = 1e30, 2**53
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
     """ValueError that names the first of these fields of a dataclass that is not what it is declared as.
 
-    Numbers must not be absurd, in arrays neither; what else they may be is for the dataclass to say.
+    Numbers must not be absurd, in arrays neither, and numbers of things (n_...) not negative; what else they may be is
+    for the dataclass to say.
     """
     declared = _declared(cls)
     for name, value in content.items():
@@ -27,6 +28,8 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
         if not _is_a(value, declared[name]):
             kind = str(declared[name]).replace("typing.", "")
             raise ValueError(f"{name} of {cls.__name__} must be {kind}, got {str(value)[:60]}")
+        if name.startswith("n_") and type(value) is int and value < 0:
+            raise ValueError(f"{name} of {cls.__name__} is a number of things, got {value}")
 
 
 def check_whole(value: Any) -> None:

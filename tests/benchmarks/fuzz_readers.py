@@ -1,12 +1,14 @@
 """Mutated files of every format: a recording or a RecordingError, soon, in little memory, without touching other files.
 
-usage: python -m tests.benchmarks.fuzz_readers [--inputs 10000] [--forms own,phyphox:zip,...] [--seed 0]
+usage: python -m tests.benchmarks.fuzz_readers [--inputs 10000] [--forms own,phyphox:zip,...] [--seed 0] [--data ...]
 
 One of a hundred mutations makes a file large; one of twenty inputs is a folder or a file of which a part is a pipe, a
-device, a link or, in hdf5, data kept elsewhere. Each form is read in a process of its own, so that a crash of a C
-library would be seen, and which ends with a traceback where it hangs. The table has, for each form, how many were read
-with a report that fits, refused by the name of the file, failed in any other way (opening or writing another file is
-one), and were slower than a second, and by how much the process grew at most; the first failures are kept in a folder.
+device, a link or, in hdf5, data kept elsewhere. Forms are small files as the apps would write them, and the first rows
+of files that apps wrote for people (`app:...`, in app_files beside the data sets; a third as many inputs). Each form is
+read in a process of its own, so that a crash of a C library would be seen, and which ends with a traceback where it
+hangs. The table has, for each form, how many were read with a report that fits, refused by the name of the file, failed
+in any other way (opening or writing another file is one), and were slower than a second, and by how much the process
+grew at most; the first failures are kept in a folder.
 """
 
 from __future__ import annotations
@@ -16,6 +18,7 @@ import faulthandler
 import json
 import os
 import random
+import re
 import resource
 import shutil
 import subprocess
@@ -23,16 +26,23 @@ import sys
 import tempfile
 import time
 import warnings
+import zipfile
 from collections import Counter
 from pathlib import Path
 
+from tests.benchmarks.app_files import FILES
 from tests.benchmarks.common import Tables, options
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "io"))
 
+from app_files import write_zip
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, mutated_file, of_another_kind
 
+# Files that are read, but for a spreadsheet of 2.5 MB: of its numbers nothing can be cut.
+APPS = [f"app:{file.path}" for file in FILES if not file.refusal and not file.path.endswith(".xlsx")]
+N_LINES = 300  # of each table
 KEPT = Path(tempfile.gettempdir()) / "fuzz_readers"
+ALL = (*FORMS, *APPS)
 MEASURED = ("slower than 1 s", "largest memory")
 SLOW_S = 1.0  # of processor time
 HANG_S = 60.0  # on the wall, on a machine that may be busy: the process ends and says where it was
@@ -47,7 +57,26 @@ def largest_mib() -> int:
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss // 1024
 
 
-def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
+def first_rows(source: Path, folder: Path) -> Path:
+    """The first rows of a file of an app, or of the tables in a zip or a folder, which is packed."""
+    if source.is_dir():
+        files = {path.relative_to(source).as_posix(): path.read_bytes() for path in source.rglob("*") if path.is_file()}
+    elif zipfile.is_zipfile(source):
+        with zipfile.ZipFile(source) as archive:
+            files = {name: archive.read(name) for name in archive.namelist() if not name.endswith("/")}
+    else:
+        path = folder / f"good{source.suffix}"
+        is_text = source.suffix not in (".mat", ".json")
+        path.write_bytes(source.read_bytes() if not is_text else cut(source.read_bytes()))
+        return path
+    return write_zip(folder / "good.zip", {name: cut(content) for name, content in files.items()})
+
+
+def cut(text: bytes) -> bytes:
+    return b"".join(text.splitlines(keepends=True)[:N_LINES])
+
+
+def fuzz(form: str, inputs: int, seed: int, apps: Path) -> Counter[str]:
     """Counts of what happened, and the memory by which the process grew."""
     from pdr_filter.io.errors import RecordingError
     from pdr_filter.io.formats import read
@@ -58,7 +87,8 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         (folder / "good").mkdir()
-        good = good_file(form, folder / "good")
+        app = form.partition(":")[2] if form in APPS else ""
+        good = first_rows(apps / app, folder / "good") if app else good_file(form, folder / "good")
         assert len(read(good).accelerometer) > 0
         (folder / "x").mkdir()
         (folder / "elsewhere").mkdir()
@@ -83,7 +113,7 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
             else:
                 path = mutated_file(good, folder / "x", rng)
             # half the time the reader of this format is forced, so that detection does not turn all away
-            forced = form.partition(":")[0] if rng.random() < 0.5 else None
+            forced = form.partition(":")[0] if rng.random() < 0.5 and not app else None
             begin = time.process_time()
             try:
                 faulthandler.dump_traceback_later(HANG_S, exit=True)
@@ -105,7 +135,7 @@ def fuzz(form: str, inputs: int, seed: int) -> Counter[str]:
                 counts[f"failed: {type(error).__name__}: {str(error)[:80]}"] += 1
                 KEPT.mkdir(exist_ok=True)
                 if path.is_file():
-                    (KEPT / f"{form.replace(':', '_')}_{i}_{forced}{path.suffix}").write_bytes(path.read_bytes())
+                    (KEPT / f"{re.sub('[:/]', '_', form)}_{i}_{forced}{path.suffix}").write_bytes(path.read_bytes())
             counts["slower than 1 s"] += time.process_time() - begin > SLOW_S
             shutil.rmtree(folder / "x" / "unpacked", ignore_errors=True)
             if {entry.name for entry in folder.iterdir()} != {"good", "x", "elsewhere"} or not beside.issuperset(
@@ -120,25 +150,27 @@ def main() -> None:
     """One row for each form."""
     parser = options(__doc__)
     parser.add_argument("--inputs", type=int, default=10_000)
-    parser.add_argument("--forms", default=",".join(FORMS))
+    parser.add_argument("--forms", default=",".join(ALL))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--here", action="store_true", help=argparse.SUPPRESS)
     args, rows = parser.parse_args(), []
     for form in args.forms.split(","):
+        inputs = args.inputs // 3 if form in APPS else args.inputs
         if args.here:
-            print(json.dumps(fuzz(form, args.inputs, args.seed)))
+            print(json.dumps(fuzz(form, args.inputs, args.seed, args.data.parent / "app_files")))
             return
-        command = [sys.executable, "-m", __spec__.name, "--here", "--forms", form, "--inputs", str(args.inputs)]
-        ended = subprocess.run([*command, "--seed", str(args.seed)], check=False, stdout=subprocess.PIPE, text=True)
+        command = [sys.executable, "-m", __spec__.name, "--here", "--forms", form, "--inputs", str(inputs)]
+        command += ["--seed", str(args.seed), "--data", str(args.data)]
+        ended = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
         if ended.returncode:
-            rows.append([f"`{form}`", args.inputs, "", "", f"ended with code {ended.returncode}", "", ""])
+            rows.append([f"`{form}`", inputs, "", "", f"ended with code {ended.returncode}", "", ""])
             continue
         counts = Counter(json.loads(ended.stdout))
         read, refused, slow, mib = (counts.pop(what, 0) for what in ("read", "refused", *MEASURED))
         print(form, read, refused, slow, f"{mib} MiB", dict(counts) or "", flush=True)
-        rows.append([f"`{form}`", args.inputs, read, refused, sum(counts.values()), slow, f"{mib} MiB"])
+        rows.append([f"`{form}`", inputs, read, refused, sum(counts.values()), slow, f"{mib} MiB"])
     tables = Tables.of(__spec__.name, args)
-    if args.forms != ",".join(FORMS):
+    if args.forms != ",".join(ALL):
         tables = Tables(tables.command, None)
     tables.write("fuzz_readers", ["form", "inputs", "read", "refused", "failed", *MEASURED], rows)
 

@@ -1,10 +1,11 @@
-"""Mutated saved filters, models and calibrations: each must be refused at loading or work, soon and in little memory.
+"""Mutated files and messages that are no recordings: each is refused at loading or works, soon and in little memory.
 
 usage: python -m tests.benchmarks.fuzz_saved [--inputs 2000] [--forms filter:default,model,...] [--seed 0]
 
-A filter that is loaded is given ten seconds of a walk and finished, a model classifies windows, a calibration gives
-everybody's step lengths. Inputs are tried in a process of their own, so that a crash of a C library would be seen; it
-goes on behind an input that ends it or at which it hangs. Memory is the peak above that before the input (Linux).
+A saved filter that is loaded is given ten seconds of a walk and finished, a model classifies windows, a calibration
+gives everybody's step lengths, a radio map finds a walk, messages of phones become the samples of a session. No other
+file may be opened meanwhile. Inputs are tried in a process of their own, so that a crash of a C library would be seen;
+it goes on behind an input that ends it or at which it hangs. Memory is the peak above that before the input (Linux).
 """
 
 from __future__ import annotations
@@ -22,8 +23,11 @@ from tests.benchmarks.common import Tables, options
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 
-from saved_mutations import FILTERS, FORMS, a_calibration, good_filter, try_one
+from given_mutations import GIVEN, a_radio_map, try_given, usual_config, walk_to_find
+from saved_mutations import FILTERS, a_calibration, good_filter, try_one
+from saved_mutations import FORMS as SAVED
 
+FORMS = (*SAVED, *GIVEN)
 SLOW_S, LARGE_MB = 1.0, 500.0
 HANG_S = 60.0  # on the wall, on a machine that may be busy
 EVERY = 100  # inputs between two lines of progress
@@ -47,13 +51,18 @@ def fuzz(form: str, first: int, until: int, seed: int) -> None:
     if form.startswith("filter"):  # made now, not in the time of the first input
         for located in (False, True):
             good_filter(form.partition(":")[2], located=located)
-    a_calibration()
+    elif form == "calibration":
+        a_calibration()
+    elif form == "radio_map":
+        _ = a_radio_map(), walk_to_find()
+    try_it = try_given if form in GIVEN else try_one
+    _ = usual_config()
     with tempfile.TemporaryDirectory() as folder:
         for number in range(first, until):
             forget_peak()
             begin_s, begin_mb = time.process_time(), memory_mb("VmRSS")
             faulthandler.dump_traceback_later(HANG_S, exit=True)
-            what = try_one(form, number, seed, Path(folder))
+            what = try_it(form, number, seed, Path(folder))
             faulthandler.cancel_dump_traceback_later()
             used_s, used_mb = time.process_time() - begin_s, memory_mb("VmHWM") - begin_mb
             print(f"{used_s:.3f}\t{used_mb:.1f}\t{' '.join(what.split())}", flush=True)
@@ -82,7 +91,7 @@ def results_of(form: str, inputs: int, seed: int) -> list[tuple[float, float, st
 def main() -> None:
     """One row for each form."""
     parser = options(__doc__)
-    parser.add_argument("--inputs", type=int, default=2000, help="of each recipe; 2.5 times as many of other forms")
+    parser.add_argument("--inputs", type=int, default=2000, help="of each recipe; 5 times as many of other forms")
     parser.add_argument("--forms", default=",".join(FORMS))
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--here", type=int, help=argparse.SUPPRESS)
@@ -91,7 +100,7 @@ def main() -> None:
         fuzz(args.forms, args.here, args.inputs, args.seed)
         return
     for form in args.forms.split(","):
-        results = results_of(form, args.inputs if form in FILTERS else 5 * args.inputs // 2, args.seed)
+        results = results_of(form, args.inputs if form in FILTERS else 5 * args.inputs, args.seed)
         counts = Counter(what for _, _, what in results)
         failed = len(results) - counts["worked"] - counts["refused"]
         slow = sum(used_s > SLOW_S for used_s, _, _ in results)

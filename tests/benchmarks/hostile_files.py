@@ -259,6 +259,146 @@ def sparse_rows(folder: Path) -> str:
     return reading(folder / "data.hdf5")
 
 
+# --- filters and models ---------------------------------------------------------------------------------------------
+
+
+def loading(load: Callable[[], object]) -> str:
+    """What loading comes to."""
+    begin = time.perf_counter()
+    try:
+        load()
+    except ValueError:
+        return "refused"
+    except MemoryError:
+        return "memory ends"
+    finally:
+        _SPENT_S.append(time.perf_counter() - begin)
+    return "loaded"
+
+
+@case("saved filter of 30 kB: twelve million empty lists")
+def many_lists(folder: Path) -> str:
+    import zlib
+
+    import pdr_filter as pdr
+
+    packer = zlib.compressobj()
+    pieces = [packer.compress(b'{"format":2,"value":{"list":[')]
+    pieces += [packer.compress(b"[]," * 100_000) for _ in range(120)]
+    blob = b"".join([*pieces, packer.compress(b"0]}}"), packer.flush()])
+    return loading(lambda: pdr.OnlineFilter.load(blob))
+
+
+@case("model: npz of 1 MB that unpacks to 1 GiB")
+def big_model(folder: Path) -> str:
+    import hashlib
+
+    from pdr_filter.classifiers.model import load_model
+
+    path = load_model("carrying").save(folder).with_suffix(".npz")
+    with zipfile.ZipFile(path, "a", zipfile.ZIP_DEFLATED) as archive, archive.open("zeros.npy", "w") as file:
+        np.lib.format.write_array_header_1_0(file, {"descr": "|u1", "fortran_order": False, "shape": (1 << 30,)})
+        for _ in range(1 << 6):
+            file.write(bytes(1 << 24))
+    description = json.loads(path.with_suffix(".json").read_text())
+    description["npz_sha256"] = hashlib.sha256(path.read_bytes()).hexdigest()
+    path.with_suffix(".json").write_text(json.dumps(description))
+    return loading(lambda: load_model(path))
+
+
+def lying(n: int = 400) -> tuple[np.ndarray, ...]:
+    """Samples of a phone that lies still: times, force, rate, field."""
+    one = np.ones((n, 1))
+    return np.arange(n) / 100, one * [0.0, 0.0, 9.81], one * [0.001, 0.0, 0.0], one * [20.0, 0.0, -40.0]
+
+
+@case("`AttitudeEstimator(tau_acc_s=0)` and samples")
+def no_time_constant(folder: Path) -> str:
+    from dataclasses import replace
+
+    import pdr_filter as pdr
+    from pdr_filter.sensing.attitude import AttitudeEstimator
+
+    config = pdr.recipes.default()
+    try:
+        attitude = AttitudeEstimator(tau_acc_s=0.0)
+    except ValueError:
+        return "refused"
+    online = pdr.OnlineFilter(replace(config, sensing=replace(config.sensing, attitude=attitude)))
+    online.push(*lying())
+    return "goes on"
+
+
+@case("magnetic field of 1e160 uT")
+def wild_field(folder: Path) -> str:
+    return with_field(1e160)
+
+
+@case("magnetic field of 1.7e308 uT")
+def wilder_field(folder: Path) -> str:
+    return with_field(1.7e308)
+
+
+def with_field(field_ut: float) -> str:
+    """What 400 samples with one field that nothing measures come to."""
+    import pdr_filter as pdr
+
+    online, (time_s, force, rate, field) = pdr.OnlineFilter(), lying()
+    field[200] = field_ut
+    try:
+        online.push(time_s, force, rate, field)
+    except Exception as error:
+        return f"{type(error).__name__}, the block is lost"
+    said = [note for note in online.notes if "magnetic" in note]
+    return "left out, and said" if said else "nothing said"
+
+
+@case("barometer whose clock is ten hours ahead, for six hours: size of a saved filter")
+def early_barometer(folder: Path) -> str:
+    import pdr_filter as pdr
+
+    online = pdr.OnlineFilter()
+    online.push(*lying())
+    fresh = len(online.save())
+    for begin_s in range(36_000, 57_600, 600):
+        time_s = begin_s + np.arange(0.0, 600.0, 0.2)
+        online.push_pressure(time_s, 1000.0 + 0.001 * np.sin(time_s))
+    return f"{(len(online.save()) - fresh) / 1e3:.0f} kB more"
+
+
+@case("batch whose process is killed: workers that are left ten seconds later")
+def killed_batch(folder: Path) -> str:
+    from pdr_filter.simulate import demo_walk
+
+    walk = demo_walk(0)
+    for i in range(40):
+        walk.save(folder / f"{i}.zip")
+    code = "from pdr_filter.cli.app import app; app()"
+    words = ["track", str(folder), "--jobs", "2", "--out", str(folder / "out")]
+    batch = subprocess.Popen([sys.executable, "-c", code, *words], start_new_session=True, stderr=subprocess.DEVNULL)
+    deadline = time.monotonic() + 40
+    while len(of_session(batch.pid)) < 3 and time.monotonic() < deadline:
+        time.sleep(0.1)
+    time.sleep(3.0)
+    batch.kill()
+    batch.wait()
+    time.sleep(10.0)
+    left = of_session(batch.pid)
+    for pid in left:
+        os.kill(pid, signal.SIGKILL)
+    return f"{len(left)} left"
+
+
+def of_session(session: int) -> list[int]:
+    """Processes of a session (Linux)."""
+    found: list[int] = []
+    for entry in Path("/proc").iterdir():
+        with suppress(OSError, ValueError):
+            if os.getsid(int(entry.name)) == session:
+                found.append(int(entry.name))
+    return found
+
+
 # --- text of others --------------------------------------------------------------------------------------------------
 
 

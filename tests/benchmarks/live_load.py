@@ -1,10 +1,12 @@
 """How many phones one machine tracks as they walk: real messages over real HTTP to `pdr-filter live` on this machine.
 
-usage: python -m tests.benchmarks.live_load [--phones 10 50 100 200] [--seconds 20] [--workers 2]
+usage: python -m tests.benchmarks.live_load [load] [page] [--phones 10 50 100 200] [--seconds 20] [--workers 2]
 
 Each phone posts what Sensor Logger would: a message a second with accelerometer and gyroscope at 100 Hz and the
 magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. What sends runs on the
-same cores, and nothing is sent to any other machine.
+same cores, and nothing is sent to any other machine. "Told" is when a program that reads the events has the first one
+after a message came. `page` is the same until it is drawn by a page in Chromium, whose picture changes ten times a
+second at most; it needs Chromium.
 """
 
 from __future__ import annotations
@@ -23,9 +25,12 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 import pdr_filter as pdr
+from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, options
 
+sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "live"))
+from browser import Browser
 from serving import Server, sensor_logger_messages
 
 _NAME = "phone-000000"
@@ -104,22 +109,43 @@ async def crowd(n: int, server: Server, bodies: list[bytes], seconds: float, see
     return used_s / measured_s, measured_s
 
 
-def main() -> None:
-    parser = options(__doc__ or "")
-    parser.add_argument("--phones", type=int, nargs="+", default=[10, 50, 100, 200])
-    parser.add_argument("--seconds", type=float, default=20.0)
-    parser.add_argument("--workers", type=int, default=2)
-    given = parser.parse_args()
-    walk = pdr.simulate.demo_walk()
-    bodies = [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0)]
+# When what was shown last was received, each time that it is drawn.
+_TIMED = """(() => {
+  const paint = live.map.paint.bind(live.map);
+  let last = null;
+  window.drawn = [];
+  live.map.paint = () => {
+    paint();
+    const now = live.map.way?.now;
+    if (now?.received_unix_s && now !== last) drawn.push(Date.now() / 1000 - (last = now).received_unix_s);
+  };
+})()"""
+
+
+def in_chromium(n: int, seconds: float, workers: int, bodies: list[bytes]) -> FloatArray:
+    """How long after a message a page has drawn what it says, while so many phones send."""
+    with (
+        tempfile.TemporaryDirectory() as folder,
+        Server("--workers", str(workers)) as server,
+        Browser(Path(folder)) as browser,
+    ):
+        browser.open(server.address)
+        browser.ask("Network.disable")  # each event of the page would be told
+        browser.value(_TIMED)
+        asyncio.run(crowd(n, server, bodies, seconds, Seen()))
+        return np.array(browser.value("drawn"))
+
+
+def load(phones: list[int], seconds: float, workers: int, bodies: list[bytes]) -> list[list[str]]:
+    """A row for each number of phones."""
     rows: list[list[str]] = []
-    for n in given.phones:
+    for n in phones:
         seen = Seen()
         with tempfile.TemporaryDirectory() as folder:
-            options_ = ("--record", folder, "--workers", str(given.workers), "--max-devices", str(n))
+            options_ = ("--record", folder, "--workers", str(workers), "--max-devices", str(n))
             with Server(*options_) as server:
                 idle_mb = memory_mb(server.children)
-                cores, _ = asyncio.run(crowd(n, server, bodies, given.seconds, seen))
+                cores, _ = asyncio.run(crowd(n, server, bodies, seconds, seen))
                 phone_mb = (memory_mb(server.children) - idle_mb) / n
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
@@ -135,18 +161,39 @@ def main() -> None:
             ]
         )
         print(rows[-1], f"load {os.getloadavg()[0]:.1f}", flush=True)
-    columns = [
-        "phones",
-        "in real time",
-        "cores used",
-        "ms of one core a second and phone",
-        "answer p50 / p99, ms",
-        "on the page p50 / p99, ms",
-        "memory a phone, MB",
-    ]
-    load = f"{os.getloadavg()[0]:.0f} processes wanted its {os.cpu_count()} cores"
-    about = f"{given.workers} workers, {given.seconds:.0f} s each; the machine was shared: {load}."
-    Tables.of(__spec__.name, given).write("live_load", columns, rows, about)
+    return rows
+
+
+def main() -> None:
+    parser = options(__doc__ or "", "load", "page")
+    parser.add_argument("--phones", type=int, nargs="+", default=[10, 50, 100, 150, 200])
+    parser.add_argument("--seconds", type=float, default=20.0)
+    parser.add_argument("--workers", type=int, default=2)
+    given = parser.parse_args()
+    walk = pdr.simulate.demo_walk()
+    bodies = [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0)]
+    tables = Tables.of(__spec__.name, given)
+    machine = f"{given.workers} workers; {os.cpu_count()} cores, shared with"
+    if "load" in given.parts:
+        rows = load(given.phones, given.seconds, given.workers, bodies)
+        columns = [
+            "phones",
+            "in real time",
+            "cores used",
+            "ms of one core a second and phone",
+            "answer p50 / p99, ms",
+            "told p50 / p99, ms",
+            "memory a phone, MB",
+        ]
+        tables.write("live_load", columns, rows, f"{machine} others (load {os.getloadavg()[0]:.0f}).")
+    if "page" in given.parts:
+        rows = []
+        for n in (1, 10):
+            drawn_ms = 1e3 * in_chromium(n, 3 * given.seconds, given.workers, bodies)
+            p50, p99 = np.percentile(drawn_ms, [50, 99])
+            rows.append([str(n), str(len(drawn_ms)), f"{p50:.0f}", f"{p99:.0f}"])
+        columns = ["phones", "n", "p50, ms", "p99, ms"]
+        tables.write("live_page", columns, rows, f"{machine} Chromium and others (load {os.getloadavg()[0]:.0f}).")
 
 
 if __name__ == "__main__":

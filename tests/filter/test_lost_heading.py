@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -19,6 +20,7 @@ from pdr_filter.values import HeadingFix, PositionFix
 # Nothing is recorded while the person turns by 2.2 rad.
 GAP_BEGIN_S, GAP_END_S = 97.0, 102.0
 FIX_STD_M = 2.0
+FAR_M = np.array([80.0, -60.0])
 
 
 def in_gap(time_s: np.ndarray) -> np.ndarray:
@@ -26,15 +28,24 @@ def in_gap(time_s: np.ndarray) -> np.ndarray:
 
 
 @pytest.fixture(scope="module")
-def walk() -> Recording:
+def whole() -> Recording:
     legs = [Leg("walking", distance_m=70.0, turn_rad=turn) for turn in (0.0, 1.2, 2.2, 0.3)]
-    whole = simulate(legs, seed=5, name="walk")
+    return simulate(legs, seed=5, name="walk")
+
+
+def without(whole: Recording, is_lost: Callable[[np.ndarray], np.ndarray]) -> Recording:
+    """Without the samples of some times."""
     left = {}
     for name in ("accelerometer", "gyroscope", "magnetometer"):
         samples = getattr(whole, name)
-        keep = ~in_gap(samples.time_s)
+        keep = ~is_lost(samples.time_s)
         left[name] = Samples(samples.time_s[keep], samples.values[keep])
     return replace(whole, **left)
+
+
+@pytest.fixture(scope="module")
+def walk(whole: Recording) -> Recording:
+    return without(whole, in_gap)
 
 
 def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
@@ -107,3 +118,40 @@ def test_a_turn_that_is_open_again_does_not_depend_on_how_samples_are_cut(walk: 
         updates += online.finish()
         tracks.append(np.array([u.position_m for u in updates]).tobytes())
     assert tracks[0] == tracks[1] == tracks[2]
+
+
+def with_wrong(fixes: list[PositionFix], begin_s: float, end_s: float) -> list[PositionFix]:
+    """Fixes of which those between two times are 100 m off."""
+    return [replace(fix, position_m=fix.position_m + FAR_M * (begin_s < fix.time_s < end_s)) for fix in fixes]
+
+
+def test_one_wrong_fix_after_a_lost_heading_does_not_take_the_track_with_it(walk: Recording) -> None:
+    track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, GAP_END_S + 12.0)])
+    after = [fix.outcome for fix in track.fixes if fix.time_s > GAP_END_S]
+    assert after[0] == "rejected"
+    assert "rejected" not in after[1:]
+    assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
+
+
+def test_fixes_that_contradict_the_place_of_a_lost_heading_for_long_move_the_track_and_it_says_so(
+    walk: Recording,
+) -> None:
+    track = tracked(walk, [*with_wrong(fixes_of(walk), GAP_END_S, np.inf)])
+    moved = next(fix.time_s for fix in track.fixes if fix.outcome == "moved")
+    assert moved > GAP_END_S + 60.0
+    (note,) = (note for note in track.notes if "moved it by" in note)
+    assert "," not in note.partition("moved it by ")[2].partition(" m")[0]  # once
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s) - FAR_M, axis=1)
+    assert error_m[track.time_s > moved + 2.0].max() < 20.0
+
+
+def test_a_fix_at_the_begin_of_a_gap_says_little_of_the_place_at_its_end(whole: Recording) -> None:
+    walk = without(whole, lambda time_s: (time_s > 97.0) & (time_s < 117.0))
+    fixes = [fix for fix in fixes_of(walk) if fix.time_s < 97.0]
+    late = PositionFix(99.0, truth_m(walk, np.array([99.0]))[0], FIX_STD_M**2 * np.eye(2))
+    track = tracked(walk, [*fixes, late])
+    first = int(np.searchsorted(track.time_s, 117.0))
+    std_m = np.sqrt(np.linalg.eigvalsh(track.position_cov_m2[first])[0])
+    assert 12.0 < std_m < 25.0  # 18 s at a metre a second
+    known = tracked(walk, [*fixes, replace(late, time_s=116.9, position_m=truth_m(walk, np.array([116.9]))[0])])
+    assert np.sqrt(np.linalg.eigvalsh(known.position_cov_m2[first])[0]) < 5.0

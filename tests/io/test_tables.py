@@ -26,6 +26,7 @@ from app_files import (
 
 from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
+from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
 from pdr_filter.io.mapping import read_mapping
@@ -236,6 +237,25 @@ def test_the_mapping_that_was_guessed_reads_the_same_bits_when_it_is_given(tmp_p
         np.testing.assert_array_equal(samples.values, found.recording.streams[name].values)
 
 
+def test_a_mapping_is_written_as_it_was_read(tmp_path: Path) -> None:
+    text = '[time]\nrate_hz = 50\n[accelerometer]\ncolumns = ["a", "b", "c"]\n'
+    path = tmp_path / "walk.toml"
+    for sign in ("", "sign = 1\n", "sign = -1\n"):
+        path.write_text(text + '[gyroscope]\ncolumns = ["d", "e", "f"]\nunit = "deg/s"\n' + sign)
+        mapping = read_mapping(path)
+        path.write_text(mapping.toml())
+        assert read_mapping(path) == mapping
+
+
+def test_a_digit_that_is_no_number_is_no_time(tmp_path: Path) -> None:
+    text = physics_toolbox_text(WALK)
+    header, first, rest = text.split("\n", 2)
+    damaged = "17879233041\u00b27456789" + first[first.index(",") :]
+    (tmp_path / "walk.csv").write_text("\n".join([header, damaged, rest]), encoding="utf-8")
+    with pytest.raises(RecordingError, match=r"walk.csv: "):
+        read(tmp_path / "walk.csv")
+
+
 def test_a_header_in_the_code_of_the_phone_is_read(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_bytes(androsensor().encode("latin-1"))
     assert_same_streams(read(tmp_path / "walk.csv"), WALK, BOTH, time_s=1e-6, rtol=1e-9)
@@ -372,18 +392,20 @@ def test_what_is_left_out_of_a_folder_is_noted(tmp_path: Path) -> None:
     assert any("left out: old_accelerometer" in note for note in read(folder).notes)
 
 
-def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path) -> None:
+@pytest.mark.parametrize("n_without_time", [0, 1, 3])
+def test_the_gyroscope_is_checked_with_how_gravity_turns(tmp_path: Path, n_without_time: int) -> None:
     at_s = np.arange(0.0, 30.0, 0.02)
     angle = 0.8 * np.sin(2 * np.pi * at_s / 8)
     force = 9.81 * np.column_stack([0 * at_s, np.sin(angle), np.cos(angle)])
     rate = np.column_stack([np.gradient(angle, at_s), 0 * at_s, 0 * at_s])
     for unit, factor in (("rad/s", 1.0), ("deg/s", 180 / np.pi)):
-        text = table_text({"time": at_s} | axes("acc%", force) | axes("gyro%", factor * rate))
+        begun_s = np.where(np.arange(len(at_s)) < n_without_time, np.nan, at_s)
+        text = table_text({"time": begun_s} | axes("acc%", force) | axes("gyro%", factor * rate))
         (tmp_path / "walk.csv").write_text(text)
         found = read_guessed(tmp_path / "walk.csv")
         assert any(f"gyroz, {unit}" in line for line in found.guess.evidence)
         assert found.recording.gyroscope is not None
-        np.testing.assert_allclose(found.recording.gyroscope.values, rate, atol=1e-12)
+        np.testing.assert_allclose(found.recording.gyroscope.values, rate[n_without_time:], atol=1e-12)
     assert (
         any("gravity turns 1.0" in line for line in read_guessed(tmp_path / "walk.csv").guess.evidence)
         or unit == "deg/s"

@@ -16,7 +16,8 @@ from serving import own_messages, sensor_logger_messages, short_walk
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.live.assembly import SessionError
-from pdr_filter.live.devices import Devices, Session, session_id
+from pdr_filter.live.devices import Devices
+from pdr_filter.live.session import Session, session_id
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.values import Samples
 
@@ -131,6 +132,21 @@ def test_a_clock_that_is_set_back_gives_the_track_of_the_same_recording(walk: Re
     assert session.path[-1][0] > 30.0
 
 
+def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Path) -> None:
+    """It is followed after a minute; the track's own time goes on."""
+    bodies: list[bytes] = []
+    for body in own_messages(short_walk(110.0), part_s=1.0):
+        content = json.loads(body)
+        for rows in content["samples"].values():
+            for row in rows:
+                row[0] += 900.0 * (row[0] < 30.0)
+        bodies.append(json.dumps(content).encode())
+    here = b'{"device": "p", "session": "s", "fix": {"east_m": 0.0, "north_m": 0.0, "std_m": 1000.0}}'
+    session, events = taken(tmp_path, [*bodies[:-8], here, *bodies[-8:-1]])
+    assert session.online.state.clock_offset_s > 800.0
+    assert [e["outcome"] for e in events if e["event"] == "fix"] == ["waiting", "used"]
+
+
 def test_two_phones_of_one_name_are_two_sessions(walk: Recording, tmp_path: Path) -> None:
     devices = Devices(Settings(), tmp_path, lambda _: None)
     for one, two in zip(own_messages(walk, "p", "a"), own_messages(walk, "p", "b"), strict=True):
@@ -172,6 +188,30 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
     assert lines[0] == "time_s,east_m,north_m,std_m"
     assert len(lines) == 2
+
+
+@pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
+def test_what_became_of_a_fix_is_told_also_by_the_next_process(
+    walk: Recording, tmp_path: Path, away_m: float, outcome: str
+) -> None:
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    bodies = own_messages(walk)
+    for body in bodies[:60]:
+        devices.take(body, "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    east_m, north_m = session.online.position_m
+    fix = {"device": "p", "session": "s", "fix": {"east_m": east_m + away_m, "north_m": north_m, "std_m": 1.0}}
+    devices.take(json.dumps(fix).encode(), "", "", "", 0.0)
+    (waiting,) = (e for e in events if e["event"] == "fix")
+    assert (waiting["outcome"], waiting["east_m"]) == ("waiting", pytest.approx(east_m + away_m))
+    devices.close()
+    devices = Devices(Settings(), tmp_path, events.append)
+    for body in bodies[60:70]:
+        devices.take(body, "", "", "", 0.0)
+    _, told = (e for e in events if e["event"] == "fix")
+    assert (told["outcome"], told["time_s"]) == (outcome, waiting["time_s"])
+    assert told["accepted"] == (outcome == "used")
 
 
 @pytest.mark.parametrize(

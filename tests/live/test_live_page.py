@@ -2,10 +2,18 @@
 
 from __future__ import annotations
 
+import struct
+import threading
 import time
+import zlib
 from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
+from typing import Any
 
+import matplotlib.image
 import numpy as np
 import pytest
 from browser import BROWSER, Browser
@@ -13,6 +21,7 @@ from serving import Server, own_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
+from pdr_filter.values import Samples
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 SESSION = "[...live.sessions.values()][0]"
@@ -31,6 +40,7 @@ def server() -> Iterator[Server]:
 
 def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, tmp_path: Path) -> None:
     bodies = own_messages(walk, "phone")
+    bodies, more = bodies[:-8], bodies[-8:-1]
     with Browser(tmp_path) as browser:
         browser.open(server.address)
         assert browser.value("!document.getElementById('empty').hidden")
@@ -42,12 +52,14 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
             server.post(body)
         browser.until(f"{SESSION}.path.length > {n_steps + 40}")
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
+        assert browser.words("#where").startswith("At ")
         browser.click("#here")
         size = "[live.map.canvas.clientWidth, live.map.canvas.clientHeight]"
         place = browser.value(f"live.map.place({size}[0] * 0.6, {size}[1] * 0.5)")
         browser.click("#map", 0.6, 0.5)
-        browser.until("document.getElementById('said').textContent.startsWith('Fix at')")
-        assert browser.value(f"{SESSION}.fixes[0]") == pytest.approx(place, abs=0.2)
+        browser.until("document.getElementById('said').textContent.endsWith('waits for the step that it falls into.')")
+        assert browser.value(f"{SESSION}.fixes[0].place") == pytest.approx(place, abs=0.2)
+        assert browser.value("document.getElementById('here').getAttribute('aria-pressed')") == "false"
         # the same with the keyboard alone
         browser.value("document.getElementById('map').focus()")
         for key in ("h", "ArrowRight", "Enter"):
@@ -55,6 +67,19 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         browser.until(f"{SESSION}.fixes.length === 2")
         for body in bodies[120:]:
             server.post(body)
+        browser.until(f"{SESSION}.fixes.every(fix => fix.outcome === 'used')")
+        assert browser.words("#said").endswith("north was used.")
+        # and one that does not fit
+        browser.value("setHere(0, 900)")
+        for body in more:
+            server.post(body)
+        browser.until("document.getElementById('said').className === 'wrong'")
+        assert "standard deviations from it" in browser.words("#said")
+        # the phone comes back with a new session, which is shown from then on
+        for body in own_messages(walk, "phone", "another")[:8]:
+            server.post(body)
+        browser.until("[...document.getElementById('session').selectedOptions][0].textContent.endsWith('another')")
+        assert browser.value("live.sessions.size") == 2
         assert browser.complaints == []
 
 
@@ -85,6 +110,71 @@ def test_everything_can_be_seen_and_read(
         assert browser.complaints == []
 
 
+@contextmanager
+def tiles_of_one_colour(asked: list[str]) -> Iterator[str]:
+    """Address of the tiles of another server, which are green."""
+    rows = 256 * (b"\0" + 256 * b"\x22\x88\x44")
+
+    def chunk(kind: bytes, content: bytes) -> bytes:
+        return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))
+
+    head = struct.pack(">IIBBBBB", 256, 256, 8, 2, 0, 0, 0)
+    picture = b"\x89PNG\r\n\x1a\n" + b"".join(
+        chunk(*c) for c in ((b"IHDR", head), (b"IDAT", zlib.compress(rows)), (b"IEND", b""))
+    )
+
+    class Handler(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            asked.append(self.path)
+            self.send_response(200)
+            self.send_header("Content-Length", str(len(picture)))
+            self.end_headers()
+            self.wfile.write(picture)
+
+        def log_message(self, *_: Any) -> None: ...
+
+    server = ThreadingHTTPServer(("127.0.0.1", 0), Handler)
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    yield f"http://127.0.0.1:{server.server_address[1]}/{{z}}/{{x}}/{{y}}.png"
+    server.shutdown()
+
+
+@pytest.mark.parametrize("named", [True, False])
+def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
+    walk: Recording, tmp_path: Path, named: bool
+) -> None:
+    time_s = np.arange(0.0, 60.0)
+    latitude, longitude = 51.5, -0.1
+    values = np.column_stack([latitude + 1e-5 * time_s, np.full(60, longitude), np.zeros(60), np.full(60, 5.0)])
+    bodies = own_messages(replace(walk, location=Samples(time_s, values)), "outdoors")
+    asked: list[str] = []
+    with (
+        tiles_of_one_colour(asked) as source,
+        Server(*(("--tiles", source) if named else ())) as server,
+        Browser(tmp_path) as browser,
+    ):
+        browser.open(server.address)
+        for body in bodies[:100]:
+            server.post(body)
+        browser.until(f"{SESSION}?.origin && {SESSION}.path.length > 20")
+        if named:
+            browser.until("[...live.map.images.values()].some(i => i.complete && i.naturalWidth)")
+        browser.settle()
+        elsewhere = [address for address in browser.asked_for if not address.startswith((server.address, "data:"))]
+        assert bool(elsewhere) == bool(asked) == named
+        shot = matplotlib.image.imread(browser.shot(tmp_path / "page.png"))
+        left, top = browser.value("(r => [r.left, r.top])(document.getElementById('map').getBoundingClientRect())")
+        corner = shot[int(top) + 60 : int(top) + 100, int(left) + 60 : int(left) + 100, :3]
+        colour = np.round(255 * np.median(corner, axis=(0, 1)))  # whatever lines of the grid are there
+        np.testing.assert_array_equal(colour, [0x22, 0x88, 0x44] if named else [255, 255, 255])
+        assert browser.complaints == []
+    if named:
+        zoom, column, row = map(int, asked[0].removesuffix(".png").split("/")[1:])
+        angle = np.radians(latitude)
+        assert abs(column - (longitude + 180) / 360 * 2**zoom) < 3
+        assert abs(row - (1 - np.arcsinh(np.tan(angle)) / np.pi) / 2 * 2**zoom) < 3
+
+
 def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> None:
     """Events as Chromium on Android gives them: m/s2, degrees per second about z, x and y."""
     with Browser(tmp_path) as browser:
@@ -113,5 +203,13 @@ def test_a_browser_that_has_motion_sends_it(server: Server, tmp_path: Path) -> N
         path.write_bytes(answer.content)
         sent = pdr.read(path)
         assert sent.gyroscope is not None
+        assert not browser.value("isApple()")
         np.testing.assert_allclose(sent.gyroscope.values[0], [0, np.pi, np.pi / 2], atol=1e-9)
         assert browser.complaints == []
+        # whose signs are of iOS
+        browser.ask(
+            "Emulation.setUserAgentOverride", userAgent="Mozilla/5.0 (iPhone; CPU iPhone OS 18_0 like Mac OS X)"
+        )
+        browser.open(f"{server.address}/phone")
+        assert browser.value("isApple()")
+        assert browser.value("document.getElementById('name').value") == "browser iOS"

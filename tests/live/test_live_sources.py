@@ -28,6 +28,7 @@ from pdr_filter.io.recording import Recording
 BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
 CONFIG = {
     "inputs": [
+        {"source": "bluetooth"},
         {"source": "accelerometer", "outputs": [{"x": "aX"}, {"y": "aY"}, {"z": "aZ"}, {"t": "a t"}]},
         {"source": "gyroscope", "outputs": [{"x": "gX"}, {"y": "gY"}, {"z": "gZ"}, {"t": "g t"}]},
     ]
@@ -42,19 +43,25 @@ def walk() -> Recording:
 
 @contextmanager
 def phyphox(walk: Recording, speed: float) -> Iterator[int]:
-    """The remote interface of phyphox, on a port, with a walk that goes on from the first question."""
+    """The remote interface of phyphox, on a port, with a walk that goes on from the first question.
+
+    For a while in the middle the phone has no network.
+    """
     gyroscope = walk.gyroscope
     assert gyroscope is not None
     columns = {"a t": walk.accelerometer.time_s, "g t": gyroscope.time_s}
     columns |= {f"a{axis}": walk.accelerometer.values[:, i] for i, axis in enumerate("XYZ")}
     columns |= {f"g{axis}": gyroscope.values[:, i] for i, axis in enumerate("XYZ")}
     begun: list[float] = []
+    configs = [{"inputs": CONFIG["inputs"][:1]}]
 
     class Handler(BaseHTTPRequestHandler):
         def do_GET(self) -> None:
             url = urlsplit(self.path)
-            if url.path == "/config":
-                self.answer(CONFIG)
+            if begun and 15.0 < (time.monotonic() - begun[0]) * speed < 20.0:
+                self.close_connection = True
+            elif url.path == "/config":
+                self.answer(configs.pop() if configs else CONFIG)
             elif url.path == "/control":
                 begun.append(time.monotonic())
                 self.answer({"result": True})
@@ -133,19 +140,24 @@ def broker(folder: Path) -> Iterator[tuple[int, int]]:
         process.wait(10)
 
 
-def check(walk: Recording, track: dict[str, Any]) -> None:
-    """It is the walk's track, but for the last steps, which wait for what follows."""
-    expected = pdr.track(replace(walk, meta={}))
+def check(walk: Recording, record: Path, track: dict[str, Any]) -> None:
+    """It is the walk's track, but for times that went through the app, and to the last bit that of what was recorded.
+
+    But for the last steps, which wait for what follows.
+    """
     path = np.array(track["path"])
-    assert len(path) >= expected.n_steps - 8
-    np.testing.assert_allclose(path[:, 1:3], expected.position_m[: len(path)], atol=0.02)
+    for expected, atol in ((pdr.track(replace(walk, meta={})), 0.02), (pdr.track(pdr.read(record / track["id"])), 0.0)):
+        assert expected.n_steps - 8 <= len(path) <= expected.n_steps
+        np.testing.assert_allclose(path[:, 1:3], expected.position_m[: len(path)], rtol=0, atol=atol)
 
 
-def test_phyphox_and_sensor_server_give_the_track_of_the_walk(walk: Recording) -> None:
+def test_phyphox_and_sensor_server_give_the_track_of_the_walk(walk: Recording, tmp_path: Path) -> None:
     with (
         phyphox(walk, 15.0) as asked,
         sensor_server(walk, 15.0) as heard,
-        Server("--phyphox", f"127.0.0.1:{asked}", "--sensorserver", f"127.0.0.1:{heard}") as server,
+        Server(
+            *("--record", str(tmp_path), "--phyphox", f"127.0.0.1:{asked}", "--sensorserver", f"127.0.0.1:{heard}")
+        ) as server,
     ):
         names = (f"phyphox 127.0.0.1:{asked}", f"SensorServer 127.0.0.1:{heard}")
         n_steps = pdr.track(replace(walk, meta={})).n_steps
@@ -156,7 +168,9 @@ def test_phyphox_and_sensor_server_give_the_track_of_the_walk(walk: Recording) -
 
         found = until(whole)
     for name in names:
-        check(walk, found[name])
+        check(walk, tmp_path, found[name])
+    assert "no acceleration with g" in "".join(server.said)
+    assert "RemoteDisconnected" in "".join(server.said)
 
 
 def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk: Recording, tmp_path: Path) -> None:
@@ -168,7 +182,11 @@ def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk:
 
     messages = sensor_logger_messages(walk, "over mqtt")
     absent = ("--phyphox", "127.0.0.1:9", "--sensorserver", "127.0.0.1:9")
-    with broker(tmp_path) as (tcp, websocket), Server("--mqtt", f"mqtt://127.0.0.1:{tcp}/phones/+", *absent) as server:
+    record = tmp_path / "record"
+    with (
+        broker(tmp_path) as (tcp, websocket),
+        Server("--record", str(record), "--mqtt", f"mqtt://127.0.0.1:{tcp}/phones/+", *absent) as server,
+    ):
         client = mqtt.Client(mqtt.CallbackAPIVersion.VERSION2, transport="websockets")
         client.connect("127.0.0.1", websocket)
         client.loop_start()
@@ -190,5 +208,5 @@ def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk:
 
         track = until(whole)
         client.loop_stop()
-    check(walk, track)
+    check(walk, record, track)
     assert "".join(server.said).count("trying again") == 2  # of the phones that are not there, once each

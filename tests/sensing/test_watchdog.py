@@ -112,7 +112,7 @@ def test_a_magnetic_field_that_no_phone_measures_is_none(wild_ut: float) -> None
     assert 50 < (~known).sum() < 100
     online = pdr.OnlineFilter()
     online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut)
-    assert any("magnetic field beyond" in note for note in online.notes)
+    assert any("magnetic fields beyond" in note for note in online.notes)
 
 
 def test_blows_beyond_what_phones_measure_cost_no_step(walk: Recording) -> None:

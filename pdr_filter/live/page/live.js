@@ -5,12 +5,14 @@ const byId = id => document.getElementById(id);
 const COLOURS = {
   stationary: "#9a9a9a", walking: "#0072b2", upstairs: "#cc6600", downstairs: "#44aa99", sideways: "#c9a227", running: "#882255",
 };
+const ON_DARK = { walking: "#56b4e9", upstairs: "#e08a3c", running: "#d77fae" }; // a contrast above 6
+const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // of the charts
-const sessions = new Map(); // id: {about, path, now, fixes, times, contexts, speeds}
+const sessions = new Map(); // id: {about, path, now, fixes, history, origin}
 let shown = "";
 let charts = null;
 
-const map = new WayMap(byId("map"), setHere);
+const map = new LiveMap(byId("map"), setHere);
 
 function session(id) {
   if (!sessions.has(id)) sessions.set(id, { path: [], now: null, fixes: [], history: [], origin: null, about: {} });
@@ -19,8 +21,10 @@ function session(id) {
 
 const handlers = {
   session(event) {
-    const known = session(event.id);
+    const isNew = !sessions.get(event.id)?.about.id, known = session(event.id);
     known.about = event;
+    // a phone that comes back with a new session is still the phone that somebody looks at
+    if (isNew && sessions.get(shown)?.about.device === event.device) shown = event.id;
     known.origin = event.origin;
     list();
   },
@@ -42,6 +46,14 @@ const handlers = {
     known.history.push(event);
     while (known.history.length && known.history[0].time_s < event.time_s - KEPT_S) known.history.shift();
     if (event.received_unix_s) known.delay_s = Date.now() / 1000 - event.received_unix_s;
+  },
+  fix(event) { // that somebody gave; those of the phone's locations are not shown
+    const { fixes } = session(event.id);
+    if (event.outcome === "waiting") fixes.push({ time_s: event.time_s, place: [event.east_m, event.north_m] });
+    const known = fixes.find(fix => fix.time_s === event.time_s && [undefined, "waiting"].includes(fix.outcome));
+    if (event.kind !== "position" || !known) return;
+    known.outcome = event.outcome;
+    if (event.id === shown) sayFix(known, event);
   },
   gone(event) {
     sessions.delete(event.id);
@@ -86,9 +98,10 @@ function draw() {
   text("context", largest(now.context_prob));
   text("carrying", largest(now.carrying_prob));
   text("latency", now.latency_s === null ? "–" : `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s`);
-  text("provisional", now.is_provisional
-    ? `The position is provisional: ${now.provisional_steps.length} steps that may still be none are in it, dashed on the map.`
-    : "The position is that of the last step.");
+  const [east, north] = now.position_m, n = now.provisional_steps.length;
+  const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
+  const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be none, dashed on the map` : "ahead of the last step, at the walking speed";
+  text("where", `At ${side(east, "east", "west")} and ${side(north, "north", "south")}${known.origin ? "" : " of the start"}${now.is_provisional ? `: provisional, ${ahead}` : ""}.`);
   byId("rates").replaceChildren(...Object.entries(now.rates_hz).map(([name, rate]) => {
     const row = document.createElement("tr");
     for (const words of [name, rate === null ? "–" : rate.toFixed(0)]) row.insertCell().textContent = words;
@@ -128,8 +141,8 @@ function drawCharts(known) {
       series: [{}, ...series],
     }, [[]], byId(id));
     charts = {
-      contexts: made("contexts", Object.entries(COLOURS).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
-      speeds: made("speeds", [{ label: "speed in m/s", stroke: "#0072b2", width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
+      contexts: made("contexts", Object.entries({ ...COLOURS, ...(isDark.matches ? ON_DARK : {}) }).map(([label, stroke]) => ({ label, stroke, width: 2, points: { show: false } })), [0, 1]),
+      speeds: made("speeds", [{ label: "speed in m/s", stroke: style.getPropertyValue("--accent").trim(), width: 2, points: { show: false } }], (_, low, high) => [0, Math.max(2, high)]),
     };
   }
   for (const [name, data] of [["contexts", [times, ...contexts]], ["speeds", [times, speeds]]]) {
@@ -138,10 +151,22 @@ function drawCharts(known) {
   }
 }
 
-matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => {
+isDark.addEventListener("change", () => {
   if (charts) for (const chart of Object.values(charts)) chart.destroy();
   charts = null;
 });
+
+const OUTCOMES = {
+  waiting: "waits for the step that it falls into",
+  used: "was used", placed: "was used", turned: "was used", moved: "was used: with others it shows that the track was elsewhere",
+  "nothing to compare": "waits in vain: no step is there that it says something of",
+};
+
+function sayFix({ place: [east, north] }, { outcome, nis }) {
+  const far = nis === null ? "it is of another time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
+  byId("said").className = outcome === "rejected" ? "wrong" : "";
+  text("said", `Your fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
+}
 
 async function setHere(east, north) {
   setPlacing(false);
@@ -149,18 +174,15 @@ async function setHere(east, north) {
     method: "POST", headers: { "Content-Type": "application/json" },
     body: JSON.stringify({ east_m: east, north_m: north, std_m: 1.0 }),
   });
+  if (answer.ok) return; // events say what becomes of it
   const content = await answer.json().catch(() => ({}));
-  byId("said").className = answer.ok ? "" : "wrong";
-  text("said", answer.ok
-    ? `Fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north, within a metre or two: the filter uses it with the next steps.`
-    : content.error || "the fix was not taken");
-  const known = sessions.get(shown);
-  if (answer.ok && known) known.fixes.push([east, north]);
-  draw();
+  byId("said").className = "wrong";
+  text("said", content.error || "the fix was not taken");
 }
 
 function setPlacing(placing) {
   map.placing = placing;
+  byId("said").className = "";
   byId("here").setAttribute("aria-pressed", String(placing));
   text("said", placing ? "Click where you are on the map, or move the cross there with the arrow keys and press Enter." : "");
   map.draw();
@@ -174,13 +196,12 @@ byId("whole").addEventListener("click", () => map.whole());
 byId("map").addEventListener("followed", () => byId("follow").setAttribute("aria-pressed", String(map.follow)));
 byId("session").addEventListener("change", event => { shown = event.target.value; draw(); });
 byId("map").addEventListener("keydown", event => {
-  const keys = {
-    ArrowLeft: () => map.pan(-40, 0), ArrowRight: () => map.pan(40, 0), ArrowUp: () => map.pan(0, -40), ArrowDown: () => map.pan(0, 40),
-    "+": () => map.zoom(1.4), "-": () => map.zoom(1 / 1.4), f: () => map.setFollow(true), w: () => map.whole(),
+  const keys = { // and those of every map
+    f: () => map.setFollow(true), w: () => map.whole(),
     h: () => setPlacing(!map.placing), Escape: () => setPlacing(false),
     Enter: () => { if (map.placing) setHere(map.view.east, map.view.north); },
   };
-  if (keys[event.key] && !event.ctrlKey && !event.metaKey) {
+  if (keys[event.key] && !event.ctrlKey && !event.metaKey && !event.altKey) {
     event.preventDefault();
     keys[event.key]();
   }
@@ -190,14 +211,18 @@ byId("address").textContent = new URL("data", location.href).href.split("?")[0] 
 const events = new EventSource("events" + location.search);
 events.onopen = () => text("connection", "connected");
 events.onerror = () => text("connection", "not connected, trying again");
-let waits = false;
+const DRAW_MS = 100, TOGETHER_MS = 15; // between two pictures; in which events come that belong together
+let waits = false, drawnAt = 0;
 events.onmessage = message => {
   const event = JSON.parse(message.data);
   handlers[event.event]?.(event);
-  if (!waits) {
-    waits = true;
-    setTimeout(() => { waits = false; draw(); }, 100);
-  }
+  if (waits) return;
+  waits = true;
+  setTimeout(() => {
+    waits = false;
+    drawnAt = performance.now();
+    draw();
+  }, Math.max(drawnAt + DRAW_MS - performance.now(), TOGETHER_MS));
 };
 fetch("sessions" + location.search).then(answer => answer.json()).then(content => { map.tiles = content.tiles; });
 window.live = { sessions, map }; // for tests, and for whoever looks

@@ -46,6 +46,11 @@ class PoseStepState(DetectorState):
     recent: FloatArray  # (6, <= L + 1) the four filtered signals, whether somebody walks, row of the pose's signal
     last_peak: float  # number of the sample, and a part, of the last accepted maximum; -inf before
 
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        parts_fit = super().fits(n_samples) and self.level.fits(n_samples)
+        return parts_fit and self.recent.shape[1] <= n_samples and self.last_peak < n_samples
+
 
 @dataclass(frozen=True)
 class PoseStepDetector(StepDetector[PoseStepState]):
@@ -119,7 +124,8 @@ class PoseStepDetector(StepDetector[PoseStepState]):
 
     def init(self) -> PoseStepState:
         """State before the first sample of a segment."""
-        return PoseStepState(self._log.init(), np.empty((6, 0)), self._level.init(), None, np.empty((6, 0)), -np.inf)
+        line = np.zeros((6, self._n_line))
+        return PoseStepState(self._log.init(), line, self._level.init(), None, np.empty((6, 0)), -np.inf)
 
     @property
     def _n_line(self) -> int:

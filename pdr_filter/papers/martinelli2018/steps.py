@@ -92,7 +92,8 @@ class WaveletStepDetector(ResponseStepDetector[WaveletDetectorState]):
 
     def init(self) -> WaveletDetectorState:
         """State before the first sample of a segment."""
-        return WaveletDetectorState(self._log.init(), np.empty((2, 0)), np.zeros((1, 2)), np.zeros((1, 2)), 0.0)
+        line = np.zeros((2, self._n_line))
+        return WaveletDetectorState(self._log.init(), line, np.zeros((1, 2)), np.zeros((1, 2)), 0.0)
 
     @property
     def _n_line(self) -> int:

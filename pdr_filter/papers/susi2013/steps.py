@@ -55,6 +55,10 @@ class NormMinimaState(DetectorState):
     last: FloatArray  # (6,) last specific force and angular rate
     troughs: tuple[Trough, Trough]  # of |f| and |omega|
 
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return super().fits(n_samples) and all(max(each.sample, each.before) < n_samples for each in self.troughs)
+
 
 @dataclass(frozen=True)
 class NormMinimaStepDetector(StepDetector[NormMinimaState]):
@@ -124,8 +128,8 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
 
     def init(self) -> NormMinimaState:
         """State before the first sample of a segment."""
-        # where there is no sample all rows are zero
-        return NormMinimaState(self._log.init(), np.zeros((6, self._n_line)), None, np.zeros(6), (Trough(), Trough()))
+        line = np.zeros((6, self._n_line))
+        return NormMinimaState(self._log.init(), line, None, np.zeros(6), (Trough(), Trough()))
 
     @property
     def _n_line(self) -> int:
@@ -140,6 +144,10 @@ class NormMinimaStepDetector(StepDetector[NormMinimaState]):
         known = np.stack([block.angular_rate_known, contexts.context, contexts.carrying_mode]).astype(float)
         signals = np.vstack([norms, np.ones(norms.shape[1]), known])
         return replace(state, zi=zi, last=components[:, -1].copy()), signals
+
+    def _before(self, signals: FloatArray) -> FloatArray:
+        """Where there is no sample all rows are zero."""
+        return np.zeros((len(signals), self._n_line))
 
     def _continued(self, state: NormMinimaState) -> FloatArray:
         """The last sample stays until it is through the filter; then there is none, which ends every trough too."""

@@ -117,6 +117,10 @@ class TianDetectorState(DetectorState):
     transition_start: int  # number of its first sample; -1 outside
     step_hz: float  # frequency of the last step; zero for the first from rest
 
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return super().fits(n_samples) and self.transition_start < n_samples
+
 
 @dataclass(frozen=True)
 class TianStepDetector(StepDetector[TianDetectorState]):
@@ -176,7 +180,8 @@ class TianStepDetector(StepDetector[TianDetectorState]):
 
     def init(self) -> TianDetectorState:
         """State before the first sample of a segment."""
-        return TianDetectorState(self._log.init(), np.empty((4, 0)), self._carried.init(), None, -1, 0.0)
+        line = np.zeros((4, self._n_line))
+        return TianDetectorState(self._log.init(), line, self._carried.init(), None, -1, 0.0)
 
     @property
     def _n_line(self) -> int:

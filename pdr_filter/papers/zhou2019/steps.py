@@ -72,6 +72,10 @@ class ReferenceLineState(DetectorState):
     lines: ReferenceLines = ReferenceLines()
     last_event: float = -np.inf  # sample of the last event that was given
 
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return super().fits(n_samples) and 0 <= n_samples - self.window_start <= self.buffer.shape[1] <= n_samples
+
 
 @dataclass(frozen=True, kw_only=True)
 class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
@@ -149,7 +153,8 @@ class ReferenceLineStepDetector(StepDetector[ReferenceLineState]):
     def init(self) -> ReferenceLineState:
         """State before the first sample of a segment."""
         period_s = 2.0 / (self.walking.min_frequency_hz + self.walking.max_frequency_hz)
-        return ReferenceLineState(self._log.init(), np.empty((2, 0)), period_s, np.empty((3, 0)), np.empty((0, 2)))
+        line = np.zeros((2, self._n_line))
+        return ReferenceLineState(self._log.init(), line, period_s, np.empty((3, 0)), np.empty((0, 2)))
 
     @property
     def _n_line(self) -> int:
@@ -301,7 +306,7 @@ def dominant_period_s(acceleration_mps2: FloatArray, search: EventSearch, rate_h
 
 def _window_samples(period_s: float, rate_hz: float) -> int:
     """Length of a window, w = f_A / f_D (eq. 5)."""
-    return round(period_s * rate_hz)
+    return max(round(period_s * rate_hz), 1)
 
 
 # Chosen on every second trial of pyshoe, 24 trials of walking and running with the sensor on the foot.

@@ -135,7 +135,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     def init(self) -> AdaptiveDetectorState:
         """State before the first sample of a segment."""
-        return AdaptiveDetectorState(self._log.init(), np.empty((1, 0)), np.zeros((3, 2)), Rhythm(0.0, 0))
+        return AdaptiveDetectorState(self._log.init(), np.zeros((1, self._n_line)), np.zeros((3, 2)), Rhythm(0.0, 0))
 
     @property
     def _n_line(self) -> int:

@@ -34,7 +34,11 @@ class DetectorState:
     """What every detector remembers; each adds its own."""
 
     log: StepLogState
-    line: FloatArray  # (R, L) its last signals; empty at the start
+    line: FloatArray  # (R, L) its last signals; zeros before the first sample
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.log.fits(n_samples)
 
 
 S = TypeVar("S", bound=DetectorState)
@@ -88,6 +92,10 @@ class StepDetector(ABC, Generic[S]):
     def _detect(self, state: S, line: FloatArray, first: int) -> tuple[S, list[tuple[int, Step]]]:
         """Detect in signals (R, L + N): the last N are new, and the first of these is sample number `first`."""
 
+    def _before(self, signals: FloatArray) -> FloatArray:
+        """Signals (R, L) assumed before the first sample: like it, because a zero there would look like a blow."""
+        return np.repeat(signals[:, :1], self._n_line, axis=1)
+
     def _continued(self, state: S) -> FloatArray:
         """Signals (R, n) assumed after the last sample, where a gap or the end comes: the last value stays."""
         return np.repeat(state.line[:, -1:], round(self.latency_s * self.rate_hz), axis=1)
@@ -103,9 +111,8 @@ class StepDetector(ABC, Generic[S]):
         first = state.log.n_samples
         state = replace(state, log=self._log.extend(state.log, block, attitude))
         state, signals = self._signals(state, block, attitude, contexts)
-        if first == 0 and state.line.shape[1] == 0:
-            # What was before the first sample is assumed to be like it: a zero there would look like a blow.
-            state = replace(state, line=np.repeat(signals[:, :1], self._n_line, axis=1))
+        if first == 0:
+            state = replace(state, line=self._before(signals))
         state, steps = self._advance(state, signals, first)
         return replace(state, log=self._log.trim(state.log)), steps
 

@@ -45,6 +45,10 @@ class StepLogState:
     last_turn_rad: float  # of the device over the last step, and how long that took; 0 at the start of a bout
     last_duration_s: float
 
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.n_samples == n_samples and self.signals.shape[1] <= n_samples and self.last_contact < n_samples
+
 
 # What is usual for somebody is the mean of about the last twenty steps.
 USUAL_DECAY = 0.95

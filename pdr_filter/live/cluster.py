@@ -1,0 +1,107 @@
+"""Shares of the devices on other machines: actors of a Dask cluster.
+
+Dask keeps no copy of an actor. One whose worker dies is made anew at another worker, from the folder of the sessions,
+which is why all machines need to see the same one. Nothing but the server's requests moves an actor, so that one that
+was given up and still lives somewhere writes nothing more.
+"""
+
+from __future__ import annotations
+
+import asyncio
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from pdr_filter.live.parts import Part, Request, Said, Save
+from pdr_filter.live.settings import Settings
+from pdr_filter.live.workers import LostError
+
+_CONNECT_S = 20.0
+# A worker whose machine has lost its power breaks no connection.
+_ANSWER_S = 60.0
+# How often it is looked whether a worker that has not answered is still there.
+_LOOK_S = 0.5
+
+
+class Cluster:
+    """A Dask cluster, which the caller trusts: its workers run what the server sends."""
+
+    def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:
+        self._scheduler, self._settings, self._folder = scheduler, settings, folder.resolve()
+        self._client: Any = None
+
+    async def connect(self) -> None:
+        """Return when the scheduler has answered; ValueError if it does not."""
+        try:
+            from distributed import Client
+        except ImportError as error:
+            raise ValueError("a scheduler needs Dask: pip install 'dask[distributed]'") from error
+        # an actor finds its way by the client that is the default
+        made: Any = Client(self._scheduler, asynchronous=True, direct_to_workers=True, timeout=_CONNECT_S)
+        try:
+            self._client = await made
+        except (OSError, TimeoutError, ValueError) as error:
+            raise ValueError(f"no Dask scheduler at {self._scheduler}: {error}") from error
+
+    async def start(self, part: int, n_parts: int) -> Actor:
+        """A share at one of the workers; they take turns."""
+        addresses = sorted(await self._client.nthreads())
+        if not addresses:
+            raise LostError(f"no worker at {self._scheduler}")
+        address = addresses[part % len(addresses)]
+        future = self._client.submit(
+            Part,
+            self._settings,
+            self._folder,
+            part,
+            n_parts,
+            actor=True,
+            pure=False,
+            workers=[address],
+            allow_other_workers=True,  # one that has just died may still be listed
+        )
+        try:
+            return Actor(future, await future, address)
+        except ValueError:
+            raise
+        except Exception as error:  # whatever became of the worker meanwhile
+            raise LostError(f"{address}: {error}") from error
+
+    async def close(self) -> None:
+        """Leave the cluster."""
+        if self._client is not None:
+            await self._client.close()
+
+
+class Actor:
+    """A share in a worker of the cluster."""
+
+    def __init__(self, future: Any, actor: Any, address: str) -> None:
+        self._future = future  # the actor lives as long as it is wanted
+        self._actor, self.place = actor, address
+
+    async def ask(self, requests: Sequence[Request]) -> list[Said]:
+        """What is said to each; LostError."""
+        asked = asyncio.create_task(self._asked(requests))
+        until = time.monotonic() + _ANSWER_S
+        while not asked.done():
+            await asyncio.wait([asked], timeout=_LOOK_S)
+            # the scheduler knows it at once, the connection only after half a minute of trying
+            if self._future.status != "finished" or time.monotonic() > until:
+                break
+        if not asked.done():
+            asked.cancel()
+            raise LostError(f"{self.place} is gone")
+        return asked.result()
+
+    async def _asked(self, requests: Sequence[Request]) -> list[Said]:
+        try:
+            return await self._actor.answer(list(requests))
+        except Exception as error:  # it is said in many ways that a worker is gone
+            raise LostError(f"{self.place} is gone: {error}") from error
+
+    async def close(self) -> None:
+        """Save everything, and end."""
+        await self.ask([Save()])
+        self._future.release()

@@ -1,0 +1,352 @@
+"""One walk of one phone: its filter, its recording, its saved state. Messages come in, events go out."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import time
+from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from pdr_filter import recipes, serialise
+from pdr_filter.config import Config
+from pdr_filter.filter.alignment import Place
+from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.io import limits
+from pdr_filter.io.recording import Recording
+from pdr_filter.io.texts import file_name
+from pdr_filter.live import assembly
+from pdr_filter.live.assembly import Assembly, SessionError
+from pdr_filter.live.messages import FORCE, Message, parse
+from pdr_filter.live.recorder import Recorder
+from pdr_filter.live.settings import Event, FixError, Settings
+from pdr_filter.online import OnlineFilter
+from pdr_filter.placing import live_config
+from pdr_filter.sensing.clock import moved
+from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
+
+# Positions on the page, from the newest back: three hours of walking.
+_MAX_PATH = 20_000
+# What is known of now is told this often at most, and a path that turns while its north is sought.
+# Turning a step costs some 50 us: of a path of hours that is a share of one in a hundred.
+_NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
+# Much less than what a sensor may be behind the others, `sensing.merging`.
+_PART_S = 1.0
+_FIX_STD_RANGE_M = (0.01, 1000.0)
+
+_ENDED = "this session has ended; begin a new one"
+
+
+@cache
+def plain_config(settings: Settings) -> Config:
+    """The configuration of a session, before its first samples are seen."""
+    meta = {"subject": {"height_m": settings.height_m}}
+    return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
+
+
+@cache
+def plain_config_bytes(settings: Settings) -> bytes:
+    """The same as it is saved: sixty milliseconds of work that a crowd of phones shares."""
+    return serialise.to_bytes(plain_config(settings))
+
+
+def session_id(device: str, session: str) -> str:
+    """A name for addresses and folders: letters of the device's, and a checksum, so that two never are one."""
+    letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
+    return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
+
+
+class Session:
+    """One session of one device."""
+
+    def __init__(self, device: str, session: str, settings: Settings, folder: Path) -> None:
+        self.id = session_id(device, session)
+        self.device, self.session, self.settings = device, session, settings
+        self.recorder = Recorder(folder / self.id)
+        self.assembly, self.held = Assembly(), list[Message]()
+        self.online: OnlineFilter | None = None
+        self.refused = ""  # why it cannot be tracked
+        self.path: list[list[float]] = []
+        # Of each of these steps where it is in the frame of the start, if its place turns while north is sought.
+        self._starts: list[Place | None] = []
+        self._unsaved_at = math.inf  # since when something is not saved
+        self._is_untold = False  # whether there is more than the last `now` said
+        self._judged: tuple[FixResult, ...] = ()  # fixes of which it is told what became of them
+        self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
+
+    # --- what comes in ---
+
+    def take(self, message: Message, received_s: float) -> list[Event]:
+        """What a message brings; SessionError if this session cannot be tracked."""
+        if self.refused:
+            raise SessionError(self.refused)
+        self.recorder.journal(message)
+        return self._took(message, received_s)
+
+    def _took(self, message: Message, received_s: float) -> list[Event]:
+        self.seen_at = time.monotonic()
+        self._unsaved_at = min(self._unsaved_at, self.seen_at)
+        try:
+            if message.fix is not None:
+                return [self._fixed(message.fix), *self._now(received_s, is_due=True)]
+            platform = self.settings.platform
+            self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, platform)
+            events = self._filtered(ready, received_s)
+            return [*events, *self.finish()] if message.is_end else events
+        except FixError as error:
+            raise error from None
+        except (SessionError, ValueError) as error:
+            self.refused = str(error)
+            raise SessionError(self.refused) from None
+
+    def finish(self) -> list[Event]:
+        """The last steps, when nothing else will come."""
+        self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
+        events = self._filtered(ready, math.nan)
+        if self.online is not None:
+            events += self._stepped(self.online.finish())
+        self.refused = _ENDED
+        told = [*self._outcomes(), self.about(), *self._turned(is_due=True), *self._now(math.nan, is_due=True)]
+        return [*events, *told]
+
+    def _filtered(self, ready: Sequence[assembly.Streams], received_s: float) -> list[Event]:
+        events: list[Event] = []
+        if ready and self.online is None:
+            self.online = OnlineFilter(self._begun(ready))
+            events.append(self.about())
+        online = self.online
+        if online is None:
+            return events
+        for samples in ready:
+            for name, rows in samples.items():
+                self.recorder.samples(name, rows)
+            events += self._stepped(_pushed(online, samples))
+        return [*events, *self._outcomes(), *self._turned(), *self._now(received_s)]
+
+    def _begun(self, ready: Sequence[assembly.Streams]) -> Config:
+        """The configuration, by what the first seconds hold."""
+        kind = self.assembly.kind
+        assert kind is not None
+        meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
+        meta["name"] = file_name(meta["name"])
+        meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}
+        if kind.zero_ns:
+            meta["epoch_ns"] = kind.zero_ns
+        if self.settings.height_m is not None:
+            meta["subject"] = {"height_m": self.settings.height_m}
+        first = Recording(meta["name"], **_streams(ready), meta=meta)
+        plain = plain_config(self.settings)
+        config = live_config(first, plain)
+        self.recorder.describe(
+            meta, plain_config_bytes(self.settings) if config is plain else serialise.to_bytes(config)
+        )
+        return config
+
+    def _fixed(self, content: Any) -> Event:
+        """A fix that somebody gave: east and north in the track's frame, or latitude and longitude. It waits now."""
+        online = self.online
+        if online is None:
+            raise FixError("no samples yet: give a fix when the track has begun")
+        now = online.now()
+        try:
+            std_m = float(content.get("std_m", 1.0))
+            # on the phone's clock, as samples are: `now` is on the track's, which goes on where that is set back
+            time_s = float(content.get("time_s", now.time_s - online.state.clock_offset_s))
+            if "latitude_deg" in content:
+                if online.origin is None:
+                    raise FixError("the track lies nowhere on Earth yet: give east_m and north_m")
+                place = float(content["latitude_deg"]), float(content["longitude_deg"])
+                east_m, north_m = map(float, online.origin.east_north_m(*place))
+            else:
+                east_m, north_m = float(content["east_m"]), float(content["north_m"])
+            if not _FIX_STD_RANGE_M[0] <= std_m <= _FIX_STD_RANGE_M[1]:
+                raise FixError(f"std_m must be {_FIX_STD_RANGE_M[0]} to {_FIX_STD_RANGE_M[1]} m, got {std_m}")
+            fix = PositionFix(time_s, np.array([east_m, north_m]), std_m**2 * np.eye(2))
+            online.add_fix(fix)
+        except (KeyError, TypeError, ValueError) as error:
+            raise error if isinstance(error, FixError) else FixError(str(error)) from None
+        self.recorder.fix(time_s, east_m, north_m, std_m)
+        result = FixResult.of(moved(fix, online.state.clock_offset_s), math.nan, "waiting")
+        return {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
+
+    # --- what goes out ---
+
+    def about(self) -> Event:
+        """What the session is."""
+        kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
+        return {
+            "event": "session",
+            "id": self.id,
+            "device": self.device,
+            "session": self.session,
+            "force": "" if kind is None else f"{kind.force}, {kind.how}",
+            "has_location": kind is not None and kind.has_location,
+            "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+            "refused": self.refused,
+            "n_lost_messages": self.assembly.n_lost,
+            "n_repeated_messages": self.assembly.n_repeated,
+        }
+
+    def _stepped(self, updates: Iterable[StepUpdate]) -> list[Event]:
+        events: list[Event] = []
+        for update in updates:
+            content = update.to_dict()
+            if update.is_final:
+                self.recorder.step(json.dumps(content))
+                self._add(update)
+            events.append({"event": "step", "id": self.id, **content})
+        return events
+
+    def _outcomes(self) -> list[Event]:
+        """What became of fixes, and of the phone's locations, since the last time."""
+        results = () if self.online is None else self.online.state.last_fixes
+        new = [self._outcome(result) for result in results if result not in self._judged]
+        self._judged = results
+        return new
+
+    def _outcome(self, result: FixResult) -> Event:
+        return {"event": "fix", "id": self.id, **result.to_dict()}
+
+    def _add(self, update: StepUpdate) -> None:
+        self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
+        self._starts.append(update.of_start)
+        for kept in (self.path, self._starts):
+            if len(kept) > _MAX_PATH:
+                del kept[: _MAX_PATH // 10]
+
+    def _now(self, received_s: float, is_due: bool = False) -> list[Event]:
+        online = self.online
+        self._is_untold = online is not None and time.monotonic() - self._now_at < _NOW_S and not is_due
+        if online is None or self._is_untold:
+            return []
+        self._now_at = time.monotonic()
+        sent = None if math.isnan(received_s) else received_s
+        return [{"event": "now", "id": self.id, "received_unix_s": sent, **online.now().to_dict()}]
+
+    def _turned(self, is_due: bool = False) -> list[Event]:
+        """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
+        online = self.online
+        wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
+        if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
+            return []
+        frame = online.state.tracker.pedestrian.frame
+        if not frame.is_known or all(place is None for place in self._starts):
+            return []
+        self._turn_at, drawn = time.monotonic(), frame.drawn()
+        for row, start in zip(self.path, self._starts, strict=True):
+            if start is not None:
+                place = drawn.world(start)
+                row[:] = _row(row[0], place.position_m, place.cov_m2)
+        if frame.is_joined:  # for good
+            self._starts = [None] * len(self.path)
+        return [self.track()]
+
+    def track(self) -> Event:
+        """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
+        return {**self.about(), "event": "track", "path": self.path}
+
+    def rest(self) -> list[Event]:
+        """What is known of now, if the last samples came too soon after it was told."""
+        return self._now(math.nan, is_due=True) if self._is_untold else []
+
+    def whole(self) -> list[Event]:
+        """All there is to show to somebody who has seen nothing yet."""
+        return [self.track(), *self._now(math.nan, is_due=True)]
+
+    @property
+    def unsaved_s(self) -> float:
+        """For how long something has only been in the journal."""
+        return max(time.monotonic() - self._unsaved_at, 0.0)
+
+    def save(self) -> None:
+        """Write all there is; messages that wait for their turn are the new journal."""
+        state = None if self.online is None else self.online.state
+        self.recorder.saved({"assembly": self.assembly, "state": state})
+        for message in self.held:
+            self.recorder.journal(message)
+        self._unsaved_at = math.inf
+
+    @classmethod
+    def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
+        """The session as it was when the last message was acknowledged, whatever became of the process since."""
+        self = cls(device, session, settings, folder)
+        saved, entries = self.recorder.load()
+        if saved is not None:
+            self.assembly = saved["assembly"]
+            if saved["state"] is not None:
+                self.online = OnlineFilter(self.recorder.config())
+                self.online.state = saved["state"]
+                self.refused = _ENDED if self.online.state.finished else ""
+                self._judged = self.online.state.last_fixes
+            for step in self.recorder.steps()[-_MAX_PATH:]:
+                self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
+                start = step["of_start"]
+                self._starts.append(None if start is None else _place(start))
+        for _, _, platform, body in entries:
+            for message in parse(body, device, session, platform):
+                # what was refused then is refused again
+                with suppress(SessionError, FixError):
+                    self._took(message, math.nan)
+        self._turned(is_due=True)
+        self.save()
+        return self
+
+
+def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
+    """Updates after the samples of one message.
+
+    Of a long one, such as after a minute without network, the sensors go in second by second: one that is seconds
+    behind the others is taken for silent.
+    """
+    begin_s = min(float(stream.time_s[0]) for stream in samples.values())
+    seconds = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
+    updates: list[StepUpdate] = []
+    for second in np.unique(np.concatenate(list(seconds.values()))):
+        for name, stream in samples.items():
+            first, last = np.searchsorted(seconds[name], [second, second + 1])
+            if last > first:
+                updates += _pushed_one(online, name, stream.time_s[first:last], stream.values[first:last])
+    return updates
+
+
+def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: FloatArray) -> list[StepUpdate]:
+    """The same of one sensor."""
+    of_three = {
+        FORCE: online.push_accelerometer,
+        "gyroscope": online.push_gyroscope,
+        "magnetometer": online.push_magnetometer,
+    }
+    if name in of_three:
+        return of_three[name](time_s, values)
+    if name == "barometer":
+        return online.push_pressure(time_s, values[:, 0])
+    if online.config.model.frame.is_joined:  # locations that began later than the track are on record only
+        return []
+    latitude_deg, longitude_deg, _, accuracy_m = values.T
+    return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m)
+
+
+def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:
+    """Streams of a recording from samples of messages."""
+    names = {name for samples in ready for name in samples}
+    found = {name: [samples[name] for samples in ready if name in samples] for name in names}
+    return {
+        name: Samples(np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows]))
+        for name, rows in found.items()
+    }
+
+
+def _place(content: Mapping[str, Any]) -> Place:
+    """A place as `StepUpdate.to_dict` writes it."""
+    position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
+    return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
+
+
+def _row(time_s: float, position_m: Any, cov_m2: Any) -> list[float]:
+    return [float(v) for v in (time_s, *position_m, cov_m2[0, 0], cov_m2[0, 1], cov_m2[1, 1])]
