@@ -48,6 +48,7 @@ from pdr_filter.values import (
     as_floats,
     check_cov,
     check_fix,
+    median,
 )
 
 
@@ -363,12 +364,12 @@ _TRIAL_FIELD_UT = np.tile([0.0, 20.0, -40.0], (len(_TRIAL_S), 1))
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
     """ValueError for times that cannot be seconds: too large, or from the first on as far apart as of another unit."""
     finite_s = time_s[np.isfinite(time_s)]
-    wrong = wrong_time(float(np.median(finite_s))) if len(finite_s) else ""
+    wrong = wrong_time(median(finite_s)) if len(finite_s) else ""
     if not wrong and state.sensing.conditioner.report.n_emitted == 0:
         known_s = np.concatenate([before_s, time_s])
         intervals_s = np.diff(known_s)
         forward_s = intervals_s[intervals_s > 0]
-        rate_hz = 1.0 / float(np.median(forward_s)) if len(forward_s) >= MIN_SAMPLES else np.inf
+        rate_hz = 1.0 / median(forward_s) if len(forward_s) >= MIN_SAMPLES else np.inf
         wrong = wrong_rate(rate_hz) if unit_of_rate(rate_hz) else ""
     if wrong:
         raise ValueError(wrong)

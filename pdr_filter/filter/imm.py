@@ -62,7 +62,8 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
     v_0j = sum_i mu_i|j v_i. What is summed in each mode over steps and mixed before each is, weighted with the mode
     probabilities, the sum that a smoother would make of them, exactly: E[sum_k l_k(mode at k) | all evidence so far].
     """
-    return np.matmul(_mixing_weights(mode_prob, transition_prob)[0], values[..., None])[..., 0]
+    predicted = np.matmul(mode_prob, transition_prob)
+    return np.divide(np.matmul(mode_prob * values, transition_prob), predicted, where=predicted > 0, out=values.copy())
 
 
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:

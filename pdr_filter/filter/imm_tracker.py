@@ -81,7 +81,7 @@ class ImmTracker:
         window = window_before(state.windows, step.time_s)
         n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
         is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
-        evidence = model.step_log_odds_stationary * model.stands
+        evidence = model.step_evidence
         if window is not None and is_new:
             evidence = evidence + model.evidence.of(window, state.used, state.n_unused - n_later)
         if is_known_to_stand(pedestrian, step):
@@ -91,13 +91,13 @@ class ImmTracker:
         # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
         scale = np.exp(mixed[:, LOG_SCALE])  # the person's at this step, before it is forgotten a little
         walked = Walked(
-            length_m=float(prob @ (length_m * scale)),
-            length_var_m2=max(float(prob @ (var_m2 + length_m**2)) - float(prob @ length_m) ** 2, 0.0),
-            heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET] + model.mean_heading_offset_rad(prob)),
+            length_m=float(prob @ ahead.move.length_m),
+            length_var_m2=max(float(prob @ (var_m2 + length_m * length_m)) - float(prob @ length_m) ** 2, 0.0),
+            heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET]) + model.mean_heading_offset_rad(prob),
             parameter_std_m=prob * parameter_std_m * scale,
-            own_heading_rad=step.device_heading_rad + mean[:, HEADING_OFFSET] + model.directions.heading_offset_rad,
+            own_direction=ahead.move.along,
         )
-        walked_m = walked_m + length_m * scale
+        walked_m = walked_m + ahead.move.length_m
         after = replace(pedestrian, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
         after = with_step(after, step, walked, (x, P))
         latest = window or (state.windows[-1] if state.windows else None)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -80,6 +81,11 @@ class PedestrianModel:
         return np.array([float(m.context == "stationary") for m in self.modes])
 
     @cached_property
+    def step_evidence(self) -> FloatArray:
+        """Log evidence (M,) of a detected step for each mode."""
+        return self.step_log_odds_stationary * self.stands
+
+    @cached_property
     def on_stairs(self) -> tuple[FloatArray, FloatArray]:
         """1 for the modes that climb stairs, and for those that go down, (M,) each."""
         up, down = (np.array([float(m.context == c) for m in self.modes]) for c in ("upstairs", "downstairs"))
@@ -90,10 +96,10 @@ class PedestrianModel:
         """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
         return [CONTEXTS.index(m.context) for m in self.modes]
 
-    @cached_property
+    @property
     def residual_var_m2(self) -> FloatArray:
         """Variance of the length of a step of each mode about its model, (M,)."""
-        return np.array([m.step_length.residual_std_m**2 for m in self.modes])
+        return self._lengths.residual_var_m2
 
     @cached_property
     def evidence(self) -> ModeEvidence:
@@ -125,14 +131,14 @@ class PedestrianModel:
 
         Modes that move nobody have length zero.
         """
-        length_m, var_m2 = self._lengths.predict(step)
-        parameter_var_m2 = self.moves * np.maximum(var_m2 - self.residual_var_m2, 0.0)
+        length_m, parameter_var_m2 = self._lengths.moments(step)
+        parameter_var_m2 = self.moves * parameter_var_m2
         return self.moves * length_m, self.residual_var_m2 + parameter_var_m2, np.sqrt(parameter_var_m2)
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
         """The modes' own heading offset, averaged as vectors."""
-        sine, cosine = mode_prob @ self._offset_vectors
-        return float(np.arctan2(sine, cosine)) if sine * sine + cosine * cosine > 1e-18 else 0.0
+        sine, cosine = (mode_prob @ self._offset_vectors).tolist()
+        return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:
         """Context probabilities (C,) that mode probabilities imply: summed over the modes of each context."""

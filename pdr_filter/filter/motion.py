@@ -181,8 +181,9 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Advance:
-    """Where a step led the modes: predicted means (..., M, 4) and covariances, and the linearisation F and Q."""
+    """Where a step led the modes: the step, predicted means (..., M, 4), covariances, and the linearisation F and Q."""
 
+    move: StepMotion
     mean: FloatArray  # (..., M, 4)
     cov: FloatArray  # (..., M, 4, 4)
     F: FloatArray  # (..., M, 4, 4)
@@ -219,17 +220,17 @@ def advance(
     F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
 
     Q = np.zeros_like(F)
-    Q[..., :2, :2] = (
-        move.var_along_m2[..., None, None] * move.along[..., :, None] * move.along[..., None, :]
-        + move.var_across_m2[..., None, None] * move.across[..., :, None] * move.across[..., None, :]
-        + directions.extra_var_m2[..., None, None] * _IDENTITY[:2, :2]
-    )
+    sine, cosine = move.along[..., 0], move.along[..., 1]
+    sine2, cosine2, along, across = sine * sine, cosine * cosine, move.var_along_m2, move.var_across_m2
+    Q[..., EAST, EAST] = along * sine2 + across * cosine2 + directions.extra_var_m2
+    Q[..., NORTH, NORTH] = along * cosine2 + across * sine2 + directions.extra_var_m2
+    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = (along - across) * sine * cosine
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
     )
     Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
     Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
-    return Advance(predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
+    return Advance(move, predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,7 +259,8 @@ def step_motion(
     weight: FloatArray | float = 1.0,
 ) -> StepMotion:
     """`StepMotion` of lengths (..., M); the variances are multiplied by a weight, a mode's probability in a mixture."""
-    scaled_m = length_m * np.exp(log_scale)
+    scale = np.exp(log_scale)
+    scaled_m = length_m * scale
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
     along, across = np.empty((2, *psi.shape, 2))
     along[..., 0] = sine = np.sin(psi)
@@ -269,7 +271,7 @@ def step_motion(
         across=across,
         length_m=scaled_m,
         displacement_m=scaled_m[..., None] * along,
-        var_along_m2=weight * (np.exp(2 * log_scale) * length_var_m2),
+        var_along_m2=weight * (scale * scale * length_var_m2),
         var_across_m2=weight * scaled_m**2 * directions.heading_var_rad2,
     )
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -132,7 +133,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
 
 def with_first_heading(state: PedestrianState, step: Step) -> PedestrianState:
     """State whose frame has the first walking heading that samples show as its zero, if it has none yet."""
-    if not (np.isinf(state.first_heading_s) and np.isfinite(step.walking_heading_std_rad)):
+    if not (math.isinf(state.first_heading_s) and math.isfinite(step.walking_heading_std_rad)):
         return state
     first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
     cov = expect_first_direction(state.cov, step.walking_heading_std_rad)
@@ -148,7 +149,7 @@ def learned_heading(state: PedestrianState, step: Step) -> tuple[FloatArray, Flo
 
 def elapsed_s(state: PedestrianState, step: Step) -> float:
     """Time since the step before, or the step's own duration for the first of a segment."""
-    return step.duration_s if np.isnan(state.last_step_s) else step.time_s - state.last_step_s
+    return step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
 
 
 def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
@@ -164,7 +165,7 @@ class Walked:
     length_var_m2: float  # without the person's scale
     heading_rad: float
     parameter_std_m: FloatArray  # (M,) due to the parameters of each mode's length model, weighted by its probability
-    own_heading_rad: FloatArray  # (M,) in which each mode walked
+    own_direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
 
 
 def with_step(
@@ -180,31 +181,33 @@ def with_step(
     """
     x, P = combined
     along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
-    sine, cosine = np.sin(walked.heading_rad), np.cos(walked.heading_rad)
+    sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
+    along_m, across_m = walked.length_m * along, walked.length_m * across
     shared_m = state.shared_m.copy()
-    shared_m[_ALONG] += walked.length_m * along * np.array([sine, cosine])
-    shared_m[_ACROSS] += walked.length_m * across * np.array([cosine, -sine])
-    own = np.column_stack([np.sin(walked.own_heading_rad), np.cos(walked.own_heading_rad)])
-    shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * own
+    shared_m[_ALONG] += (along_m * sine, along_m * cosine)
+    shared_m[_ACROSS] += (across_m * cosine, -across_m * sine)
+    shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * walked.own_direction
     # a pause before the step starts the smoothed speed afresh
-    is_pause = np.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
+    is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
     log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
-    place = np.array([[step.time_s, x[EAST], x[NORTH], step.device_heading_rad]])
     frame = state.frame
-    if np.isfinite(step.north_std_rad) and np.isfinite(step.shown_offset_std_rad):
+    if math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad):
         # where the person walks against north, less where he walks in the track's frame
-        angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - x[HEADING_OFFSET]))
+        angle_rad = float(wrap_angle(step.shown_offset_rad - step.north_rad - float(x[HEADING_OFFSET])))
         frame = frame.with_compass(Compass(angle_rad, step.north_std_rad**2 + step.shown_offset_std_rad**2))
+    trail = np.empty((min(len(state.trail) + 1, TRAIL_STEPS), 4))
+    trail[:-1] = state.trail[len(state.trail) + 1 - len(trail) :]
+    trail[-1] = step.time_s, x[EAST], x[NORTH], step.device_heading_rad
     return replace(
         state,
         frame=frame,
         shared_m=shared_m,
         speed=after_step(
-            state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=bool(is_pause)
+            state.speed, walked.length_m, walked.length_var_m2, step.duration_s, log_scale_var, is_first=is_pause
         ),
         last_step_s=step.time_s,
         gap_s=0.0,
-        trail=np.concatenate([state.trail, place])[-TRAIL_STEPS:],
+        trail=trail,
         n_final=state.n_final + 1,
     )
 

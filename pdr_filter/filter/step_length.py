@@ -5,6 +5,7 @@ The filter and the calibration use the same ones. docs/methods/step_length.md co
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol, TypeGuard
@@ -269,13 +270,13 @@ class BounceStepLength:
 
     def _part_of_usual(self, step: Step) -> float:
         turn_rate_radps = min(step.turn_rate_radps, self.max_turn_rate_radps)
-        part = np.exp(-((turn_rate_radps / self.turn_scale_radps) ** 2))
+        part = math.exp(-((turn_rate_radps / self.turn_scale_radps) ** 2))
         part *= min(self.max_frequency_hz / step.frequency_hz, 1.0)
         if step.from_rest:
-            return float(0.5 * part)
+            return 0.5 * part
         if step.usual_amplitude_mps2 <= 0:
-            return float(part)
-        return float(part * min(step.vertical_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25)
+            return part
+        return part * min(step.vertical_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------
@@ -314,8 +315,8 @@ class StepLengthFit:
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
-        length, variance = _predict(self.model, step, self.theta, self.theta_cov, np.array(self.residual_std_m**2))
-        return float(length), float(variance)
+        length, parameter_var = _predict(self.model, step, self.theta, self.theta_cov)
+        return float(length), float(parameter_var) + self.residual_std_m**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -325,35 +326,48 @@ class StepLengths:
     fits: tuple[StepLengthFit, ...]
 
     @cached_property
-    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray, FloatArray]]:
-        """For each distinct model: which fits use it, their theta (m, p), covariance (m, p, p), residual variance."""
+    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]]:
+        """For each distinct model: which fits use it, their theta (m, p) and covariance (m, p, p)."""
         models: list[StepLengthModel] = []
         for fit in self.fits:
             if fit.model not in models:
                 models.append(fit.model)
-        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray, FloatArray]] = []
+        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]] = []
         for model in models:
             index = np.array([i for i, fit in enumerate(self.fits) if fit.model == model])
             own = [self.fits[i] for i in index]
-            theta, cov = np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])
-            groups.append((model, index, theta, cov, np.array([f.residual_std_m**2 for f in own])))
+            groups.append((model, index, np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])))
         return groups
+
+    @cached_property
+    def residual_var_m2(self) -> FloatArray:
+        """Variance of the length of a step about each fit, (M,)."""
+        return np.array([fit.residual_std_m**2 for fit in self.fits])
 
     def predict(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Lengths in m (never negative) and their variances in m2, shape (M,) each."""
-        length, variance = np.empty(len(self.fits)), np.empty(len(self.fits))
-        for model, index, theta, cov, residual in self._groups:
-            length[index], variance[index] = _predict(model, step, theta, cov, residual)
-        return length, variance
+        length, parameter_var = self.moments(step)
+        return length, parameter_var + self.residual_var_m2
+
+    def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
+        """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
+        length, parameter_var = np.empty((2, len(self.fits)))
+        for model, index, theta, cov in self._groups:
+            length[index], parameter_var[index] = _predict(model, step, theta, cov)
+        return length, parameter_var
 
 
 def _predict(
-    model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray, residual_var_m2: FloatArray
+    model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (...,) and variance (...,) for theta (..., p), theta_cov (..., p, p) and residual variance (...,)."""
+    """Length (...,) and its variance (...,) due to the parameters, both not negative.
+
+    For theta (..., p) and theta_cov (..., p, p).
+    """
     length, jacobian = length_and_jacobian(model, step, theta)
-    spread = np.add.reduce(theta_cov * jacobian[..., None, :], axis=-1)
-    return np.maximum(length, 0.0), np.add.reduce(spread * jacobian, axis=-1) + residual_var_m2
+    products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
+    # a covariance that was estimated may miss zero by its rounding
+    return np.maximum(length, 0.0), np.maximum(np.add.reduce(products, axis=(-2, -1)), 0.0)
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:

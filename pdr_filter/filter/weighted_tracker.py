@@ -142,7 +142,7 @@ class WeightedTracker:
             length_var_m2=mixture_var_m2,
             heading_rad=heading_rad,
             parameter_std_m=weights * parameter_std_m * scale,
-            own_heading_rad=np.full(len(model.modes), heading_rad),
+            own_direction=ahead.move.along,
         )
         after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
         after = with_step(after, step, walked, (mean[0], cov[0]))

@@ -123,46 +123,50 @@ class AttitudeEstimator:
         estimator = self._filter()
         if state.vqf is not None:
             estimator.state = state.vqf
-        start, n, pieces = 0, len(block.time_s), list[tuple[FloatArray, ...]]()
+        start, n, pieces = 0, len(block.time_s), list[tuple[FloatArray, FloatArray, FloatArray]]()
+        biases, lengths = list[GyroBiasState](), list[int]()
         while start < n:
             end = min(start + self._window_samples - len(state.window), n)
+            biases.append(state.bias)
+            lengths.append(end - start)
             state, found = self._turn(state, estimator, block, slice(start, end))
             pieces.append(found)
             start = end
-        joined = pieces[0] if len(pieces) == 1 else [np.concatenate(c) for c in zip(*pieces, strict=True)]
-        quat, up, heading_rad, bias_std, error_rad, error_var = joined
-        east, north, vertical = _rotate(quat, block.specific_force_mps2)
+        quat, up, heading_rad = (
+            pieces[0] if len(pieces) == 1 else [np.concatenate(c) for c in zip(*pieces, strict=True)]
+        )
+        east, north = _horizontal(quat, block.specific_force_mps2)
+        bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
+        errors = np.repeat([(b.heading_error_rad, b.heading_error_var_rad2) for b in biases], lengths, axis=0)
         attitude = AttitudeBlock(
-            vertical_mps2=vertical - STANDARD_GRAVITY_MPS2,
-            horizontal_mps2=np.column_stack([east, north]),
+            vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
+            horizontal_mps2=np.stack([east, north], axis=1),
             up_sensor=up,
             device_heading_rad=heading_rad,
-            yaw_bias_std_radps=bias_std,
-            heading_error_rad=error_rad,
-            heading_error_var_rad2=error_var,
+            yaw_bias_std_radps=np.sqrt(_variance_along(up, bias_cov)),
+            heading_error_rad=errors[:, 0],
+            heading_error_var_rad2=errors[:, 1],
             quat=quat,
         )
         return replace(state, vqf=estimator.state), attitude
 
     def _turn(
         self, state: AttitudeState, estimator: Any, block: UniformBlock, piece: slice
-    ) -> tuple[AttitudeState, tuple[FloatArray, ...]]:
-        """State with its bias; attitudes, up, headings, and errors of their rate and of themselves, of one window."""
-        known = block.angular_rate_known[piece]
-        rate = np.where(known[:, None], block.angular_rate_radps[piece] - state.bias.bias_radps, 0.0)
+    ) -> tuple[AttitudeState, tuple[FloatArray, FloatArray, FloatArray]]:
+        """State with its bias; attitudes, up and headings of samples of one window."""
+        known, measured = block.angular_rate_known[piece], block.angular_rate_radps[piece]
+        rate = np.where(known[:, None], measured - state.bias.bias_radps, 0.0)
         force = np.ascontiguousarray(block.specific_force_mps2[piece])
         quat: FloatArray = estimator.updateBatch(rate, force)["quat6D"]
         up = _up_in_sensor_frame(quat)
         state, heading_rad = _follow_heading(state, quat, up, known, -_dot(rate[:1], up[:1])[0] / self.rate_hz)
-        bias_std = np.sqrt(_variance_along(up, state.bias.bias_cov_radps2))
         rows = np.empty((len(up), _NO_SAMPLES.shape[1]))
-        rows[:, _RATE], rows[:, _FORCE], rows[:, _UP] = block.angular_rate_radps[piece], force, up
+        rows[:, _RATE], rows[:, _FORCE], rows[:, _UP] = measured, force, up
         rows[:, _FIELD], rows[:, _QUAT] = block.magnetic_field_ut[piece], quat
         rows[:, _HEADING], rows[:, _RATE_KNOWN] = heading_rad, known
         rows[:, _FIELD_KNOWN] = block.magnetic_field_known[piece]
         window = np.concatenate([state.window, rows]) if len(state.window) else rows
-        errors = np.full(len(up), state.bias.heading_error_rad), np.full(len(up), state.bias.heading_error_var_rad2)
-        found = (quat, up, heading_rad, bias_std, *errors)
+        found = quat, up, heading_rad
         if len(window) < self._window_samples:
             return replace(state, window=window), found
         bias = self.bias.step(state.bias, _bias_window(window))
@@ -171,18 +175,18 @@ class AttitudeEstimator:
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
     """What the bias needs of a whole window."""
-    mean = rows.mean(axis=0)
+    mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
-    variance = (away * away).mean(axis=0)
+    rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
     up = mean[_UP]
     field_ut, field_known = np.zeros(3), bool(mean[_FIELD_KNOWN] == 1.0)
     if field_known:
-        field_ut = np.array([c.mean() for c in _rotate(rows[:, _QUAT], rows[:, _FIELD])])
+        field_ut = _mean_rotated(rows[:, _QUAT], rows[:, _FIELD])
     return BiasWindow(
         angular_rate_radps=mean[_RATE],
-        angular_rate_std_radps=math.sqrt(variance[_RATE].sum()),
-        specific_force_std_mps2=math.sqrt(variance[_FORCE].sum()),
-        up_sensor=up / math.sqrt((up * up).sum()),
+        angular_rate_std_radps=math.sqrt(rate_x + rate_y + rate_z),
+        specific_force_std_mps2=math.sqrt(force_x + force_y + force_z),
+        up_sensor=up / math.sqrt(float(up @ up)),
         heading_rad=float(mean[_HEADING]),
         angular_rate_known=bool(mean[_RATE_KNOWN] == 1.0),
         magnetic_field_ut=field_ut,
@@ -199,17 +203,18 @@ def _follow_heading(
     if reference is None or reference_up is None:
         reference, reference_up, turned[0], start = quat[0].copy(), up[0].copy(), first_turn_rad, 1
     while start < len(quat):
-        too_far = np.flatnonzero(_dot(up[start:], reference_up[None, :]) < _MAX_TILT_COS)
+        (too_far,) = (_dot(up[start:], reference_up[None, :]) < _MAX_TILT_COS).nonzero()
         end = start + int(too_far[0]) + 1 if len(too_far) else len(quat)
-        twist = np.concatenate([[twist_rad], _twist(quat[start:end], reference)])
-        change = np.diff(twist)
-        turned[start:end] = change - 2 * np.pi * np.round(change / (2 * np.pi))
+        twist = _twist(quat[start:end], reference)
+        turned[start] = twist[0] - twist_rad
+        turned[start + 1 : end] = twist[1:] - twist[:-1]
         twist_rad = float(twist[-1])
         if len(too_far):
             reference, reference_up, twist_rad = quat[end - 1].copy(), up[end - 1].copy(), 0.0
         start = end
-    turned = np.where(rate_known, turned, 0.0)
-    heading_rad = np.cumsum(np.concatenate([[state.device_heading_rad], turned]))[1:]
+    turned = np.where(rate_known, turned - 2 * np.pi * np.round(turned / (2 * np.pi)), 0.0)
+    turned[0] += state.device_heading_rad
+    heading_rad = np.cumsum(turned)
     new = replace(
         state,
         device_heading_rad=float(heading_rad[-1]),
@@ -235,10 +240,10 @@ def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
 
 
 def _variance_along(up: FloatArray, cov: FloatArray) -> FloatArray:
-    """Quadratic form up' C up for directions (N, 3) and a symmetric matrix (3, 3)."""
+    """Quadratic form up' C up for directions (N, 3) and symmetric matrices (N, 3, 3)."""
     x, y, z = up.T
-    diagonal = cov[0, 0] * x * x + cov[1, 1] * y * y + cov[2, 2] * z * z
-    return diagonal + 2.0 * (cov[0, 1] * x * y + cov[0, 2] * x * z + cov[1, 2] * y * z)
+    diagonal = cov[:, 0, 0] * x * x + cov[:, 1, 1] * y * y + cov[:, 2, 2] * z * z
+    return diagonal + 2.0 * (cov[:, 0, 1] * x * y + cov[:, 0, 2] * x * z + cov[:, 1, 2] * y * z)
 
 
 def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
@@ -247,11 +252,29 @@ def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
     return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
 
 
-def _rotate(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """East, north and up components of vectors in the sensor frame, written out so that no sum order can change."""
+def _horizontal(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """East and north of vectors in the sensor frame, written out so that no sum order can change."""
     w, x, y, z = quat.T
     a, b, c = vector.T
-    east = (1 - 2 * (y * y + z * z)) * a + 2 * (x * y - w * z) * b + 2 * (x * z + w * y) * c
-    north = 2 * (x * y + w * z) * a + (1 - 2 * (x * x + z * z)) * b + 2 * (y * z - w * x) * c
-    up = 2 * (x * z - w * y) * a + 2 * (y * z + w * x) * b + (1 - 2 * (x * x + y * y)) * c
-    return east, north, up
+    zz, xy, wz = z * z, x * y, w * z
+    east = (1 - 2 * (y * y + zz)) * a + 2 * (xy - wz) * b + 2 * (x * z + w * y) * c
+    north = 2 * (xy + wz) * a + (1 - 2 * (x * x + zz)) * b + 2 * (y * z - w * x) * c
+    return east, north
+
+
+def _mean_rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """Mean (3,) of vectors (N, 3) turned by (N, 4) to east, north and up, from mean products of q_i, q_j and v_k."""
+    pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
+    of_pairs = (pairs.T @ vector / len(quat)).reshape(4, 4, 3).tolist()
+    w, x, y, z = range(4)
+    total = (np.add.reduce(vector) / len(quat)).tolist()
+
+    def along(i: int, j: int, k: int) -> float:
+        return of_pairs[i][j][k]
+
+    east = total[0] - 2 * (along(y, y, 0) + along(z, z, 0))
+    east += 2 * (along(x, y, 1) - along(w, z, 1)) + 2 * (along(x, z, 2) + along(w, y, 2))
+    north = 2 * (along(x, y, 0) + along(w, z, 0)) + total[1] - 2 * (along(x, x, 1) + along(z, z, 1))
+    north += 2 * (along(y, z, 2) - along(w, x, 2))
+    up = 2 * (along(x, z, 0) - along(w, y, 0)) + 2 * (along(y, z, 1) + along(w, x, 1))
+    return np.array([east, north, up + total[2] - 2 * (along(x, x, 2) + along(y, y, 2))])

@@ -33,12 +33,14 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.sensing.device import Device
-from pdr_filter.values import FloatArray, check_numbers, replace
+from pdr_filter.values import FloatArray, check_numbers, read_only, replace
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
 # attitude's frame, and by how much the corrected heading is too large, in rad, clockwise.
 _BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
+_HEADINGS = slice(3, 5)  # both
 _N_STATES = 5
+_IDENTITY = read_only(np.eye(_N_STATES))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -206,8 +208,10 @@ class GyroBias:
         mean, cov = np.zeros((len(covs), _N_STATES)), np.zeros((len(covs), _N_STATES, _N_STATES))
         mean[:, _BIAS], cov[:, _BIAS, _BIAS] = means, covs
         log_weight = np.log(prob)
-        bias, bias_cov = _mixture(mean, cov, log_weight)
-        return GyroBiasState(mean, cov, log_weight - log_weight.max(), bias, bias_cov)
+        bias, bias_cov = _mixture((mean, cov, log_weight))
+        return GyroBiasState(
+            mean, cov, log_weight - log_weight.max(), bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy()
+        )
 
     def after_gap(self, state: GyroBiasState) -> GyroBiasState:
         """State that keeps the bias and forgets what the windows before a time without samples were."""
@@ -225,18 +229,17 @@ class GyroBias:
         state = replace(state, corrected_rad=state.corrected_rad + correction_rad, n_still=n_still)
         bank, state = self._see_walk(bank, state, window, measured_rad)
         bank, state = self._see_field(bank, state, window)
-        bias, bias_cov = _mixture(*bank)
         mean, cov, log_weight = bank
-        error_rad, error_var = _error(*bank)
+        of_all, cov_of_all = _mixture(bank)
         return replace(
             state,
             mean=mean,
             cov=cov,
             log_weight=log_weight,
-            bias_radps=bias,
-            bias_cov_radps2=bias_cov,
-            heading_error_rad=error_rad,
-            heading_error_var_rad2=error_var,
+            bias_radps=of_all[_BIAS].copy(),
+            bias_cov_radps2=cov_of_all[_BIAS, _BIAS].copy(),
+            heading_error_rad=float(of_all[_ERROR]),
+            heading_error_var_rad2=float(cov_of_all[_ERROR, _ERROR]),
         )
 
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
@@ -245,7 +248,8 @@ class GyroBias:
         if math.isfinite(error_var_rad2):
             seen = (error_rad - state.mean[:, _ERROR])[:, None]
             bank, _ = _update(bank, np.eye(1, _N_STATES, _ERROR), seen, np.eye(1) * error_var_rad2, 1e-9, 0.0)
-        return Device(*_mixture(*bank))
+        bias, bias_cov = _mixture(bank)
+        return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
     def _see_still(self, bank: _Bank, n_still: int, window: BiasWindow) -> tuple[_Bank, int]:
         is_still = (
@@ -354,13 +358,13 @@ _MIN_LOG_WEIGHT = -12.0
 def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
     """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
     dt = bias.window_s
-    transition, noise = np.eye(_N_STATES), np.zeros(_N_STATES)
-    transition[_FIELD, _BIAS] = transition[_ERROR, _BIAS] = -dt * up_sensor
-    noise[_BIAS] = bias.walk_radps_per_sqrt_s**2 * dt
-    noise[_FIELD] = bias.field_walk_rad_per_sqrt_s**2 * dt
+    transition = _IDENTITY.copy()
+    transition[_HEADINGS, _BIAS] = -dt * up_sensor
     mean = state.mean @ transition.T
-    mean[:, [_FIELD, _ERROR]] += dt * _dot(up_sensor, state.bias_radps)
-    return mean, transition @ state.cov @ transition.T + np.diag(noise), state.log_weight
+    mean[:, _HEADINGS] += dt * _dot(up_sensor, state.bias_radps)
+    cov = transition @ state.cov @ transition.T
+    of_bias, of_field = bias.walk_radps_per_sqrt_s**2 * dt, bias.field_walk_rad_per_sqrt_s**2 * dt
+    return mean, cov + np.diag((of_bias, of_bias, of_bias, of_field, 0.0)), state.log_weight
 
 
 def _update(
@@ -397,9 +401,14 @@ def _predicted(
     hp: FloatArray, rows: FloatArray, innovation: FloatArray, noise: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
     """Inverse of the covariance (M, k, k) of innovations, and their log densities (M,) but for a constant."""
-    inverse = np.asarray(np.linalg.inv(hp @ rows.T + noise), dtype=np.float64)
+    spread = hp @ rows.T + noise
+    if len(rows) == 1:  # as most are: LAPACK would take ten times as long
+        inverse, log_det = 1.0 / spread, -np.log(spread[:, 0, 0])
+    else:
+        inverse = np.asarray(np.linalg.inv(spread), dtype=np.float64)
+        log_det = np.log(np.linalg.det(inverse))
     square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
-    return inverse, 0.5 * (np.log(np.linalg.det(inverse)) - square)
+    return inverse, 0.5 * (log_det - square)
 
 
 def _likelihood(bank: _Bank, rows: FloatArray, innovation: FloatArray, noise: FloatArray) -> float:
@@ -432,23 +441,15 @@ def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
     return angle_rad - period_rad * np.round(angle_rad / period_rad)
 
 
-def _mixture(mean: FloatArray, cov: FloatArray, log_weight: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """Mean (3,) and covariance (3, 3) of the bias over the bank."""
+def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
+    """Mean (5,) and covariance (5, 5) over the bank."""
+    mean, cov, log_weight = bank
     weight = np.exp(log_weight)
     weight = weight / weight.sum()
-    bias = (weight[:, None] * mean[:, _BIAS]).sum(axis=0)
-    away = mean[:, _BIAS] - bias
-    within = (weight[:, None, None] * cov[:, _BIAS, _BIAS]).sum(axis=0)
-    return bias, within + (weight[:, None, None] * away[:, :, None] * away[:, None, :]).sum(axis=0)
-
-
-def _error(mean: FloatArray, cov: FloatArray, log_weight: FloatArray) -> tuple[float, float]:
-    """Mean and variance of the heading's error over the bank."""
-    weight = np.exp(log_weight)
-    weight = weight / weight.sum()
-    error_rad = float((weight * mean[:, _ERROR]).sum())
-    away = mean[:, _ERROR] - error_rad
-    return error_rad, float((weight * (cov[:, _ERROR, _ERROR] + away * away)).sum())
+    of_all = weight @ mean
+    away = mean - of_all
+    within = (weight @ cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)
+    return of_all, within + (weight[:, None] * away).T @ away
 
 
 def _along(rows: FloatArray, up: FloatArray) -> FloatArray:

@@ -9,14 +9,15 @@ known, and `one_clock` leaves nothing to follow.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill
+from pdr_filter.values import Fix, FloatArray, IntArray, Samples, Standstill, replace
 
 # So many samples in a row that contradict the clock are right.
 CLOCK_RESET_SAMPLES = 50
@@ -26,7 +27,7 @@ _PLAIN_GAP_S = 60.0
 _RUN_ROWS = 256
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class ClockState:
     """Whether to believe the next time."""
 
@@ -57,7 +58,7 @@ def follow(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Clock
         clock = replace(clock, n_deaf=0 if out else clock.n_deaf + 1)
         accepted += [row[None] for row in out]
         n_dropped, n_jumps, start = n_dropped + dropped, n_jumps + jumps, start + 1
-    return clock, np.concatenate(accepted), n_dropped, n_jumps
+    return clock, accepted[-1] if len(accepted) == 2 else np.concatenate(accepted), n_dropped, n_jumps
 
 
 def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[ClockState, FloatArray]:
@@ -66,7 +67,7 @@ def _in_order(clock: ClockState, rows: FloatArray, max_gap_s: float) -> tuple[Cl
     moved[:, 0] += clock.offset_s
     steps_s = moved[:, 0] - np.concatenate([[clock.last_s], moved[:-1, 0]])
     # the very first sample has nothing to be far ahead of
-    stops = np.flatnonzero(~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s))))
+    (stops,) = (~((steps_s > 0) & ((steps_s <= max_gap_s) | np.isinf(steps_s)))).nonzero()
     moved = moved[: stops[0]] if len(stops) else moved
     return (replace(clock, last_s=float(moved[-1, 0]), n_deaf=0) if len(moved) else clock), moved
 
@@ -127,8 +128,10 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
         return fix
     received_s = None if fix.received_time_s is None else fix.received_time_s + offset_s
     if isinstance(fix, Standstill):
-        return replace(fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s)
-    return replace(fix, time_s=fix.time_s + offset_s, received_time_s=received_s)
+        return dataclasses.replace(
+            fix, time_s=fix.time_s + offset_s, end_s=fix.end_s + offset_s, received_time_s=received_s
+        )
+    return dataclasses.replace(fix, time_s=fix.time_s + offset_s, received_time_s=received_s)
 
 
 def one_clock(recording: Recording, fixes: Sequence[AnyFix] = ()) -> tuple[Recording, tuple[AnyFix, ...]]:
@@ -150,8 +153,8 @@ def one_clock(recording: Recording, fixes: Sequence[AnyFix] = ()) -> tuple[Recor
     notes = (*recording.notes, *(f"{text}: times go on from there" for text in words))
     wifi = recording.wifi
     if wifi is not None:
-        wifi = replace(wifi, time_s=wifi.time_s + offsets_s[_stretch(wifi.time_s, set_backs)])
-    on_one = replace(recording, **streams, wifi=wifi, notes=notes)
+        wifi = dataclasses.replace(wifi, time_s=wifi.time_s + offsets_s[_stretch(wifi.time_s, set_backs)])
+    on_one = dataclasses.replace(recording, **streams, wifi=wifi, notes=notes)
     return on_one, tuple(moved(fix, float(offset_s)) for fix, offset_s in zip(fixes, of_fixes, strict=True))
 
 

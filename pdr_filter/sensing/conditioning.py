@@ -27,6 +27,8 @@ _N_COLUMNS = 12
 MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
 # Phones' magnetometers saturate at 2 to 5 mT.
 MAX_FIELD_UT = 1e4
+# Of time, specific force, angular rate and magnetic field.
+_LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 3, 3, 3])
 # So many rows without a believed time, or none that follows another, are worth a word.
 _NOTABLE_DEAF = 200
 
@@ -181,9 +183,9 @@ class Conditioner:
         if len(rows) == 0:
             return state, []
         times = np.concatenate([state.rows[-1:, 0], rows[:, 0]])
-        after_gap = np.flatnonzero(np.diff(times) > self.max_gap_s) + (0 if len(state.rows) else 1)
+        after_gap = np.flatnonzero(times[1:] - times[:-1] > self.max_gap_s) + (0 if len(state.rows) else 1)
         outputs: list[UniformBlock] = []
-        for part in np.split(rows, after_gap):
+        for part in np.split(rows, after_gap) if len(after_gap) else [rows]:
             if len(part) == 0:
                 continue
             if len(state.rows) == 0:
@@ -196,16 +198,11 @@ class Conditioner:
 
     def _accept(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, FloatArray]:
         """Rows with finite specific force and increasing time; missing rate and field held, with their age."""
-        raw = np.column_stack(
-            [block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut]
-        )
-        finite = np.isfinite(raw[:, :4]).all(axis=1)
-        with np.errstate(invalid="ignore"):  # comparing NaN rates
-            wild = finite & (
-                (np.abs(raw[:, _FORCE]) > MAX_FORCE_MPS2).any(axis=1)
-                | (np.abs(raw[:, _RATE]) > MAX_RATE_RADPS).any(axis=1)
-            )
-            wild_field = (np.abs(raw[:, _FIELD]) > MAX_FIELD_UT).any(axis=1)
+        raw = np.empty((len(block.time_s), 10))
+        raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
+        raw[:, _RATE], raw[:, _FIELD] = block.angular_rate_radps, block.magnetic_field_ut
+        finite, beyond = np.isfinite(raw[:, :4]).all(axis=1), np.abs(raw) > _LIMITS  # of NaN nothing is
+        wild, wild_field = finite & beyond[:, _MOTION].any(axis=1), beyond[:, _FIELD].any(axis=1)
         raw[wild_field, _FIELD] = np.nan
         is_usable = finite & ~wild
         usable = raw if is_usable.all() else raw[is_usable]

@@ -6,12 +6,13 @@ told by physics from one that is right: a phone that is looked at would have its
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from bisect import bisect_left
+from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.io.units import wrong_angular_rate, wrong_specific_force
-from pdr_filter.values import FloatArray
+from pdr_filter.values import FloatArray, median, replace
 
 # A window is whole after both.
 _WINDOW_S, _WINDOW_ROWS = 2.0, 100
@@ -22,7 +23,7 @@ _FAST_WINDOWS, _FAST_SHARE = 2, 0.2
 _DOWN_COSINE, _DOWN_WINDOWS, _DOWN_SHARE = -0.5, 3, 0.8
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class UnitsState:
     """What windows so far had, and the rows of the one that is open."""
 
@@ -64,20 +65,23 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
 
     A window is judged when it is whole, so that the result does not depend on how rows were cut into blocks.
     """
-    force, rate = (np.sqrt((part * part).sum(axis=1)) for part in (motion[:, :3], motion[:, 3:]))
-    rows = np.concatenate([state.rows, np.column_stack([time_s, force, motion[:, 2], rate])])
-    while len(rows) >= _WINDOW_ROWS and rows[-1, 0] - rows[0, 0] >= _WINDOW_S:
-        end = max(int(np.searchsorted(rows[:, 0], rows[0, 0] + _WINDOW_S)) + 1, _WINDOW_ROWS)
-        state, rows = _judged(state, rows[:end]), rows[end:]
-    return replace(state, rows=rows)
+    squares, new = motion * motion, np.empty((len(time_s), 4))
+    new[:, 0], new[:, 2] = time_s, motion[:, 2]
+    new[:, 1], new[:, 3] = np.sqrt(squares[:, :3].sum(axis=1)), np.sqrt(squares[:, 3:].sum(axis=1))
+    rows = np.concatenate([state.rows, new])
+    times_s, start = rows[:, 0].tolist(), 0
+    while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
+        end = max(bisect_left(times_s, times_s[start] + _WINDOW_S, lo=start) + 1, start + _WINDOW_ROWS)
+        state, start = _judged(state, rows[start:end]), end
+    return replace(state, rows=rows[start:])
 
 
 def _judged(state: UnitsState, rows: FloatArray) -> UnitsState:
     """State after a whole window."""
     _, force, z, rate = rows.T
     known = rate[np.isfinite(rate)]
-    wrong_force = wrong_specific_force(float(np.median(force)))
-    wrong_rate = wrong_angular_rate(float(np.median(known))) if len(known) else ""
+    wrong_force = wrong_specific_force(median(force))
+    wrong_rate = wrong_angular_rate(median(known)) if len(known) else ""
     down = float(z.sum()) < _DOWN_COSINE * float(force.sum())
     return replace(
         state,

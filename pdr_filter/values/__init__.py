@@ -10,6 +10,7 @@ from pdr_filter.values.arrays import (
     check_columns,
     check_cov,
     check_transition_prob,
+    median,
     read_only,
     table,
 )
@@ -93,6 +94,7 @@ __all__ = [
     "how_many",
     "how_often",
     "loudness",
+    "median",
     "read_only",
     "received_s",
     "replace",

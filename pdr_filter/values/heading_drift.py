@@ -40,9 +40,9 @@ class HeadingDrift:
         `yaw_bias_std_radps` is the standard deviation of the gyroscope's bias about the vertical, `besides_rad2_per_s`
         another random walk, such as a mode's own.
         """
-        unknown = np.minimum(unknown_s, elapsed_s)
+        unknown = min(unknown_s, elapsed_s) if isinstance(unknown_s, float) else np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2
-        return (rate + besides_rad2_per_s) * (elapsed_s - unknown), self.unmeasured_rad2(unknown)
+        return np.asarray((rate + besides_rad2_per_s) * (elapsed_s - unknown)), self.unmeasured_rad2(unknown)
 
     def unmeasured_rad2(self, time_s: float | FloatArray) -> FloatArray:
         """Variance gained in a time without angular rate."""

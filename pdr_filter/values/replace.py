@@ -5,6 +5,8 @@ from __future__ import annotations
 from typing import Any, TypeVar
 
 V = TypeVar("V")
+# Looked up once: this function is called some fifty times a step.
+_new, _set = object.__new__, object.__setattr__
 
 
 def replace(value: V, /, **changes: Any) -> V:
@@ -14,9 +16,9 @@ def replace(value: V, /, **changes: Any) -> V:
     fields are copied as they are, and nothing is checked again: values with a `__post_init__` need
     `dataclasses.replace`. The class must be without slots.
     """
-    content = vars(value) | changes
-    if len(content) != len(type(value).__dataclass_fields__):  # type: ignore[attr-defined]
+    content = value.__dict__ | changes
+    if len(content) != len(value.__dataclass_fields__):  # type: ignore[attr-defined]
         raise TypeError(f"{type(value).__name__} has slots, or not all of the fields {', '.join(changes)}")
-    changed = object.__new__(type(value))
-    object.__setattr__(changed, "__dict__", content)
+    changed = _new(value.__class__)
+    _set(changed, "__dict__", content)
     return changed

@@ -52,7 +52,7 @@ def gated(recording: pdr.Recording, with_gyroscope: bool) -> list[tuple[float, f
         recording = replace(recording, gyroscope=None)
     windows = list(feature_windows(WINDOWS, [pdr.merge_streams(recording)]))
     return [
-        (w.time_s, irregular_prob(w.names, w.features, with_gyroscope))
+        (w.time_s, float(irregular_prob(w.names, w.features, with_gyroscope)))
         for w in windows
         if w.has_gyroscope == with_gyroscope
     ]

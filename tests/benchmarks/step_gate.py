@@ -4,7 +4,7 @@
 
 Every step that the default detector finds is walking or not: inside the walks of ubicomp13 or more than 1 s outside,
 where the phone is handled; MotionSense's sitting and standing against its other contexts; walks of the other sets. The
-log odds are a logistic regression on the four features of `pdr_filter.sensing.steps.gate.evidence_features`, every
+log odds are a logistic regression on the four features of `pdr_filter.sensing.steps.walk_evidence`, every
 kind of recording with the mass in `MASS`. Figures are of people left out: people with odd numbers are judged by a fit
 without them, and those with even numbers likewise; the other sets have one person each or unknown ones, and are in
 both fits. Then the same with the weights that the package has, which have seen everybody.
@@ -26,7 +26,8 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
 from pdr_filter.sensing.steps.detector import unknown_contexts
-from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence
+from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.sensing.steps.walk_evidence import EVIDENCE, WalkEvidence
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, options, recordings
 
@@ -70,11 +71,11 @@ class Found:
 class Recorder:
     """Stands in for the evidence, and remembers what the gate saw."""
 
-    rows: list[tuple[float, ...]] = field(default_factory=list)
+    rows: list[list[float]] = field(default_factory=list)
 
-    def log_odds(self, features: Sequence[float]) -> float:
-        self.rows.append(tuple(features))
-        return 0.0
+    def log_odds(self, features: FloatArray) -> FloatArray:
+        self.rows.extend(features.tolist())
+        return np.zeros(len(features))
 
 
 def flat(block: UniformBlock) -> AttitudeBlock:

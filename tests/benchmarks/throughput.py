@@ -1,10 +1,12 @@
-"""How fast the whole pipeline is: recordings of all sets, an hour at once, a day in blocks, a pushed block, a start.
+"""How fast the whole pipeline is: recordings of all sets, their stages, an hour, a day in blocks, a block, a start.
 
-usage: python -m tests.benchmarks.throughput [recordings] [hour] [costs] [day] [start] [--before TREE] [--every 4]
+usage: python -m tests.benchmarks.throughput [recordings] [stages] [pushed] [hour] [costs] [day] [start]
+       [--before TREE] [--every 4]
 
 The hour is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
-out or put in. `--before` is another checkout of the project: its recordings and starts are timed in turns with ours,
-ours twice, so that the two figures of one tree show what the machine adds. Times are of the processor, one core.
+out or put in. `--before` is another checkout of the project: its recordings, stages, pushed blocks and starts are timed
+in turns with ours, ours twice, so that the two figures of one tree show what the machine adds. Times are of the
+processor, one core.
 """
 
 from __future__ import annotations
@@ -19,6 +21,8 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
 
 import numpy as np
 
@@ -29,6 +33,7 @@ from pdr_filter.recipes import default
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindows
 from pdr_filter.values import PositionFix, Samples
 from tests.benchmarks.common import ROOT, Tables, options, paths
+from tests.maps.made_up import box, feature, line, write
 
 SITES = ("humolire", "ms_indoor", "oxiod", "ubicomp13", "tyrex", "oxford", "ipol", "motionsense", "ipin2023")
 # In another process, so that trees can be compared: reads nothing but the package and the recordings.
@@ -44,6 +49,66 @@ for path in sys.argv[1:]:
         best = min(best, time.process_time() - start)
     found.append((recording.duration_s, best))
 print(json.dumps(found))
+"""
+# The stages of the default, by the class of each, and of a step what follows them.
+_OF_STAGES = """
+import importlib, json, sys, time
+import pdr_filter as pdr
+
+STAGES = {
+    "conditioner": "sensing.conditioning.Conditioner.step",
+    "attitude and bias": "sensing.attitude.AttitudeEstimator.step",
+    "features of windows": "sensing.features.windows.FeatureWindows.step",
+    "contexts, features included": "sensing.contexts.learned.LearnedContexts.step",
+    "step detector": "sensing.steps.adaptive.AdaptiveStepDetector.step",
+    "gate": "sensing.steps.gate.StepGate.step",
+    "walking heading": "sensing.heading.walking_heading.WalkingHeading.step",
+    "sensing in all": "sensing.front_end.Sensing.step",
+    "tracker, steps": "filter.imm_tracker.ImmTracker.on_step",
+    "tracker, fixes": "filter.imm_tracker.ImmTracker.on_fix",
+}
+taken = dict.fromkeys(STAGES, 0.0)
+
+def timed(function, name):
+    def run(*arguments):
+        start = time.process_time()
+        result = function(*arguments)
+        taken[name] += time.process_time() - start
+        return result
+    return run
+
+recordings = [pdr.read(path) for path in sys.argv[1:]]
+pdr.track(recordings[0])
+for name, place in STAGES.items():
+    module, owner, method = place.rsplit(".", 2)
+    owner = getattr(importlib.import_module("pdr_filter." + module), owner)
+    setattr(owner, method, timed(getattr(owner, method), name))
+best = []
+for _ in range(3):
+    taken.update(dict.fromkeys(taken, 0.0))
+    start = time.process_time()
+    for recording in recordings:
+        pdr.track(recording)
+    best.append([time.process_time() - start, *taken.values()])
+least = [min(times) for times in zip(*best)]
+seconds = sum(recording.duration_s for recording in recordings)
+print(json.dumps([["pdr.track in all", *taken], [1e3 * t / seconds for t in least]]))
+"""
+_OF_PUSHED = """
+import json, sys, time
+import pdr_filter as pdr
+block, runs = pdr.merge_streams(pdr.read(sys.argv[1])), []
+for _ in range(3):
+    online, cost = pdr.OnlineFilter(), []
+    for i in range(0, min(len(block.time_s), 12000), 10):
+        part = slice(i, i + 10)
+        samples = block.specific_force_mps2[part], block.angular_rate_radps[part], block.magnetic_field_ut[part]
+        start = time.process_time()
+        online.push(block.time_s[part], *samples)
+        cost.append(1e3 * (time.process_time() - start))
+    runs.append(cost)
+least = sorted(min(costs) for costs in zip(*runs))
+print(json.dumps([sum(least) / len(least), least[len(least) // 2], least[int(0.99 * len(least))]]))
 """
 _OF_START = """
 import json, sys, time
@@ -64,12 +129,12 @@ def best_s(run: Callable[[], object], times: int = 3) -> float:
     return min(taken)
 
 
-def in_tree(tree: Path, code: str, *arguments: str) -> np.ndarray:
-    """What code prints in a fresh interpreter that imports the package of a checkout."""
+def in_tree(tree: Path, code: str, *arguments: str) -> Any:
+    """What code prints, as JSON, in a fresh interpreter that imports the package of a checkout."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
     command = [sys.executable, "-c", code, *arguments]
     done = subprocess.run(command, cwd=tree, env=environment, capture_output=True, text=True, check=True)
-    return np.array(json.loads(done.stdout))
+    return json.loads(done.stdout)
 
 
 def trees(before: Path | None) -> dict[str, Path]:
@@ -83,7 +148,7 @@ def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
     every: dict[str, list[np.ndarray]] = {name: [] for name in trees(args.before)}
     for site in SITES:
         chosen = [str(path) for path in paths(args.data, site)[:: args.every]]
-        times = {name: in_tree(tree, _OF_RECORDINGS, *chosen) for name, tree in trees(args.before).items()}
+        times = {name: np.array(in_tree(tree, _OF_RECORDINGS, *chosen)) for name, tree in trees(args.before).items()}
         for name, found in times.items():
             every[name].append(found)
         rows.append([site, str(len(chosen)), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in times.values())])
@@ -93,6 +158,33 @@ def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
     rows.append(["all, time by time", str(n), *(f"{t[:, 0].sum() / t[:, 1].sum():.0f}" for t in all_of.values())])
     about = "Times real time, the mean over the recordings; one core."
     tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
+
+
+def of_stages(tables: Tables, args: argparse.Namespace) -> None:
+    """Cost of each stage on one recording of each set."""
+    chosen = [str(found[len(found) // 2]) for site in SITES if (found := paths(args.data, site))]
+    runs = {name: [] for name in trees(args.before)}
+    for _ in range(3):
+        for name, tree in trees(args.before).items():
+            stages, taken = in_tree(tree, _OF_STAGES, *chosen)
+            runs[name].append(taken)
+    least = [np.min(taken, axis=0) for taken in runs.values()]
+    rows = [[stage, *(f"{of_tree[i]:.3f}" for of_tree in least)] for i, stage in enumerate(stages)]
+    about = (
+        f"ms a second of data, {len(chosen)} recordings, one of each set; the least of nine runs, in turns, one core."
+    )
+    tables.write("throughput_stages", ["stage", *runs], rows, about)
+
+
+def of_pushed(tables: Tables, args: argparse.Namespace) -> None:
+    """Blocks of 0.1 s of a real walk with all its sensors."""
+    path, runs = str(paths(args.data, "oxiod")[2]), {name: [] for name in trees(args.before)}
+    for _ in range(3):
+        for name, tree in trees(args.before).items():
+            runs[name].append(in_tree(tree, _OF_PUSHED, path))
+    rows = [[name, *(f"{v:.2f} ms" for v in np.min(taken, axis=0))] for name, taken in runs.items()]
+    about = "A pushed block of 0.1 s, two minutes of walking; of each block the least of three runs, one core."
+    tables.write("throughput_pushed", ["", "mean", "median", "99th percentile"], rows, about)
 
 
 def long_walk(hours: float) -> pdr.Recording:
@@ -162,6 +254,16 @@ def of_an_hour(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput", ["what", "result"], rows, "One core.")
 
 
+def around(track: pdr.Track) -> pdr.FloorPlan:
+    """A hall that holds a track, with four walls in it."""
+    corners = np.array([track.position_m.min(axis=0) - 10.0, track.position_m.max(axis=0) + 10.0])
+    west, south, east, north = corners.ravel().tolist()
+    walls = [line((x, south), (x, south + 5.0)) for x in np.linspace(west, east, 6)[1:-1].tolist()]
+    features = [feature("floor", box(west, south, east, north)), *(feature("wall", wall) for wall in walls)]
+    with TemporaryDirectory() as folder:
+        return pdr.FloorPlan.read(write(Path(folder) / "hall.geojson", features))
+
+
 def of_parts(tables: Tables, args: argparse.Namespace) -> None:
     """A real walk with parts of the filter left out or put in."""
     recording = pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip")
@@ -178,6 +280,7 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
 
     fixes = [PositionFix(float(t), p, fix_cov) for t, p in zip(track.time_s[::2], track.position_m[::2], strict=True)]
     time_s = np.arange(0.0, recording.duration_s, 0.1)
+    on_plan = {"plan": around(track), "start": PositionFix(0.0, np.zeros(2), fix_cov)}
     climbing = replace(recording, barometer=Samples(time_s, 1000.0 + 0.01 * np.sin(0.1 * time_s)[:, None]))
     runs: list[tuple[str, Callable[[], object]]] = [
         ("the default, 6 modes", lambda: pdr.track(recording)),
@@ -190,6 +293,7 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
         ("without the gate", lambda: pdr.track(recording, replace(config, sensing=replace(sensing, gate=None)))),
         ("with a barometer, 10 Hz", lambda: pdr.track(climbing)),
         ("with a fix for every second step", lambda: pdr.track(recording, config, fixes=fixes)),
+        ("on a floor plan, 4,000 particles at most", lambda: pdr.track(recording, **on_plan)),
         ("with magnetic north", lambda: pdr.track(recording, north="magnetic")),
         ("steps alone (`detect_steps`)", lambda: pdr.detect_steps(recording)),
     ]
@@ -244,6 +348,8 @@ def of_start(tables: Tables, args: argparse.Namespace) -> None:
 
 PARTS: dict[str, Callable[[Tables, argparse.Namespace], None]] = {
     "recordings": of_recordings,
+    "stages": of_stages,
+    "pushed": of_pushed,
     "hour": of_an_hour,
     "costs": of_parts,
     "day": of_a_day,

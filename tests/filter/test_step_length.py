@@ -41,7 +41,8 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
-from pdr_filter.sensing.steps.detector import amplitude_of_one_period, unknown_contexts
+from pdr_filter.sensing.steps.detector import unknown_contexts
+from pdr_filter.sensing.steps.step_log import amplitude_of_one_period
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 

@@ -23,14 +23,8 @@ from pdr_filter.papers.guo2018.features import MotionLevel, MotionLevelState
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, filtered, phase_delay_s
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    DetectorState,
-    StepDetector,
-    local_maxima,
-    specific_force_magnitude,
-    vertex,
-)
+from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector, local_maxima, vertex
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import CARRYING_MODES, BoolArray, FloatArray, IntArray, Step, check_numbers, replace
 
 _TEXTING, _CALLING, _POCKET, _SWINGING = range(4)  # rows of the signals: eq. 3, 4, 5 and 6

@@ -18,12 +18,8 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import butterworth, low_pass_kernel, with_unit_gain
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    ResponseState,
-    ResponseStepDetector,
-    specific_force_magnitude,
-)
+from pdr_filter.sensing.steps.detector import ContextBlock, ResponseState, ResponseStepDetector
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
 
 

@@ -22,7 +22,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
-from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FloatArray
 
 _OF = ("acc", "gyro")

@@ -21,7 +21,7 @@ from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features.sliding import DescribedWindow, SampleWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import low_pass_kernel
-from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
 
 NAMES: tuple[str, ...] = ("variance", "dc_component", "energy")

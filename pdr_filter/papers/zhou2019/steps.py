@@ -21,13 +21,8 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import low_pass_kernel
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    DetectorState,
-    StepDetector,
-    local_maxima,
-    specific_force_magnitude,
-)
+from pdr_filter.sensing.steps.detector import ContextBlock, DetectorState, StepDetector, local_maxima
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, replace
 
 _STATIONARY, _RUNNING = CONTEXTS.index("stationary"), CONTEXTS.index("running")

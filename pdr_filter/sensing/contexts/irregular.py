@@ -76,27 +76,27 @@ class IrregularGate:
         """Features that `prob` takes, in its order: those of the logit, then those of the stillness rule."""
         return (*self.feature_names, *self.still_names)
 
-    def prob(self, features: FloatArray) -> float:
-        """Probability of irregular motion from the features of one window, (F + S,) in the order of `names`.
+    def prob(self, features: FloatArray) -> FloatArray:
+        """Probabilities (...) of irregular motion from the features of windows, (..., F + S) in the order of `names`.
 
         Zero for a still window. Raises ValueError for NaN, naming the feature.
         """
-        if features.shape != (len(self.names),):
-            raise ValueError(f"features must be ({len(self.names)},) in the order of names, got {features.shape}")
+        if features.shape[-1] != len(self.names):
+            raise ValueError(f"features must be (..., {len(self.names)}) in the order of names, got {features.shape}")
         if np.isnan(features).any():
-            bad = self.names[int(np.isnan(features).argmax())]
+            bad = self.names[int(np.argwhere(np.isnan(features))[0, -1])]
             raise ValueError(f"feature {bad} is NaN: leave such windows out")
-        of_logit, of_stillness = features[: len(self.mean)], features[len(self.mean) :]
-        if (of_stillness < self.still_below).all():
-            return 0.0
-        z = np.clip((of_logit - self.mean) / self.scale, -_LIMIT, _LIMIT)
-        return float(1.0 / (1.0 + np.exp(-(self.intercept + (self.weight * z).sum()))))
+        of_logit, of_stillness = features[..., : len(self.mean)], features[..., len(self.mean) :]
+        z = np.minimum(np.maximum((of_logit - self.mean) / self.scale, -_LIMIT), _LIMIT)
+        log_odds = self.intercept + (self.weight * z).sum(axis=-1)
+        is_still = (of_stillness < self.still_below).all(axis=-1)
+        return np.where(is_still, 0.0, 1.0 / (1.0 + np.exp(-log_odds)))
 
 
-def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> float:
-    """Probability of irregular motion of a `FeatureWindow` of `ATTITUDE_FREE`: the gate depends on the gyroscope."""
+def irregular_prob(names: tuple[str, ...], features: FloatArray, has_gyroscope: bool) -> FloatArray:
+    """Probabilities (...) of irregular motion of windows with features (..., F): the gate depends on the gyroscope."""
     gate = GATE if has_gyroscope else GATE_ACCELEROMETER
-    return gate.prob(features[_columns(names, has_gyroscope)])
+    return gate.prob(features[..., _columns(names, has_gyroscope)])
 
 
 @cache

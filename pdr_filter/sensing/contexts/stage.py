@@ -219,20 +219,26 @@ class ContextModels:
         """The same for windows that follow each other, with the same bits: models look at all of them at once."""
         of_contexts = _assessed(self.with_gyroscope, self.without_gyroscope, windows)
         of_carrying = _assessed(self.carrying_with_gyroscope, self.carrying_without_gyroscope, windows)
+        irregular = _irregular(windows)
         contexts: list[WindowContext] = []
         for i, window in enumerate(windows):
-            carrying_prob, context = self._judged(carrying_prob, window, of_contexts[i], of_carrying.get(i))
+            found = of_contexts[i], of_carrying.get(i), irregular[i]
+            carrying_prob, context = self._judged(carrying_prob, window, *found)
             contexts.append(context)
         return carrying_prob, contexts
 
     def _judged(
-        self, carrying_prob: FloatArray, window: FeatureWindow, of_context: Assessment, of_carrying: Assessment | None
+        self,
+        carrying_prob: FloatArray,
+        window: FeatureWindow,
+        of_context: Assessment,
+        of_carrying: Assessment | None,
+        irregular: float,
     ) -> tuple[FloatArray, WindowContext]:
         """New carrying-mode probabilities (5,), and the result for a window of which this is known."""
         model = self.with_gyroscope if window.has_gyroscope else self.without_gyroscope
         prob, unknown, unlike_stairs = of_context
         prob = (1 - unknown) * prob + unknown * model.training_prior
-        irregular = irregular_prob(window.names, window.features, window.has_gyroscope) if _gated(window.names) else 0.0
         carrying_prob = self._follow(carrying_prob, window, of_carrying, moving=1.0 - float(prob[_STATIONARY]))
         if model.stairs is not None and self.carrying_with_gyroscope is not None:
             unlike_stairs = 1.0 - (1.0 - unlike_stairs) * float(carrying_prob[_POCKET])
@@ -270,7 +276,7 @@ def follow_mode(
     known = prior > 0
     leave = (1 - stay_prob) / max(int(known.sum()) - 1, 1)
     predicted = np.where(known, before * (stay_prob - leave) + leave, 0.0)
-    predicted[known] *= (np.maximum(window_prob[known], 1e-9) / prior[known]) ** exponent
+    predicted *= (np.maximum(window_prob, 1e-9) / np.where(known, prior, 1.0)) ** exponent
     return read_only(predicted / predicted.sum())
 
 
@@ -332,6 +338,17 @@ def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
 def _gated(names: tuple[str, ...]) -> bool:
     """Whether a feature set has what the gate for irregular motion needs."""
     return {*GATE.names, *GATE_ACCELEROMETER.names} <= set(names)
+
+
+def _irregular(windows: Sequence[FeatureWindow]) -> list[float]:
+    """Probability of irregular motion in each window; zero where the gate has not what it needs."""
+    prob = np.zeros(len(windows))
+    for has_gyroscope in (True, False):
+        mine = [i for i, w in enumerate(windows) if w.has_gyroscope == has_gyroscope and _gated(w.names)]
+        if mine:
+            features = np.stack([windows[i].features for i in mine])
+            prob[mine] = irregular_prob(windows[mine[0]].names, features, has_gyroscope)
+    return prob.tolist()
 
 
 def _assessed(

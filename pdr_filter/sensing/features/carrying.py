@@ -18,7 +18,7 @@ from functools import cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.sensing.features.invariant import about_mean, hann_taper, in_groups
+from pdr_filter.sensing.features.invariant import about_mean, columns, hann_taper, in_groups, mean_square
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 ComplexArray = NDArray[np.complex128]
@@ -115,9 +115,9 @@ def features_of(windows: FloatArray, rate_hz: float) -> FloatArray:
     power = np.stack(lines, axis=1)
     bands = power @ _bands(n, rate_hz)
     centred_rate = about_mean(rate)
-    about_axes = (centred_rate * centred_rate).mean(axis=2)
+    about_axes = mean_square(centred_rate)
     stride, step = _stride_and_step(power, n, rate_hz)
-    return np.column_stack(
+    return columns(
         [
             _attitude(up),
             _shaking(centred[:, :3], bands, stride, step),
@@ -133,7 +133,7 @@ def _attitude(up: FloatArray) -> FloatArray:
     x, y, z = np.abs(mean).T
     screen = up[:, 2]
     lowest = np.sort(screen, axis=1)[:, int(_LOWEST * screen.shape[1])]
-    return np.column_stack(
+    return columns(
         [
             np.maximum(mean[:, 2], 0.0),
             np.clip(lowest, 0.0, 1.0),
@@ -154,12 +154,12 @@ def _shaking(force: FloatArray, bands: FloatArray, stride: FloatArray, step: Flo
     size = _log_rms(bands[:, :2, _ALL], _FLOOR_MPS2)
     blows = _log_rms(bands[:, :2, _BLOWS], _FLOOR_MPS2) - size[:, :1, None]
     stride_size, step_size = _log_rms(stride[:, :2], _FLOOR_MPS2), _log_rms(step[:, :2], _FLOOR_MPS2)
-    scaled = vertical / (np.sqrt((vertical * vertical).mean(axis=1)) + _FLOOR_MPS2)[:, None]
+    scaled = vertical / (np.sqrt(mean_square(vertical)) + _FLOOR_MPS2)[:, None]
     squared = scaled * scaled
     # variances along the main horizontal axis and across it: their difference over their sum
     difference, mixed = (east * east - north * north).mean(axis=1), 2 * (east * north).mean(axis=1)
     total = (east * east + north * north).mean(axis=1)
-    return np.column_stack(
+    return columns(
         [
             size[:, 0],
             size[:, 1] - size[:, 0],
@@ -168,7 +168,7 @@ def _shaking(force: FloatArray, bands: FloatArray, stride: FloatArray, step: Flo
             stride_size[:, 1] - step_size[:, 0],
             step_size[:, 1] - step_size[:, 0],
             (squared * scaled).mean(axis=1),
-            np.log((squared * squared).mean(axis=1) + 0.5),
+            np.log(mean_square(squared) + 0.5),
             np.sqrt(difference * difference + mixed * mixed) / (total + _FLOOR_MPS2**2),
         ]
     )
@@ -190,7 +190,7 @@ def _turning(
     swing = slice(*_bins(_SWING_HZ, n, rate_hz))
     main_rate = (axes[:, :, 2][:, :, None] * spectrum[:, 3:6, swing]).sum(axis=1)
     lever, coherence = _lever(main_rate * _omega(n, rate_hz)[swing], spectrum[:, 1:3, swing], n)
-    return np.column_stack(
+    return columns(
         [
             tilt,
             yaw,

@@ -15,8 +15,8 @@ from functools import cache
 
 import numpy as np
 
-from pdr_filter.sensing.features.invariant import SwingLines, about_mean, hann_taper, in_groups, swing_lines
-from pdr_filter.values import FloatArray
+from pdr_filter.sensing.features.invariant import SwingLines, about_mean, columns, hann_taper, in_groups, swing_lines
+from pdr_filter.values import FloatArray, IntArray
 
 # Slow walkers make 0.5 strides a second, sprinters 1.6; 5 % apart, less than the tenth of a cycle that a window of
 # two seconds resolves.
@@ -86,6 +86,12 @@ def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(basis * root[:, None] / scale), np.ascontiguousarray(to_coefficients)
 
 
+@cache
+def _side_by_side(n: int, rate_hz: float) -> FloatArray:
+    """The first of `_harmonics` for all stride frequencies beside each other, (N, S * K)."""
+    return np.ascontiguousarray(_harmonics(n, rate_hz)[0].swapaxes(0, 1).reshape(n, -1))
+
+
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
     """The same of few windows, whose swing is known."""
     n_windows, n = len(windows), windows.shape[2]
@@ -95,9 +101,11 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     taper = hann_taper(n)
     scale = np.sqrt((lines * lines * taper).sum(axis=2) / taper.sum()) + _FLOOR
     to_parts, to_coefficients = _harmonics(n, rate_hz)
+    side_by_side = _side_by_side(n, rate_hz)
 
     both = np.ascontiguousarray((lines / scale[:, :, None])[:, [VERTICAL, SWING]])
-    parts = both[:, None] @ to_parts  # (W, S, 2, K)
+    # all stride frequencies in one product, window by window: (W, S, 2, K)
+    parts = (both @ side_by_side).reshape(n_windows, 2, len(STRIDES_HZ), -1).swapaxes(1, 2)
     explained = (parts * parts).sum(axis=3)
     power = _power(parts @ to_coefficients)
     in_step = np.stack([power[:, :, 0, 1::2].sum(axis=2), power[:, :, 1, 0::2].sum(axis=2)], axis=2)
@@ -111,7 +119,7 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     total = np.sqrt((amplitude * amplitude).sum(axis=2)) + _LEAST_SHARE_OF
     share = amplitude / total[:, :, None]
     log_total, step = np.log(total), amplitude[:, :, 1] + _LEAST_SHARE_OF
-    return np.column_stack(
+    return columns(
         [
             stride_hz,
             fit.max(axis=1),
@@ -126,17 +134,34 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     )
 
 
+@cache
+def _factors() -> tuple[IntArray, IntArray]:
+    """Of each phase: which units are multiplied, (P, 4), a power being so many of them, and which shares, (P, 3).
+
+    Units are harmonic by harmonic, line by line; then those of the conjugates; the last one is 1, as is the last share.
+    """
+    n = len(LINES) * N_HARMONICS
+    units, shares = np.full((len(PHASES), 4), 2 * n), np.full((len(PHASES), 3), n)
+    for i, factors in enumerate(PHASES.values()):
+        places = [line * N_HARMONICS + harmonic - 1 for line, harmonic, _ in factors]
+        powers = [power for _, _, power in factors]
+        shares[i, : len(places)] = places
+        of_powers = [k + n * (power < 0) for k, power in zip(places, powers, strict=True) for _ in range(abs(power))]
+        units[i, : len(of_powers)] = of_powers
+    return units, shares
+
+
 def _phases(coefficients: FloatArray, amplitude: FloatArray, share: FloatArray) -> FloatArray:
     """Cosine and sine (W, 2P) of the phases, each times the shares of its harmonics, so that noise has none."""
+    n_windows = len(share)
     unit = (coefficients[..., 1::2] - 1j * coefficients[..., 2::2]) / np.maximum(amplitude, 1e-12)
-    columns: list[FloatArray] = []
-    for factors in PHASES.values():
-        product = np.ones(len(unit), dtype=np.complex128)
-        for line, harmonic, power in factors:
-            of_one = unit[:, line, harmonic - 1] if power > 0 else unit[:, line, harmonic - 1].conj()
-            product = product * of_one ** abs(power) * share[:, line, harmonic - 1]
-        columns += [product.real, product.imag]
-    return np.column_stack(columns)
+    unit, one = unit.reshape(n_windows, -1), np.ones((n_windows, 1))
+    of_units, of_shares = _factors()
+    units = np.concatenate([unit, unit.conj(), one], axis=1)[:, of_units]
+    shares = np.concatenate([share.reshape(n_windows, -1), one], axis=1)[:, of_shares]
+    product = units[..., 0] * units[..., 1] * units[..., 2] * units[..., 3]
+    product = product * (shares[..., 0] * shares[..., 1] * shares[..., 2])
+    return np.ascontiguousarray(product).view(np.float64)
 
 
 def _power(coefficients: FloatArray) -> FloatArray:

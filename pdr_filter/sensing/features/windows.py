@@ -17,7 +17,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.features import carrying, invariant, stride
 from pdr_filter.sensing.features.sliding import DescribedWindow, SlidingWindows, WindowBuffer, no_samples
 from pdr_filter.sensing.filters import butterworth, filtered
-from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import FloatArray
 
 # What a feature set is given of a window: |f| and low-passed |f| in m/s2, |omega| in rad/s, |m| in uT, and then
@@ -64,13 +64,12 @@ class AttitudeFreeFeatures:
 
 def _of_group(windows: FloatArray, rate_hz: float) -> FloatArray:
     swing = invariant.swing_lines(windows)
-    return np.hstack(
-        [
-            invariant.features_of(windows, swing, rate_hz),
-            carrying.features_of(windows, rate_hz),
-            stride.features_of(windows, swing, rate_hz),
-        ]
+    parts = (
+        invariant.features_of(windows, swing, rate_hz),
+        carrying.features_of(windows, rate_hz),
+        stride.features_of(windows, swing, rate_hz),
     )
+    return np.concatenate(parts, axis=1)
 
 
 ATTITUDE_FREE = AttitudeFreeFeatures()
@@ -116,14 +115,12 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:
             low_passed, zi = filtered(self._sos, force[None], state.zi)
-        signals = np.vstack(
+        signals = np.concatenate(
             [
-                block.angular_rate_known.astype(float),
-                force,
+                [block.angular_rate_known.astype(float), force],
                 low_passed,
-                specific_force_magnitude(block.angular_rate_radps),
-                specific_force_magnitude(block.magnetic_field_ut),
-                attitude.vertical_mps2,
+                [specific_force_magnitude(block.angular_rate_radps), specific_force_magnitude(block.magnetic_field_ut)],
+                attitude.vertical_mps2[None],
                 attitude.horizontal_mps2.T,
                 block.angular_rate_radps.T,
                 attitude.up_sensor.T,

@@ -1,7 +1,12 @@
-"""What one stride shows: its axes in the sensor frame, and the harmonics of its motion."""
+"""What strides show: their axes in the sensor frame, and the harmonics of their motion.
+
+Many strides are described together, each with the bits that it has alone: their samples stand one after the other, T in
+all, and `ends` (K + 1) are the columns at which each begins, and where the last one ends.
+"""
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 from functools import lru_cache
@@ -9,7 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.values import FloatArray
+from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 # Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
 _TWO_STRIDES_S = 1.4
@@ -17,6 +22,7 @@ _TWO_STRIDES_S = 1.4
 _SLOW_STEP_MPS2 = 2.0
 # y is up rather than forward beyond 60 degrees.
 _UPRIGHT = math.sin(math.radians(60.0))
+_AHEAD, _UPRIGHT_AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -37,11 +43,82 @@ class Stride:
         """The reference axis, clockwise from where the device heads."""
         return self.axis_heading_rad - self.device_heading_rad
 
+    def about(self, axis: FloatArray) -> Stride:
+        """The same about another axis (3,) across up."""
+        turn_rad = math.atan2(float(self.axis @ cross(axis, self.up)), float(self.axis @ axis))
+        turned = (self.vectors.view(np.complex128) * cmath.rect(1.0, turn_rad)).view(np.float64)
+        return Stride(
+            up=self.up,
+            axis=axis,
+            axis_heading_rad=self.axis_heading_rad - turn_rad,
+            device_heading_rad=self.device_heading_rad,
+            pointing_rad=self.pointing_rad + turn_rad,
+            runs=self.runs,
+            vectors=turned,
+            powers=self.powers,
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class StrideSamples:
+    """Samples of strides, one after the other; all but the force and up in the attitude's frame."""
+
+    ends: IntArray  # (K + 1,)
+    force_mps2: FloatArray  # (3, T) sensor frame
+    up: FloatArray  # (3, T) sensor frame
+    east_mps2: FloatArray  # (T,)
+    north_mps2: FloatArray  # (T,)
+    vertical_mps2: FloatArray  # (T,)
+    heading_rad: FloatArray  # (T,) of the device
+
+
+@dataclass(frozen=True)
+class Phases:
+    """By how much the vertical force is advanced to be in phase with the push forward; see `WalkingHeading`."""
+
+    walking_rad: float
+    running_rad: float
+    running_mps2: float
+
+
+def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, phases: Phases) -> list[Stride]:
+    """Strides about where the phone points in each; `is_running` (K,) says which of them are surely running."""
+    ends, starts = samples.ends, samples.ends[:-1]
+    n = np.diff(ends)
+    ups = np.add.reduceat(samples.up, starts, axis=1).T
+    ups = ups / np.sqrt(ups[:, 0] * ups[:, 0] + ups[:, 1] * ups[:, 1] + ups[:, 2] * ups[:, 2])[:, None]
+    axes = [pointing_axis(up) for up in ups]
+    frames = np.array([[axis, cross(axis, up), up] for axis, up in zip(axes, ups, strict=True)])
+    forward, right = in_mean_frame(samples.force_mps2, samples.up, frames, ends)
+    # Both, the device's and the attitude's, are one vector, so their angle is that of the axis, clockwise from north.
+    # Where there is no horizontal force, none is known, and the samples around decide.
+    size = np.maximum(forward * forward + right * right, 1e-12)
+    along = (samples.north_mps2 * forward + samples.east_mps2 * right) / size
+    across_ = (samples.east_mps2 * forward - samples.north_mps2 * right) / size
+    along, across_, heading = np.add.reduceat(np.stack([along, across_, samples.heading_rad]), starts, axis=1)
+    once, twice = harmonics(np.stack([forward, right, samples.vertical_mps2]), ends, rate_hz)
+    runs = is_running | (np.abs(twice[:, 2]) > phases.running_mps2)
+    phase_rad = np.where(runs, phases.running_rad, phases.walking_rad)
+    vectors = [in_phase(once, np.zeros(len(n))), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
+    powers = [power(once[:, :2]), power(twice[:, :2]), power(once[:, 2:])]
+    rows = zip(
+        ups,
+        axes,
+        np.arctan2(across_, along).tolist(),
+        (heading / n).tolist(),
+        runs.tolist(),
+        np.stack(vectors, axis=1),
+        np.stack(powers, axis=1),
+        strict=True,
+    )
+    return [
+        Stride(up, axis, at_rad, device_rad, 0.0, run, *motion) for up, axis, at_rad, device_rad, run, *motion in rows
+    ]
+
 
 def pointing_axis(up: FloatArray) -> FloatArray:
     """Horizontal unit vector (3,) along which somebody who reads holds the phone: y, or -z if it stands upright."""
-    axis = np.array([0.0, 1.0, 0.0]) if abs(up[1]) < _UPRIGHT else np.array([0.0, 0.0, -1.0])
-    return across(axis, up)
+    return across(_AHEAD if abs(up[1]) < _UPRIGHT else _UPRIGHT_AHEAD, up)
 
 
 def carry_axis(axis: FloatArray, up: FloatArray, new_up: FloatArray) -> FloatArray:
@@ -55,57 +132,66 @@ def carry_axis(axis: FloatArray, up: FloatArray, new_up: FloatArray) -> FloatArr
     return across(axis - float(new_up @ axis) / (1.0 + cosine) * (up + new_up), new_up)
 
 
-def in_mean_frame(force: FloatArray, up: FloatArray, frame: FloatArray) -> FloatArray:
-    """Horizontal part of vectors (3, N), sensor frame, as complex numbers (N,): along the axis, and right of it.
+def in_mean_frame(
+    force: FloatArray, up: FloatArray, frames: FloatArray, ends: IntArray
+) -> tuple[FloatArray, FloatArray]:
+    """Horizontal part of vectors (3, T), sensor frame: (T,) along the axis of each stride, and (T,) right of it.
 
-    Each is turned by the shortest way from its own `up` (3, N) to the mean one, as in `carry_axis`: what turns with the
-    device stays, what swings with it does not. The rows of `frame` (3, 3) are axis, right and mean up.
+    Each is turned by the shortest way from its own `up` (3, T) to the mean one, as in `carry_axis`: what turns with the
+    device stays, what swings with it does not. The rows of `frames` (K, 3, 3) are axis, right and mean up.
     """
-    forces, ups = frame @ force, frame @ up
-    flat = forces - (force * up).sum(axis=0) * ups
+    both, turned = np.stack([force, up]), np.empty((2, *force.shape))
+    for frame, start, end in zip(frames, ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        np.matmul(frame, both[:, :, start:end], out=turned[:, :, start:end])
+    ups = turned[1]
+    flat = turned[0] - (force[0] * up[0] + force[1] * up[1] + force[2] * up[2]) * ups
     tilted = flat[2] / np.maximum(1.0 + ups[2], 1e-6)
-    return (flat[0] - tilted * ups[0]) + 1j * (flat[1] - tilted * ups[1])
+    return flat[0] - tilted * ups[0], flat[1] - tilted * ups[1]
 
 
-def harmonics(signals: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
-    """Complex amplitudes (3,) of signals (3, N), once and twice a stride.
+def harmonics(
+    signals: FloatArray, ends: IntArray, rate_hz: float
+) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+    """Complex amplitudes (K, 3) of signals (3, T), once and twice a stride.
 
     The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
     if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
     twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
     """
-    waves = _waves(signals.shape[1])
-    centred = signals - signals.mean(axis=1)[:, None]
-    once, twice = (centred * waves[0]).sum(axis=1), (centred * waves[1]).sum(axis=1)
-    if duration_s < _TWO_STRIDES_S:
-        return once, twice
-    four_times = (centred * waves[2]).sum(axis=1)
-    is_double = abs(four_times[-1]) > abs(twice[-1]) or power(twice[:-1]) > _SLOW_STEP_MPS2**2
-    return (twice, four_times) if is_double else (once, twice)
+    amplitudes: NDArray[np.complex128] = np.empty((len(ends) - 1, 3, 3), np.complex128)
+    for of_stride, start, end in zip(amplitudes.view(np.float64), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
+        np.matmul(signals[:, start:end], _waves(end - start), out=of_stride)
+    once, twice, four_times = amplitudes[:, :, 0], amplitudes[:, :, 1], amplitudes[:, :, 2]
+    is_slow = np.diff(ends) >= _TWO_STRIDES_S * rate_hz
+    is_shaken = power(twice[:, :-1]) > _SLOW_STEP_MPS2**2
+    is_double = (is_slow & ((np.abs(four_times[:, -1]) > np.abs(twice[:, -1])) | is_shaken))[:, None]
+    return np.where(is_double, twice, once), np.where(is_double, four_times, twice)
 
 
-def in_phase(amplitudes: FloatArray, phase_rad: float) -> FloatArray:
-    """Part (2,) of the horizontal amplitudes, m/s2, in phase with the vertical one advanced by an angle."""
-    horizontal, vertical = amplitudes[:2], amplitudes[2]
-    size = abs(vertical)
-    if size == 0:
-        return np.zeros(2)
-    return np.asarray((horizontal * (vertical / size * np.exp(1j * phase_rad)).conjugate()).real)
+def in_phase(amplitudes: NDArray[np.complex128], phase_rad: FloatArray) -> FloatArray:
+    """Part (K, 2) of horizontal amplitudes, m/s2, in phase with the vertical ones advanced by angles (K,)."""
+    horizontal, vertical = amplitudes[:, :2], amplitudes[:, 2]
+    size = np.abs(vertical)
+    direction = vertical / np.where(size > 0, size, 1.0) * np.exp(1j * phase_rad)
+    return np.ascontiguousarray((horizontal * direction.conj()[:, None]).real)
 
 
-def power(amplitudes: FloatArray) -> float:
-    """Squared amplitude of all signals together."""
-    return float((amplitudes * amplitudes.conj()).real.sum())
+def power(amplitudes: NDArray[np.complex128]) -> FloatArray:
+    """Squared amplitude (K,) of all signals (K, n) together."""
+    return (amplitudes.real**2 + amplitudes.imag**2).sum(axis=1)
 
 
 @lru_cache(maxsize=512)
-def _waves(n: int) -> NDArray[np.complex128]:
-    """Waves (3, N) once, twice and four times in N samples, scaled to give amplitudes; phases are at the middle."""
+def _waves(n: int) -> FloatArray:
+    """Waves once, twice and four times in n samples, scaled to give amplitudes; phases are at the middle.
+
+    Real and imaginary parts one after the other, (N, 6). None has a mean, so that that of a signal does not enter.
+    """
     part = (np.arange(n) - 0.5 * (n - 1)) / n
-    waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer([1.0, 2.0, 4.0], part))
+    waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(part, [1.0, 2.0, 4.0]))
     # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
-    waves[1:] -= np.outer(waves[1:] @ part / (part @ part), part)
-    return 2.0 / n * waves
+    waves[:, 1:] -= np.outer(part, part @ waves[:, 1:] / (part @ part))
+    return (2.0 / n * waves).view(np.float64)
 
 
 def cross(a: FloatArray, b: FloatArray) -> FloatArray:

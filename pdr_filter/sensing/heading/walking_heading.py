@@ -19,7 +19,9 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -30,14 +32,12 @@ from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, OFFSET, UNKNO
 from pdr_filter.sensing.heading.place import Place, StrideAgreement
 from pdr_filter.sensing.heading.reported import Reported
 from pdr_filter.sensing.heading.strides import (
+    Phases,
     Stride,
+    StrideSamples,
     carry_axis,
     cross,
-    harmonics,
-    in_mean_frame,
-    in_phase,
-    pointing_axis,
-    power,
+    strides_of,
 )
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values import (
@@ -77,6 +77,8 @@ _SETTLED_STRIDES = 4
 _N_FORMERS = 3
 # Strides over which the up direction of a place is averaged.
 _UP_STRIDES = 8.0
+# Strides that are described at once: their samples fit into a cache.
+_MAX_GROUP = 16
 # Classifiers of carrying modes look at some seconds, and follow slowly.
 _LABEL_LAG_S = 10.0
 # People turn while nothing is known of it: 3 degrees in a second, as a random walk.
@@ -242,40 +244,61 @@ class WalkingHeading:
             new[_ERROR], new[_ERROR_VAR] = 0.0, 0.0
         signals = np.concatenate([state.signals, new], axis=1)
         state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
-        result: list[tuple[int, Step]] = []
-        for known, step in steps:
-            at = known - n_before
-            context, carrying_mode = int(contexts.context[at]), int(contexts.carrying_mode[at])
-            state, step = self._annotate(state, known, step, context, carrying_mode)
-            result.append((known, step))
+        at = [known - n_before for known, _ in steps]
+        state, result = self._annotated(
+            state, steps, contexts.context[at].tolist(), contexts.carrying_mode[at].tolist()
+        )
         return replace(state, signals=state.signals[:, -self._n_kept :]), result
 
     def finish(
         self, state: WalkingHeadingState, steps: list[tuple[int, Step]]
     ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
         """The same for steps that a gap or the end revealed; nothing new is said of modes."""
-        result: list[tuple[int, Step]] = []
-        for known, step in steps:
-            state, step = self._annotate(state, known, step, context=-1, carrying_mode=-1)
-            result.append((known, step))
-        return state, result
+        unknown = [-1] * len(steps)
+        return self._annotated(state, steps, unknown, unknown)
 
     @property
     def _n_kept(self) -> int:
         # a stride, and the time that the slowest detector, or a gate behind it, takes to let its last step pass
         return round((_MAX_STRIDE_S + _MAX_LATENCY_S) * self.rate_hz)
 
+    def _annotated(
+        self,
+        state: WalkingHeadingState,
+        steps: list[tuple[int, Step]],
+        contexts: Sequence[int],
+        carrying_modes: Sequence[int],
+    ) -> tuple[WalkingHeadingState, list[tuple[int, Step]]]:
+        """New state and steps with their walking headings, from what their strides show."""
+        if not steps:
+            return state, []
+        contacts_s = (*state.contacts_s, *(step.time_s for _, step in steps))
+        first = len(state.contacts_s) + 1
+        samples = [
+            self._stride_samples(state, contacts_s[max(first + i - 3, 0) : first + i], known)
+            for i, (known, _) in enumerate(steps)
+        ]
+        strides = self._strides(samples, contexts)
+        state = replace(state, contacts_s=contacts_s[-2:])
+        result: list[tuple[int, Step]] = []
+        for (known, step), of_step, stride, mode in zip(steps, samples, strides, carrying_modes, strict=True):
+            state, step = self._annotate(state, step, of_step, stride, mode)
+            result.append((known, step))
+        return state, result
+
     def _annotate(
-        self, state: WalkingHeadingState, known: int, step: Step, context: int, carrying_mode: int
+        self,
+        state: WalkingHeadingState,
+        step: Step,
+        samples: FloatArray | None,
+        stride: Stride | None,
+        carrying_mode: int,
     ) -> tuple[WalkingHeadingState, Step]:
-        contacts_s = (*state.contacts_s, step.time_s)[-3:]
-        samples = self._stride_samples(state, contacts_s, known)
         state, step = self._with_loss(state, step, samples)
-        state = replace(state, contacts_s=contacts_s[-2:], reported=state.reported.at_step(step, self.drift))
-        # Who steps sideways pushes sideways: nothing is learnt of where walking leads.
-        if samples is None or context == _SIDEWAYS:
+        state = replace(state, reported=state.reported.at_step(step, self.drift))
+        if samples is None or stride is None:
             return state, step if state.place is None else _with_shown(state, step)
-        stride = self._describe(state, samples, context)
+        stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         place = self.strides.learn(place, stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
@@ -353,42 +376,29 @@ class WalkingHeading:
         if first < max(known + 1 - self._n_kept, 0) or last > known + 1:
             return None
         oldest = state.n_samples - state.signals.shape[1]
-        samples = np.ascontiguousarray(state.signals[:, first - oldest : last - oldest])
+        samples = state.signals[:, first - oldest : last - oldest]
         return samples if samples[_KNOWN].all() else None
 
-    def _describe(self, state: WalkingHeadingState, samples: FloatArray, context: int) -> Stride:
-        """Reference frame and vectors of a stride."""
-        up = samples[_UP]
-        mean_up = up.mean(axis=1)
-        mean_up = mean_up / math.sqrt(float(mean_up @ mean_up))
-        axis = pointing_axis(mean_up) if state.up is None else carry_axis(state.axis, state.up, mean_up)
-        right = cross(axis, mean_up)
-        # complex numbers: forward along the axis, and right of it
-        device = in_mean_frame(samples[_FORCE], up, np.array([axis, right, mean_up]))
-        world = samples[_NORTH] + 1j * samples[_EAST]
-        # Both are one vector, so their angle is that of the axis, clockwise from north. Where there is no horizontal
-        # force, none is known, and the samples around decide.
-        size = np.maximum((device * device.conj()).real, 1e-12)
-        axis_heading_rad = float(np.angle((world * device.conj() / size).sum()))
-        pointing = pointing_axis(mean_up)
-        pointing_rad = math.atan2(float(pointing @ right), float(pointing @ axis))
-        once, twice = harmonics(
-            np.array([device.real, device.imag, samples[_VERTICAL]]), samples.shape[1] / self.rate_hz
-        )
-        runs = context == _RUNNING or abs(twice[2]) > self.running_mps2
-        phase_rad = self.running_phase_rad if runs else self.phase_rad
-        return Stride(
-            up=mean_up,
-            axis=axis,
-            axis_heading_rad=axis_heading_rad,
-            device_heading_rad=float(samples[_HEADING].mean()),
-            pointing_rad=pointing_rad,
-            runs=runs,
-            vectors=np.array(
-                [in_phase(once, 0.0), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
-            ),
-            powers=np.array([power(once[:2]), power(twice[:2]), power(once[2:])]),
-        )
+    def _strides(self, samples: Sequence[FloatArray | None], contexts: Sequence[int]) -> list[Stride | None]:
+        """What each stride shows; None where there is none, and of who steps sideways, and so pushes sideways."""
+        strides: list[Stride | None] = [None] * len(samples)
+        known = [(i, s) for i, s in enumerate(samples) if s is not None and contexts[i] != _SIDEWAYS]
+        for start in range(0, len(known), _MAX_GROUP):
+            group = known[start : start + _MAX_GROUP]
+            joined = np.concatenate([s for _, s in group], axis=1)
+            ends = np.cumsum([0, *(s.shape[1] for _, s in group)])
+            of_all = StrideSamples(
+                ends, joined[_FORCE], joined[_UP], joined[_EAST], joined[_NORTH], joined[_VERTICAL], joined[_HEADING]
+            )
+            runs = np.array([contexts[i] == _RUNNING for i, _ in group])
+            found = strides_of(of_all, runs, self.rate_hz, self._phases)
+            for (i, _), stride in zip(group, found, strict=True):
+                strides[i] = stride
+        return strides
+
+    @cached_property
+    def _phases(self) -> Phases:
+        return Phases(self.phase_rad, self.running_phase_rad, self.running_mps2)
 
     def _settle(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int

@@ -20,20 +20,16 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
-from pdr_filter.sensing.steps.detector import (
-    ContextBlock,
-    ResponseState,
-    ResponseStepDetector,
-    specific_force_magnitude,
-)
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, replace
+from pdr_filter.sensing.steps.detector import ContextBlock, ResponseState, ResponseStepDetector
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, read_only, replace
 
 # Frequencies of the bank, a factor of 1.15 apart: 0.6 to 4.9 Hz. Power shows no lower and no higher ones.
 _BANK_HZ: FloatArray = np.asarray(0.6 * 1.15 ** np.arange(16), dtype=float)
@@ -184,8 +180,8 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         lower = np.minimum(place.astype(int), len(_BANK_HZ) - 2)
         upper_share = place - lower
         response: FloatArray = np.zeros(len(frequency_hz))
-        has = np.bincount(lower, minlength=len(_BANK_HZ)).astype(bool)
-        for k in np.flatnonzero(has | np.roll(has, 1)).tolist():
+        n_uses = np.bincount(lower, minlength=len(_BANK_HZ)) + np.bincount(lower + 1, minlength=len(_BANK_HZ))
+        for k in n_uses.nonzero()[0].tolist():
             kernel = self._bank[k]
             half = len(kernel) // 2
             first = self._n_before - half
@@ -221,6 +217,7 @@ def _with_step(rhythm: Rhythm, interval_s: float, new_bout: bool) -> Rhythm:
     return Rhythm(period_s, rhythm.n_intervals + 1)
 
 
+@lru_cache
 def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, rate_hz: float) -> FloatArray:
     """Low-passed Mexican hat: symmetric, odd length, zero mean, unit gain at its frequency.
 
@@ -231,4 +228,4 @@ def bounce_kernel(frequency_hz: float, low_pass_hz: float, max_half_s: float, ra
     u = np.arange(-half, half + 1) / (rate_hz * (0.25 / frequency_hz))
     hat = (1.0 - u * u) * np.exp(-0.5 * u * u)
     kernel = np.convolve(np.asarray(hat - hat.mean(), dtype=float), low_pass_kernel(low_pass_hz, rate_hz))
-    return with_unit_gain(kernel, frequency_hz, rate_hz)
+    return read_only(with_unit_gain(kernel, frequency_hz, rate_hz))

@@ -3,7 +3,7 @@
 The gate holds each step until its fate is known and lets it pass, with its own contact time, where somebody walks. It
 needs the specific force alone: neither gyroscope nor attitude, no model, no carrying mode.
 
-1. Evidence of each step, from the specific force around its contact and the contacts before it (`evidence_features`).
+1. Evidence of each step, from the specific force around its contact and the contacts before it (`walk_evidence`).
    Of its log odds of walking `evidence_weight` counts, because the windows of neighbouring steps overlap. The clock of
    the evidence runs with the steps: `slowness` stretches its times for a slow walker.
 2. Smoothing. Walking and not walking are the two states of a Markov chain in continuous time, observed at the contacts
@@ -14,7 +14,7 @@ needs the specific force alone: neither gyroscope nor attitude, no model, no car
 4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
    `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
 
-tests/benchmarks/step_gate.py fits the weights; docs/methods/steps.md has data, figures and limits.
+The steps of a block are judged together. docs/methods/steps.md has data, figures and limits.
 """
 
 from __future__ import annotations
@@ -29,54 +29,19 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import FloatArray, Step, check_numbers, read_only, replace
+from pdr_filter.sensing.steps.walk_evidence import (
+    EVIDENCE,
+    EVIDENCE_HZ,
+    MAX_SLOWNESS,
+    MIN_ROWS,
+    WalkEvidence,
+    evidence_features,
+    slowness,
+)
+from pdr_filter.values import FloatArray, Step, check_numbers, replace
 
-# Rate at which the evidence looks at the force: steps are below 5 Hz.
-_EVIDENCE_HZ = 25.0
 # A step may become known so long after its contact and still find its window whole.
 _MAX_KNOWN_AFTER_S = 4.0
-# A window with fewer rows (1 s) is no evidence: it holds no two steps.
-_MIN_ROWS = 26
-# Longest interval of a usual walk, 1.67 steps a second: below that the times of the evidence are stretched.
-_USUAL_INTERVAL_S = 0.6
-# The slowest walk to which they follow, 0.76 steps a second: more of the past would have to be remembered.
-_MAX_SLOWNESS = 2.2
-# Longest lag at which a motion is looked for again; of slow walkers as many steps, a stride and a quarter.
-_MAX_LAG_S = 2.24
-_MAX_LAG_STEPS = 2.5
-# Standard deviations at which a feature is cut, in the fit too: no single feature can outvote the others.
-_LIMIT = 3.0
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class WalkEvidence:
-    """Log odds of walking from the features of `evidence_features`: b + sum_i w_i clip((x_i - m_i) / s_i, -3, 3)."""
-
-    mean: FloatArray  # (4,) m
-    scale: FloatArray  # (4,) s
-    weight: FloatArray  # (4,) w
-    intercept: float  # b
-
-    def __post_init__(self) -> None:
-        check_numbers(self, signed=("intercept",))
-        for name in ("mean", "scale", "weight"):
-            object.__setattr__(self, name, read_only(getattr(self, name)))
-
-    def log_odds(self, features: Sequence[float]) -> float:
-        """Log odds of walking of one step."""
-        total = self.intercept
-        for x, m, s, w in zip(features, self.mean.tolist(), self.scale.tolist(), self.weight.tolist(), strict=True):
-            total += w * min(max((x - m) / s, -_LIMIT), _LIMIT)
-        return total
-
-
-# In the order of `evidence_features`; see the module's docstring. Walking and not walking had the same mass.
-EVIDENCE = WalkEvidence(
-    mean=np.array([0.40, 0.25, -0.60, 0.55]),
-    scale=np.array([0.37, 0.21, 0.96, 0.27]),
-    weight=np.array([2.81, -1.92, -1.89, 2.04]),
-    intercept=1.42,
-)
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,29 +129,29 @@ class StepGate:
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("n_fill",))
-        if self.rate_hz % _EVIDENCE_HZ:
-            raise ValueError(f"rate_hz must be a multiple of {_EVIDENCE_HZ:g}, got {self.rate_hz}")
+        if self.rate_hz % EVIDENCE_HZ:
+            raise ValueError(f"rate_hz must be a multiple of {EVIDENCE_HZ:g}, got {self.rate_hz}")
 
     @cached_property
     def _samples_per_row(self) -> int:
-        return round(self.rate_hz / _EVIDENCE_HZ)
+        return round(self.rate_hz / EVIDENCE_HZ)
 
     @cached_property
     def _n_before(self) -> int:
-        return round(self.before_s * _EVIDENCE_HZ)
+        return round(self.before_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_after(self) -> int:
-        return round(self.after_s * _EVIDENCE_HZ)
+        return round(self.after_s * EVIDENCE_HZ)
 
     @cached_property
     def _n_rows_kept(self) -> int:
-        return round(_MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * _EVIDENCE_HZ)
+        return round(MAX_SLOWNESS * self._n_before) + self._n_after + round(_MAX_KNOWN_AFTER_S * EVIDENCE_HZ)
 
     @property
     def latency_s(self) -> float:
         """Time from a contact to its step in a bout, unless the detector takes longer."""
-        return (self._n_after + 1) / _EVIDENCE_HZ
+        return (self._n_after + 1) / EVIDENCE_HZ
 
     def init(self) -> StepGateState:
         """State before the first sample."""
@@ -211,13 +176,13 @@ class StepGate:
             rows=np.concatenate([state.rows, sum((whole[i::n] for i in range(1, n)), whole[0::n]) / n]),
             waiting=(*state.waiting, *steps),
         )
-        released: list[tuple[int, Step]] = []
-        while state.waiting:
-            number = max(state.waiting[0][0], (self._row(state, state.waiting[0][1]) + self._n_after + 1) * n - 1)
+        numbers: list[int] = []
+        for known, step in state.waiting:
+            number = max(known, (self._row(state, step) + self._n_after + 1) * n - 1)
             if number >= state.n_samples:
                 break
-            state, passed = self._judge(state, number)
-            released += passed
+            numbers.append(number)
+        state, released = self._judge(state, numbers)
         return replace(state, rows=state.rows[-self._n_rows_kept :]), released
 
     def close(
@@ -229,42 +194,53 @@ class StepGate:
         with time.
         """
         state = replace(state, waiting=(*state.waiting, *steps))
-        released: list[tuple[int, Step]] = []
-        while state.waiting:
-            state, passed = self._judge(state, state.n_samples - 1)
-            released += passed
+        state, released = self._judge(state, [state.n_samples - 1] * len(state.waiting))
         # Steps that are no bout yet are given up: what the gap holds is unknown.
         after = StepGateState(state.walking_prob, state.judged_s)
         return (replace(after, run_s=state.run_s, is_bout=True) if state.is_bout else after), released
 
     def _row(self, state: StepGateState, step: Step) -> int:
         """Number of the row that a contact is in."""
-        return max(math.floor((step.time_s - state.start_s) * _EVIDENCE_HZ), 0)
+        return max(math.floor((step.time_s - state.start_s) * EVIDENCE_HZ), 0)
 
-    def _judge(self, state: StepGateState, number: int) -> tuple[StepGateState, list[tuple[int, Step]]]:
-        """The evidence of the step that has waited longest, and the steps that pass with it."""
-        step = state.waiting[0][1]
-        contacts_s = (*state.contacts_s[-3:], step.time_s)
-        intervals_s = [b - a for a, b in pairwise(contacts_s) if 0.0 < b - a < self.max_interval_s]
-        window = self._window(state, self._row(state, step), number, slowness(intervals_s))
-        log_odds = 0.0
-        if len(window) >= _MIN_ROWS:
-            log_odds = self.evidence.log_odds(evidence_features(window, intervals_s))
-        log_ratio = min(max(self.evidence_weight * log_odds, -self.max_log_ratio), self.max_log_ratio)
-        ratio = math.exp(log_ratio)
-        before = self._prob_after(state.walking_prob, step.time_s - state.judged_s)
-        prob = _posterior(before, ratio)
-        now_s = state.start_s + number / self.rate_hz
-        state = replace(
-            state,
-            waiting=state.waiting[1:],
-            contacts_s=contacts_s,
-            walking_prob=prob,
-            judged_s=step.time_s,
-            held=(*state.held, JudgedStep(step, prob, ratio, slowness(intervals_s))),
-        )
-        state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
-        return state, [(number, replace(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
+    def _judge(self, state: StepGateState, numbers: Sequence[int]) -> tuple[StepGateState, list[tuple[int, Step]]]:
+        """State after the steps that have waited longest, judged at samples of these numbers, and those that pass."""
+        if not numbers:
+            return state, []
+        steps = [step for _, step in state.waiting[: len(numbers)]]
+        contacts_s = (*state.contacts_s, *(step.time_s for step in steps))
+        intervals_s = [self._intervals_s(contacts_s[: i + 1]) for i in range(len(state.contacts_s), len(contacts_s))]
+        state = replace(state, waiting=state.waiting[len(numbers) :], contacts_s=contacts_s[-4:])
+        released: list[tuple[int, Step]] = []
+        log_odds = self._log_odds(state, steps, numbers, intervals_s)
+        for step, number, of_step, intervals in zip(steps, numbers, log_odds, intervals_s, strict=True):
+            ratio = math.exp(min(max(self.evidence_weight * of_step, -self.max_log_ratio), self.max_log_ratio))
+            prob = _posterior(self._prob_after(state.walking_prob, step.time_s - state.judged_s), ratio)
+            held = (*state.held, JudgedStep(step, prob, ratio, slowness(intervals)))
+            state = replace(state, walking_prob=prob, judged_s=step.time_s, held=held)
+            state, passed = self._accept(state, step.time_s) if prob > 0.5 else (self._without_old(state), [])
+            now_s = state.start_s + number / self.rate_hz
+            released += [(number, replace(s, detected_time_s=max(now_s, s.detected_time_s))) for s in passed]
+        return state, released
+
+    def _intervals_s(self, contacts_s: Sequence[float]) -> list[float]:
+        """Up to three intervals before the last contact."""
+        return [b - a for a, b in pairwise(contacts_s[-4:]) if 0.0 < b - a < self.max_interval_s]
+
+    def _log_odds(
+        self, state: StepGateState, steps: Sequence[Step], numbers: Sequence[int], intervals_s: Sequence[list[float]]
+    ) -> list[float]:
+        """Log odds of walking of each step, from its evidence alone; even where there is too little of it."""
+        rows = [self._row(state, step) for step in steps]
+        windows = [
+            self._window(state, *of_step) for of_step in zip(rows, numbers, map(slowness, intervals_s), strict=True)
+        ]
+        seen = [i for i, window in enumerate(windows) if len(window) >= MIN_ROWS]
+        log_odds = np.zeros(len(steps))
+        if seen:
+            features = evidence_features([windows[i] for i in seen], [intervals_s[i] for i in seen])
+            log_odds[seen] = self.evidence.log_odds(features)
+        return log_odds.tolist()
 
     def _window(self, state: StepGateState, row: int, number: int, stretch: float) -> FloatArray:
         """Rows around a row; the same however many are remembered."""
@@ -273,7 +249,7 @@ class StepGate:
         first = max(row - round(stretch * self._n_before), n_seen - self._n_rows_kept, 0)
         last = min(row + self._n_after + 1, n_seen)
         oldest = n_rows - len(state.rows)
-        return np.ascontiguousarray(state.rows[max(first - oldest, 0) : max(last - oldest, 0)])
+        return state.rows[max(first - oldest, 0) : max(last - oldest, 0)]
 
     def _accept(self, state: StepGateState, contact_s: float) -> tuple[StepGateState, list[Step]]:
         """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
@@ -330,62 +306,6 @@ class StepGate:
         """Likelihood ratio of what comes, seen from earlier."""
         leave, enter = self._change_probs(duration_s)
         return ((1.0 - leave) * ratio + leave) / (enter * ratio + 1.0 - enter)
-
-
-def slowness(intervals_s: Sequence[float]) -> float:
-    """Median step interval in longest intervals of a usual walk, 1 to 2.2; 1 where none is known."""
-    if not intervals_s:
-        return 1.0
-    return min(max(sorted(intervals_s)[len(intervals_s) // 2] / _USUAL_INTERVAL_S, 1.0), _MAX_SLOWNESS)
-
-
-def evidence_features(force_mps2: FloatArray, intervals_s: Sequence[float]) -> tuple[float, float, float, float]:
-    """The features of one step in which walking and handling differ.
-
-    From the specific force around the contact at 25 Hz, (N, 3), N >= 26, and up to three step intervals before it: how
-    much the force repeats with its direction (the autocorrelation's highest value after it was negative), how uneven
-    the rhythm is (standard deviation of the logarithm of three intervals), how far the phone turns for how little it
-    bounces (log of the rms of the force averaged over 0.76 s, over that of its magnitude), and how much the magnitude
-    repeats.
-
-    A walk that is c times as slow, c the `slowness`, is averaged c times as long and looked for again at lags of a
-    stride. Its bounce counts c times as much: acceleration falls with c^2 while the tilt of the phone stays. With all
-    of c^2 a phone that is wagged slowly passes as a walk.
-    """
-    stretch = slowness(intervals_s)
-    x, y, z = force_mps2.T
-    magnitude = np.sqrt(x * x + y * y + z * z)
-    bounce_mps2 = (float(magnitude.std()) + 0.02) * stretch
-    n_box = min(2 * round(9 * stretch) + 1, len(x) - 1)
-    box = np.full(n_box, 1.0 / n_box)
-    slow = np.array([np.convolve(c, box, mode="valid") for c in np.ascontiguousarray(force_mps2.T)])
-    # fewer than three intervals keep no rhythm: as uneven as handling
-    unevenness = float(np.std(np.log(intervals_s))) if len(intervals_s) > 2 else 0.5
-    max_lag_s = max(_MAX_LAG_S, _MAX_LAG_STEPS * _USUAL_INTERVAL_S * stretch)
-    return (
-        repetition(force_mps2, max_lag_s),
-        unevenness,
-        math.log((math.sqrt(sum(slow.var(axis=1).tolist())) + 0.05) / bounce_mps2),
-        repetition(magnitude[:, None], max_lag_s),
-    )
-
-
-def repetition(signal: FloatArray, max_lag_s: float = _MAX_LAG_S) -> float:
-    """Highest autocorrelation of (N, d) after it was negative, 0 to 1; 0 if it never was.
-
-    r(l) = sum x(t) . x(t + l) / sqrt(sum |x(t)|^2 sum |x(t + l)|^2) over the samples that both have, of the signal less
-    its mean, at 25 Hz and up to a lag: a stride of a usual walk and more.
-    """
-    centred = signal - signal.mean(axis=0)
-    n = len(centred)
-    n_lags = min(round(max_lag_s * _EVIDENCE_HZ) + 1, n - 11)
-    columns = [np.ascontiguousarray(c) for c in centred.T]
-    product = sum((np.correlate(c, c, mode="full")[n - 1 : n - 1 + n_lags] for c in columns), np.zeros(n_lags))
-    energy = np.concatenate([[0.0], np.add.accumulate((centred * centred).sum(axis=1))])
-    # of the samples up to each lag before the end, and from each lag on
-    correlation = product / np.sqrt(energy[: n - n_lags : -1] * (energy[n] - energy[:n_lags]) + 1e-6)
-    negative = np.flatnonzero(correlation < 0)
-    return max(0.0, float(correlation[negative[0] :].max())) if len(negative) else 0.0
 
 
 def _posterior(prob: float, ratio: float) -> float:

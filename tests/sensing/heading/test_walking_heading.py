@@ -21,7 +21,17 @@ from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.recipes import default
 from pdr_filter.sensing.attitude import AttitudeBlock, AttitudeEstimator
 from pdr_filter.sensing.conditioning import Conditioner, UniformBlock, merge_streams
-from pdr_filter.sensing.heading.strides import carry_axis, harmonics, in_mean_frame, in_phase, pointing_axis
+from pdr_filter.sensing.heading.strides import (
+    Phases,
+    Stride,
+    StrideSamples,
+    carry_axis,
+    harmonics,
+    in_mean_frame,
+    in_phase,
+    pointing_axis,
+    strides_of,
+)
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
@@ -137,32 +147,40 @@ def shown_std_deg(steps: list[Step]) -> FloatArray:
 # --- parts -----------------------------------------------------------------------------------------------------------
 
 
+def harmonics_of_one(signals: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Amplitudes (3,) of one stride at 100 Hz."""
+    once, twice = harmonics(signals, np.array([0, signals.shape[1]]), 100.0)
+    return once[0], twice[0]
+
+
 def test_harmonics_are_the_amplitudes_of_sinusoids_once_and_twice_in_the_window() -> None:
     t = (np.arange(110) - 54.5) / 110
     signal = 5.0 + 2.0 * np.cos(2 * np.pi * t + 0.4) + 0.7 * np.cos(4 * np.pi * t)
-    once, twice = harmonics(np.stack([signal] * 3), 1.1)
+    once, twice = harmonics_of_one(np.stack([signal] * 3))
     assert_allclose(once, 2.0 * np.exp(0.4j), atol=1e-9)
     sine_in_slope = 2.0 * np.sin(0.4) / np.pi * 6 / (2 * np.pi)
     assert_allclose(twice, 0.7 + 1j * sine_in_slope, atol=0.01)
 
 
 def test_a_slope_has_no_amplitude_at_step_frequency() -> None:
-    _, twice = harmonics(np.tile(np.linspace(-3.0, 3.0, 110), (3, 1)), 1.1)
+    _, twice = harmonics_of_one(np.tile(np.linspace(-3.0, 3.0, 110), (3, 1)))
     assert_allclose(twice, 0.0, atol=1e-9)
 
 
 def test_two_strides_in_the_window_are_seen_as_what_they_are() -> None:
     t = (np.arange(210) - 104.5) / 210
     stride, step = 0.4 * np.cos(4 * np.pi * t), 1.5 * np.cos(8 * np.pi * t)
-    once, twice = harmonics(np.stack([stride, stride, stride + step]), 2.1)
+    once, twice = harmonics_of_one(np.stack([stride, stride, stride + step]))
     assert_allclose([abs(once[0]), abs(twice[2])], [0.4, 1.5], atol=1e-6)
 
 
 def test_only_what_is_in_phase_counts() -> None:
     vertical = 3.0 * np.exp(0.3j)
     ahead = np.exp(1j * (0.3 + 1.2))
-    assert_allclose(in_phase(np.array([2.0 * ahead, -1.0 * ahead, vertical]), 1.2), [2.0, -1.0], atol=1e-12)
-    assert_allclose(in_phase(np.array([2.0j * ahead, 1.0j * ahead, vertical]), 1.2), 0.0, atol=1e-12)
+    assert_allclose(
+        in_phase(np.array([[2.0 * ahead, -1.0 * ahead, vertical]]), np.array([1.2])), [[2.0, -1.0]], atol=1e-12
+    )
+    assert_allclose(in_phase(np.array([[2.0j * ahead, 1.0j * ahead, vertical]]), np.array([1.2])), 0.0, atol=1e-12)
 
 
 @pytest.mark.parametrize("seed", range(5))
@@ -178,8 +196,38 @@ def test_vectors_are_turned_by_the_shortest_way_to_the_mean_up(seed: int) -> Non
     assert_allclose(carried, shortest.apply(axis), atol=1e-9)
     force, right = rng.normal(size=3), np.cross(carried, mean_up)
     expected = shortest.apply(force - (force @ up) * up)
-    device = in_mean_frame(force[:, None], up[:, None], np.stack([carried, right, mean_up]))
-    assert_allclose([device[0].real, device[0].imag], [expected @ carried, expected @ right], atol=1e-9)
+    frames = np.stack([carried, right, mean_up])[None]
+    device = in_mean_frame(force[:, None], up[:, None], frames, np.array([0, 1]))
+    assert_allclose(np.ravel(device), [expected @ carried, expected @ right], atol=1e-9)
+
+
+@pytest.mark.parametrize("angle_rad", [0.0, 1.0, -2.5])
+def test_about_another_axis_a_stride_points_where_it_did(angle_rad: float) -> None:
+    up, axis = np.array([0.0, 0.0, 1.0]), np.array([0.0, 1.0, 0.0])
+    stride = Stride(up, axis, 0.3, 0.1, 0.0, False, np.array([[1.0, 0.0], [0.0, 2.0], [1.0, 1.0]]), np.ones(3))
+    turned = stride.about(np.array([np.sin(angle_rad), np.cos(angle_rad), 0.0]))
+    # the axis is so much further clockwise, all angles from it so much less
+    assert turned.axis_heading_rad == pytest.approx(0.3 + angle_rad)
+    assert turned.pointing_rad == pytest.approx(-angle_rad)
+    before, after = (np.arctan2(s.vectors[:, 1], s.vectors[:, 0]) for s in (stride, turned))
+    assert_allclose(wrap_angle(before - after - angle_rad), 0.0, atol=1e-12)
+    assert_allclose(np.hypot(*turned.vectors.T), np.hypot(*stride.vectors.T))
+
+
+def test_strides_have_the_same_bits_alone_and_among_others() -> None:
+    rng = np.random.default_rng(0)
+    ends = np.concatenate([[0], rng.integers(45, 220, 40).cumsum()])
+    up = rng.normal([[0.1], [0.5], [1.0]], 0.1, (3, ends[-1]))
+    up /= np.linalg.norm(up, axis=0)
+    signals = rng.normal(size=(7, ends[-1]))
+    phases, runs = Phases(1.5, -2.4, 0.2), rng.random(40) < 0.3
+    together = strides_of(StrideSamples(ends, signals[:3], up, *signals[3:]), runs, 100.0, phases)
+    for i, stride in enumerate(together):
+        own = slice(ends[i], ends[i + 1])
+        samples = StrideSamples(ends[i : i + 2] - ends[i], signals[:3, own], up[:, own], *signals[3:, own])
+        (alone,) = strides_of(samples, runs[i : i + 1], 100.0, phases)
+        for f in fields(alone):
+            assert_array_equal(getattr(alone, f.name), getattr(stride, f.name), err_msg=f.name)
 
 
 # --- a body that walks by a formula ----------------------------------------------------------------------------------

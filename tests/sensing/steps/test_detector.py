@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
 
-from pdr_filter.sensing.steps.detector import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
+from pdr_filter.sensing.steps.step_log import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 LOG = StepLog(rate_hz=100.0, latency_s=0.8)
@@ -50,6 +50,10 @@ def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_a
     phase = 2 * np.pi * np.arange(n) / n
     values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
     assert amplitude_of_one_period(values) == pytest.approx(1.7)
+
+
+def test_a_single_sample_has_no_amplitude() -> None:
+    assert amplitude_of_one_period(np.array([4.0])) == 0.0
 
 
 def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps() -> None:

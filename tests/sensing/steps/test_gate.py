@@ -18,7 +18,8 @@ from pdr_filter.io.formats import read
 from pdr_filter.sensing.conditioning import UniformBlock, merge_streams
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.steps.adaptive import AdaptiveStepDetector
-from pdr_filter.sensing.steps.gate import EVIDENCE, StepGate, WalkEvidence, evidence_features, repetition, slowness
+from pdr_filter.sensing.steps.gate import StepGate
+from pdr_filter.sensing.steps.walk_evidence import EVIDENCE, WalkEvidence, evidence_features, repetitions, slowness
 from pdr_filter.simulate import demo_walk
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
 
@@ -32,8 +33,8 @@ class Told:
     def __init__(self, log_odds: Sequence[float]) -> None:
         self.left = list(log_odds)
 
-    def log_odds(self, features: Sequence[float]) -> float:
-        return self.left.pop(0)
+    def log_odds(self, features: FloatArray) -> FloatArray:
+        return np.array([self.left.pop(0) for _ in features])
 
 
 def told_gate(log_odds: Sequence[float], **kwargs: float) -> StepGate:
@@ -86,31 +87,52 @@ def walk_block(times_s: Sequence[float], duration_s: float, amplitude_mps2: floa
 # --- the evidence ---------------------------------------------------------------------------------------------------
 
 
+def of_one(force: FloatArray, intervals_s: Sequence[float]) -> FloatArray:
+    """Features (4,) of one step."""
+    return evidence_features([force], [intervals_s])[0]
+
+
+def repetition(signals: FloatArray, n_lags: int = 57) -> FloatArray:
+    """Of vectors (B, N, 3) the repetition (B,); that of their first axis alone is another one."""
+    of_all = np.concatenate([signals, signals[:, :, :1]], axis=2).swapaxes(1, 2)
+    return repetitions(of_all - of_all.mean(axis=2, keepdims=True), n_lags)[:, 0]
+
+
 def test_what_repeats_exactly_has_repetition_one_and_noise_little() -> None:
     t = np.arange(88) / 25
-    for frequency_hz in (0.7, 1.1, 1.8, 2.7, 4.5):
-        assert repetition(np.cos(2 * np.pi * frequency_hz * t)[:, None]) > 0.97
-    noise = np.random.default_rng(0).normal(size=(200, 88, 1))
-    assert np.median([repetition(x) for x in noise]) < 0.45
+    waves = np.cos(2 * np.pi * np.array([0.7, 1.1, 1.8, 2.7, 4.5])[:, None] * t)
+    assert (repetition(waves[:, :, None] * [0.6, 0.0, 0.8]) > 0.97).all()
+    noise = np.random.default_rng(0).normal(size=(200, 88, 1)) * [0.0, 1.0, 0.0]
+    assert np.median(repetition(noise)) < 0.45
 
 
 def test_a_turn_of_the_phone_does_not_repeat() -> None:
     t = np.arange(88) / 25
-    assert repetition(np.tanh(3 * (t - 1.8))[:, None]) < 0.25
-    assert repetition(np.ones((88, 3))) == 0.0
+    assert repetition(np.tanh(3 * (t - 1.8))[None, :, None] * [0.0, 0.6, 0.8]) < 0.25
+    assert repetition(np.ones((1, 88, 3))) == 0.0
 
 
-@given(seed=st.integers(0, 1000))
-def test_repetition_is_the_autocorrelation_of_the_vectors_written_as_a_sum(seed: int) -> None:
+@given(seed=st.integers(0, 1000), n_lags=st.integers(20, 49))
+def test_repetition_is_the_autocorrelation_of_the_vectors_written_as_a_sum(seed: int, n_lags: int) -> None:
     x = np.random.default_rng(seed).normal(size=(60, 3)).cumsum(axis=0)
     d = x - x.mean(axis=0)
-    r = [1.0]
-    for lag in range(1, 49):
-        a, b = d[:-lag], d[lag:]
-        r.append(float((a * b).sum() / math.sqrt((a**2).sum() * (b**2).sum())))
-    negative = next((i for i, v in enumerate(r) if v < 0), None)
-    expected = max(0.0, max(r[negative:])) if negative is not None else 0.0
-    assert repetition(x) == pytest.approx(expected, abs=1e-6)
+    of_one_axis = repetitions(np.concatenate([d, d[:, 1:2]], axis=1).T[None], n_lags)[0, 1]
+    for found, v in ((repetition(x[None], n_lags)[0], d), (of_one_axis, d[:, 1:2])):
+        r = [1.0]
+        for lag in range(1, n_lags):
+            a, b = v[:-lag], v[lag:]
+            r.append(float((a * b).sum() / math.sqrt((a**2).sum() * (b**2).sum())))
+        negative = next((i for i, c in enumerate(r) if c < 0), None)
+        expected = max(0.0, max(r[negative:])) if negative is not None else 0.0
+        assert found == pytest.approx(expected, abs=1e-6)
+
+
+def test_a_step_has_the_same_features_alone_and_among_others() -> None:
+    rng = np.random.default_rng(0)
+    windows = [rng.normal(size=(n, 3)) for n in rng.choice([26, 60, 88, 150], 200)]
+    intervals_s = [rng.uniform(0.4, 1.5, rng.integers(0, 4)).tolist() for _ in windows]
+    alone = [of_one(*of_step) for of_step in zip(windows, intervals_s, strict=True)]
+    np.testing.assert_array_equal(evidence_features(windows, intervals_s), alone)
 
 
 @given(seed=st.integers(0, 1000))
@@ -119,24 +141,24 @@ def test_the_features_do_not_change_when_the_phone_is_turned(seed: int) -> None:
     force = rng.normal(size=(88, 3)) + np.array([0.0, 0.0, 9.8])
     turn, _ = np.linalg.qr(rng.normal(size=(3, 3)))
     intervals_s = (0.6, 0.5, 0.6)
-    turned = evidence_features(np.ascontiguousarray(force @ turn), intervals_s)
-    np.testing.assert_allclose(evidence_features(force, intervals_s), turned, rtol=1e-6)
+    turned = of_one(np.ascontiguousarray(force @ turn), intervals_s)
+    np.testing.assert_allclose(of_one(force, intervals_s), turned, rtol=1e-6)
 
 
 def test_the_rhythm_is_the_scatter_of_three_intervals_and_unknown_before() -> None:
     force = np.random.default_rng(0).normal(size=(88, 3))
-    assert evidence_features(force, (0.5, 0.5, 0.5))[1] == pytest.approx(0.0, abs=1e-9)
-    assert evidence_features(force, (0.5, 0.6, 0.4))[1] == pytest.approx(np.std(np.log([0.5, 0.6, 0.4])))
-    assert evidence_features(force, (0.5, 0.5))[1] == 0.5
+    assert of_one(force, (0.5, 0.5, 0.5))[1] == pytest.approx(0.0, abs=1e-9)
+    assert of_one(force, (0.5, 0.6, 0.4))[1] == pytest.approx(np.std(np.log([0.5, 0.6, 0.4])))
+    assert of_one(force, (0.5, 0.5))[1] == 0.5
 
 
 def test_a_pause_is_no_interval_of_the_rhythm() -> None:
     seen: list[float] = []
 
     class Told:
-        def log_odds(self, features: Sequence[float]) -> float:
-            seen.append(features[1])
-            return 9.0
+        def log_odds(self, features: FloatArray) -> FloatArray:
+            seen.extend(features[:, 1])
+            return np.full(len(features), 9.0)
 
     passed(StepGate(evidence=Told()), [2.0, 2.5, 3.0, 3.5, 6.1, 6.6, 7.1])  # type: ignore[arg-type]
     np.testing.assert_allclose(seen, [0.5, 0.5, 0.5, 0.0, 0.5, 0.5, 0.5], atol=1e-9)
@@ -152,8 +174,8 @@ def walking_force(cadence_hz: float, bounce_mps2: float, duration_s: float) -> F
 
 @pytest.mark.parametrize("c", [1.3, 1.7, 2.2])
 def test_what_repeats_and_how_regularly_does_not_depend_on_the_pace(c: float) -> None:
-    usual = evidence_features(walking_force(1 / 0.6, 3.0, 3.52), [0.6] * 3)
-    slow = evidence_features(walking_force(1 / 0.6 / c, 3.0 / c**2, 3.52 * c), [0.6 * c] * 3)
+    usual = of_one(walking_force(1 / 0.6, 3.0, 3.52), [0.6] * 3)
+    slow = of_one(walking_force(1 / 0.6 / c, 3.0 / c**2, 3.52 * c), [0.6 * c] * 3)
     np.testing.assert_allclose(np.delete(slow, 2), np.delete(usual, 2), atol=0.06)
     assert usual[0] > 0.8
     # the bounce is c^2 times weaker and counts c times as much
@@ -169,18 +191,18 @@ def test_nothing_is_compressed_for_a_fast_walker_nor_stretched_without_end() -> 
 def test_a_walk_has_high_odds_and_a_phone_that_is_turned_low_ones() -> None:
     contacts_s = [0.5 + 0.55 * i for i in range(7)]
     force = walk_block(contacts_s, 3.52).specific_force_mps2.reshape(-1, 4, 3).mean(axis=1)
-    assert EVIDENCE.log_odds(evidence_features(force, [0.55] * 3)) > 4
+    assert EVIDENCE.log_odds(of_one(force, [0.55] * 3)[None]) > 4
     t = np.arange(88) / 25
     tilt = 1.2 * np.sin(2 * np.pi * 0.2 * t) + 0.3 * np.sin(5.0 * t)
     turned = 9.8 * np.column_stack([np.sin(tilt), np.zeros(88), np.cos(tilt)])
     turned += np.random.default_rng(0).normal(0.0, 0.3, (88, 3))
-    assert EVIDENCE.log_odds(evidence_features(turned, (0.9, 0.4, 0.7))) < -3
+    assert EVIDENCE.log_odds(of_one(turned, (0.9, 0.4, 0.7))[None]) < -3
 
 
 def test_the_log_odds_are_a_sum_with_cut_features() -> None:
     evidence = WalkEvidence(np.zeros(4), np.ones(4), np.array([1.0, 2.0, 3.0, 4.0]), 0.5)
-    assert evidence.log_odds((1.0, 0.0, -1.0, 0.0)) == pytest.approx(-1.5)
-    assert evidence.log_odds((99.0, -99.0, 0.0, 0.0)) == pytest.approx(0.5 + 3.0 - 6.0)
+    assert evidence.log_odds(np.array([[1.0, 0.0, -1.0, 0.0]])) == pytest.approx(-1.5)
+    assert evidence.log_odds(np.array([[99.0, -99.0, 0.0, 0.0]])) == pytest.approx(0.5 + 3.0 - 6.0)
 
 
 # --- bouts ----------------------------------------------------------------------------------------------------------

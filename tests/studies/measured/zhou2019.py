@@ -29,7 +29,7 @@ from pdr_filter.recipes import for_recording
 from pdr_filter.recording_run import detect_steps
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
-from pdr_filter.sensing.steps.detector import specific_force_magnitude
+from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, FloatArray, Step, steps_of

@@ -1,0 +1,236 @@
+"""What a detector remembers of the signals, and how a contact becomes a step: every detector makes its steps here."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from math import exp, floor, hypot, inf, log
+
+import numpy as np
+
+from pdr_filter.sensing.attitude import AttitudeBlock
+from pdr_filter.sensing.conditioning import UniformBlock
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, replace
+
+# Rows of the signals: time, magnitude, vertical, device heading, samples without angular rate so far, std of the yaw
+# bias.
+_TIME, _MAGNITUDE, _VERTICAL, _HEADING, _UNKNOWN, _BIAS_STD = range(6)
+
+
+@dataclass(frozen=True, slots=True)
+class StepSpan:
+    """From when to when a step took place, and which samples are its own."""
+
+    contact_s: float
+    known_s: float  # when the detector knew
+    duration_s: float
+    heading_unknown_s: float  # without angular rate
+    columns: tuple[int, int]  # of the signals in a `StepLogState`: the first, and that of the contact
+    is_first: bool  # of its bout
+
+
+@dataclass(frozen=True, eq=False)
+class StepLogState:
+    """The signals of the last seconds, and the last contact."""
+
+    n_samples: int  # seen so far in this segment
+    signals: FloatArray  # (6, H), see the rows above
+    last_contact: int  # number of the sample; negative before the first
+    last_contact_s: float
+    last_unknown: float  # samples without angular rate up to the last contact
+    n_usual: float  # steps in the sums of the two logarithms, with the forgetting of `USUAL_DECAY`
+    log_amplitudes: float
+    log_durations: float
+    last_turn_rad: float  # of the device over the last step, and how long that took; 0 at the start of a bout
+    last_duration_s: float
+
+    def fits(self, n_samples: int) -> bool:
+        """Whether a segment of so many samples can leave this."""
+        return self.n_samples == n_samples and self.signals.shape[1] <= n_samples and self.last_contact < n_samples
+
+
+# What is usual for somebody is the mean of about the last twenty steps.
+USUAL_DECAY = 0.95
+# A step that takes so many times the usual time began with a rest.
+_REST_PERIODS = 1.8
+
+
+@dataclass(frozen=True)
+class StepLog:
+    """Remembers signals and describes the step that a contact ends.
+
+    The parameters are those of a `StepDetector`.
+    """
+
+    rate_hz: float
+    latency_s: float  # how long after a contact it may be given
+    max_interval_s: float = 2.0
+    first_step_s: float = 0.6
+
+    @property
+    def _n_kept(self) -> int:
+        return round(self.latency_s * self.rate_hz) + 1 + int(np.ceil(self.max_interval_s * self.rate_hz))
+
+    def init(self) -> StepLogState:
+        """State before the first sample of a segment."""
+        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+
+    def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
+        """State with the samples of a block; call before their contacts are given, and `trim` after."""
+        magnitude = specific_force_magnitude(block.specific_force_mps2)
+        unknown_before = state.signals[4, -1] if state.signals.shape[1] else 0.0
+        unknown = unknown_before + np.cumsum(~block.angular_rate_known)
+        bias_std = attitude.yaw_bias_std_radps if len(attitude.yaw_bias_std_radps) else np.zeros(len(magnitude))
+        new = np.stack(
+            [block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown, bias_std]
+        )
+        signals = np.concatenate([state.signals, new], axis=1)
+        return replace(state, n_samples=state.n_samples + len(magnitude), signals=signals)
+
+    def trim(self, state: StepLogState) -> StepLogState:
+        """State without the signals that no later contact can need."""
+        return replace(state, signals=state.signals[:, -self._n_kept :])
+
+    def first_sample(self, state: StepLogState) -> int:
+        """Number of the oldest sample that is remembered: contacts must be later."""
+        return state.n_samples - state.signals.shape[1]
+
+    def can_end(self, state: StepLogState, contact: int) -> bool:
+        """Whether a step can end at a sample: it exists, is remembered, and later than the last contact."""
+        return max(self.first_sample(state), state.last_contact, 0) < contact < state.n_samples
+
+    def time_s(self, state: StepLogState, sample: float) -> float:
+        """Time of a sample, between samples too."""
+        whole = floor(sample)
+        index = min(max(whole - self.first_sample(state), 0), state.signals.shape[1] - 1)
+        return float(state.signals[0, index] + (sample - whole) / self.rate_hz)
+
+    def starts_bout(self, state: StepLogState, contact_s: float) -> bool:
+        """Whether a contact at this time is the first of a bout."""
+        return contact_s - state.last_contact_s > self.max_interval_s
+
+    def add(self, state: StepLogState, contact: int, known: int, fraction: float = 0.0) -> tuple[StepLogState, Step]:
+        """New state and the step that a contact ends: `end_step` and `describe` in one."""
+        state, span = self.end_step(state, contact, known, fraction)
+        state, (step,) = self.describe(state, [span])
+        return state, step
+
+    def end_step(
+        self, state: StepLogState, contact: int, known: int, fraction: float = 0.0
+    ) -> tuple[StepLogState, StepSpan]:
+        """New state and the span of the step that a contact ends; `describe` it before the next samples.
+
+        The contact is at a sample at which a step `can_end`, and a fraction of a sampling interval. Sample `known`
+        revealed it: beyond the last one where a segment ends.
+        """
+        first = self.first_sample(state)
+        contact_s = float(state.signals[_TIME, contact - first] + fraction / self.rate_hz)
+        is_first = self.starts_bout(state, contact_s)
+        duration_s = self.first_step_s if is_first else contact_s - state.last_contact_s
+        start = contact - round(duration_s * self.rate_hz) if is_first else state.last_contact
+        unknown = float(state.signals[_UNKNOWN, contact - first])
+        span = StepSpan(
+            contact_s=contact_s,
+            known_s=float(state.signals[_TIME, min(known - first, state.signals.shape[1] - 1)]),
+            duration_s=duration_s,
+            heading_unknown_s=(unknown - state.last_unknown) / self.rate_hz,
+            columns=(max(start - first, 0), contact - first),
+            is_first=is_first,
+        )
+        return replace(state, last_contact=contact, last_contact_s=contact_s, last_unknown=unknown), span
+
+    def describe(self, state: StepLogState, spans: Sequence[StepSpan]) -> tuple[StepLogState, list[Step]]:
+        """New state and steps, from their samples and what is usual for this person, each step itself included."""
+        steps: list[Step] = []
+        turn_rad, before_s = state.last_turn_rad, state.last_duration_s
+        n_usual, log_amplitudes, log_durations = state.n_usual, state.log_amplitudes, state.log_durations
+        for span, step in zip(spans, describe_steps(state.signals, spans), strict=True):
+            if span.is_first:
+                turn_rad, before_s = 0.0, 0.0
+            # Body and arm sway once in a stride: over two steps that is gone, and what is left is the person's turn.
+            turn_rate_radps = abs(step.heading_change_rad + turn_rad) / (step.duration_s + before_s)
+            turn_rad, before_s = step.heading_change_rad, step.duration_s
+            usual_s = exp(log_durations / n_usual) if n_usual > 0 else inf
+            from_rest = span.is_first or step.duration_s > _REST_PERIODS * usual_s
+            if not from_rest:
+                n_usual = USUAL_DECAY * n_usual + 1.0
+                log_amplitudes = USUAL_DECAY * log_amplitudes + log(max(step.vertical_amplitude_mps2, 0.05))
+                log_durations = USUAL_DECAY * log_durations + log(step.duration_s)
+            usual_mps2 = exp(log_amplitudes / n_usual) if n_usual > 0 else 0.0
+            of_person = {"usual_amplitude_mps2": usual_mps2, "from_rest": from_rest}
+            steps.append(replace(step, turn_rate_radps=turn_rate_radps, **of_person))
+        state = replace(
+            state,
+            last_turn_rad=turn_rad,
+            last_duration_s=before_s,
+            n_usual=n_usual,
+            log_amplitudes=log_amplitudes,
+            log_durations=log_durations,
+        )
+        return state, steps
+
+
+# Steps that are described at once: their samples fit into a cache.
+_MAX_GROUP = 32
+
+
+def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]:
+    """Steps from their samples alone, in signals (6, H) as in `StepLogState`; each with the bits that it has alone."""
+    if len(spans) > _MAX_GROUP:
+        parts = (spans[i : i + _MAX_GROUP] for i in range(0, len(spans), _MAX_GROUP))
+        return [step for part in parts for step in describe_steps(signals, part)]
+    if not spans:
+        return []
+    samples = np.concatenate([signals[: _HEADING + 1, slice(*span.columns)] for span in spans], axis=1)
+    n = np.array([span.columns[1] - span.columns[0] for span in spans])
+    starts = np.cumsum(n) - n
+    magnitude = samples[_MAGNITUDE]
+    extremes = (f.reduceat(samples[_MAGNITUDE : _VERTICAL + 1], starts, axis=1) for f in (np.maximum, np.minimum))
+    away = magnitude - np.repeat(np.add.reduceat(magnitude, starts) / n, n)
+    sums = np.stack([away * away, np.abs(magnitude - STANDARD_GRAVITY_MPS2), samples[_HEADING]])
+    figures = np.concatenate([*extremes, np.add.reduceat(sums, starts, axis=1) / n]).T.tolist()
+    steps: list[Step] = []
+    for span, of_step in zip(spans, figures, strict=True):
+        magnitude_max, vertical_max, magnitude_min, vertical_min, variance, mean_abs, heading_rad = of_step
+        first, contact = span.columns
+        steps.append(
+            Step(
+                time_s=span.contact_s,
+                detected_time_s=span.known_s,
+                duration_s=span.duration_s,
+                frequency_hz=1.0 / span.duration_s,
+                variance=variance,
+                vertical_max_mps2=vertical_max,
+                vertical_min_mps2=vertical_min,
+                magnitude_max_mps2=magnitude_max,
+                magnitude_min_mps2=magnitude_min,
+                mean_abs_mps2=mean_abs,
+                heading_change_rad=float(signals[_HEADING, contact - 1] - signals[_HEADING, first]),
+                device_heading_rad=heading_rad,
+                heading_unknown_s=span.heading_unknown_s,
+                yaw_bias_std_radps=float(signals[_BIAS_STD, contact - 1]),
+                vertical_amplitude_mps2=amplitude_of_one_period(signals[_VERTICAL, first:contact]),
+            )
+        )
+    return steps
+
+
+def amplitude_of_one_period(values: FloatArray) -> float:
+    """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
+    cosine, sine = (values @ _one_period(len(values))).tolist()
+    return 2 / len(values) * hypot(cosine, sine)
+
+
+@lru_cache(maxsize=512)
+def _one_period(n: int) -> FloatArray:
+    """Cosine and sine (n, 2) of one period in n samples; of one sample, which has no motion, they are zero."""
+    phase = 2 * np.pi * np.arange(n) / n
+    waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
+    return waves - waves.mean(axis=0)
+
+
+def specific_force_magnitude(specific_force_mps2: FloatArray) -> FloatArray:
+    """|f| of (N, 3) samples, m/s2 (Martinelli et al. 2018, eq. 1)."""
+    x, y, z = specific_force_mps2.T
+    return np.sqrt(x * x + y * y + z * z)
