@@ -224,8 +224,9 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
     frame = state.frame
     if not frame.is_known or float(state.prob @ state.cov[:, HEADING_OFFSET, HEADING_OFFSET]) < _LOST_HEADING_VAR_RAD2:
         return state
-    if not frame.is_joined and len(frame.agreeing) < 2:
-        # nothing is known of the turn yet, and its errors last: opened anew at each step they would be independent
+    if frame.since and not frame.is_joined and len(frame.agreeing) < 2:
+        # nothing has been learnt since it was lost, and its errors last: opened anew each step they would be
+        # independent
         return state
     if not frame.is_joined:
         turn = frame.most_probable(state.n_final)
