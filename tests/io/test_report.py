@@ -24,7 +24,7 @@ def test_a_report_counts_gaps_repeated_and_backward_times() -> None:
     assert (stream.n_gaps, stream.n_duplicates, stream.n_backward) == (1, 1, 1)
     assert stream.longest_gap_s == pytest.approx(1.01)
     assert "100.0 Hz requested" in stream.sentence()
-    assert "1 gaps (longest 1.01 s), 1 repeated and 1 backward times" in stream.sentence()
+    assert "1 gap (longest 1.01 s), 1 repeated and 1 backward times" in stream.sentence()
 
 
 def test_a_report_is_plain_and_survives_being_written(tmp_path: Path) -> None:
