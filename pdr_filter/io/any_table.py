@@ -9,6 +9,7 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
+from pdr_filter.io.columns import ACCELERATION, VECTORS, quantity_of_file
 from pdr_filter.io.dialects import dialect_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
@@ -93,11 +94,21 @@ def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]
         found = matlab_sheets(members, members.names[0])
     else:
         texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
-        found = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+        whole = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+        found = [part for sheet in whole for part in _by_sensor(sheet)]
     if not found:
         listed = ", ".join(members.names[:8])
         raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
     return found
+
+
+def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:
+    """A table with a row for each sample of any sensor, whose name is in a column, as a table for each sensor."""
+    column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
+    if column is None:
+        return [sheet]
+    parts = sheet.by_text(column)
+    return parts if any(quantity_of_file(part.name)[0] == ACCELERATION for part in parts) else [sheet]
 
 
 def _is_text(name: str, members: Members) -> bool:

@@ -24,6 +24,7 @@ _SEPARATORS = (",", ";", "\t", "|", " ")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|-?inf|-?Infinity")
 _LINES_TRIED = 40  # of which the first of numbers begins the table
 _LINES_COMPARED = 8
+_MOST_SENSORS = 40  # of a phone that writes a row for each sample of any of them
 # A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
 _LARGEST_FLOAT_WHOLE = 2**53
 
@@ -62,6 +63,8 @@ class TextSheet:
     decimal: str
     n_before: int  # lines before the first row
     blocks: Callable[[], Iterator[bytes]] = field(repr=False)
+    texts: dict[int, str] = field(default_factory=dict[int, str])  # columns of the first row that are no numbers
+    only: tuple[int, str] | None = None  # a column, and what it says in the rows that are meant
 
     def table(self, numbers: Sequence[int], whole: int | None, notes: list[str]) -> NumberTable:
         """These columns as floats, and one as whole numbers."""
@@ -103,7 +106,32 @@ class TextSheet:
             rows = block[at:]
             if left or not rows:
                 continue
-            yield re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
+            rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
+            if self.only is not None:
+                column, text = self.only
+                pattern = self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?' + self._mark + rb".*\n?"
+                rows = b"".join(re.findall(pattern, rows))
+            if rows:
+                yield rows
+
+    @property
+    def _mark(self) -> bytes:
+        return re.escape(self.separator.encode())
+
+    def _up_to(self, column: int) -> bytes:
+        """The pattern of a row before a column."""
+        return rb"(?m)^(?:[^\n" + self._mark + rb"]*" + self._mark + b"){%d}" % column
+
+    def by_text(self, column: int) -> list[TextSheet]:
+        """A sheet for each text of a column, called like it; this one if there are more than a phone has sensors."""
+        pattern = self._up_to(column) + rb'"?([^\n"' + self._mark + rb"]*)"
+        texts: dict[bytes, None] = {}
+        for rows in self._rows():
+            texts |= dict.fromkeys(re.findall(pattern, rows))
+            if len(texts) > _MOST_SENSORS:
+                return [self]
+        names = [text.decode("utf-8", "replace") for text in texts if text]
+        return [replace(self, name=name, only=(column, name)) for name in names]
 
 
 Sheet = ArraySheet | TextSheet
@@ -134,6 +162,7 @@ def text_sheet(members: Members, member: str, separator: str | None = None) -> T
         about="\n".join(before),
         dates=frozenset(i for i, text in enumerate(row) if is_date(text)),
         exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > _LARGEST_FLOAT_WHOLE),
+        texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
         separator=found.separator,
         decimal=found.decimal,
         n_before=found.first,

@@ -432,3 +432,24 @@ def test_thousandths_of_g_and_of_degrees_are_read_once_the_platform_is_said(tmp_
     assert "say it with pdr-filter convert FILE --platform" in refusal(tmp_path / "imu.csv")
     recording = read(tmp_path / "imu.csv", platform="android")
     assert_same_streams(recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("separator", "names"), [(",", ("ACC", "GYR", "light")), (";", ("Accelerometer", "Gyroscope", ""))]
+)
+def test_a_table_with_a_row_for_each_sample_of_any_sensor_is_one_for_each(
+    tmp_path: Path, separator: str, names: tuple[str, str, str]
+) -> None:
+    rows = [
+        (int(1e9 * t), name, *values)
+        for name, stream in zip(names, (FORCE, RATE, FIELD), strict=True)
+        for t, values in zip(TIME_S, stream, strict=True)
+    ]
+    lines = [separator.join(map(str, row)) for row in sorted(rows, key=lambda row: row[0])]
+    header = separator.join(("timestamp_ns", "sensor", "x", "y", "z"))
+    (tmp_path / "w.csv").write_text("\n".join([header, *lines]) + "\n")
+    found = read_guessed(tmp_path / "w.csv", "android")
+    assert_same_streams(found.recording, WALK, "accelerometer gyroscope", time_s=1e-6, rtol=1e-9)
+    # and by the mapping that was guessed
+    again = read_mapped(tmp_path / "w.csv", found.guess.mapping)
+    assert_same_streams(again, WALK, "accelerometer gyroscope", time_s=1e-6, rtol=1e-9)
