@@ -25,8 +25,9 @@ EPISODE_S = 20.0
 # Fixes are off together about every ten minutes in a street, a track about once in five hours of walking: in 1 of 10
 # recordings there is a ride, or a wrong start.
 LOG_ODDS_BEFORE = math.log(30.0)
-# Rejected fixes that are remembered: with locations ten seconds apart, two minutes.
-MAX_DOUBTS = 12
+# Rejected fixes that are remembered, and how far apart: two minutes of them. Of fixes a second apart a dozen in a row
+# would be too short a time to tell anything.
+MAX_DOUBTS, _APART_S = 12, 10.0
 # Two of them agree whatever they are, or nearly.
 _MIN_DOUBTS = 3
 
@@ -45,7 +46,8 @@ class Doubt:
 
     def with_rejected(self, pair: PairedPoint) -> Doubt:
         """With one more: it joins those that it agrees with, or begins anew with the one before."""
-        together = (*self.pairs, pair)[-MAX_DOUBTS:]
+        is_soon = len(self.pairs) > 1 and pair.time_s - self.pairs[-2].time_s < _APART_S
+        together = (*(self.pairs[:-1] if is_soon else self.pairs), pair)[-MAX_DOUBTS:]
         if _agree(together):
             return Doubt(together)
         if self.stray is not None and _agree((self.stray, pair)):

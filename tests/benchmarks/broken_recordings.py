@@ -109,6 +109,40 @@ def with_fixes(walk: Walk, change: Callable[[FloatArray], FloatArray]) -> list[o
     return [f"{steps}; {sum(fix.accepted for fix in found.fixes)} of {len(fixes)} fixes used", off, note]
 
 
+RIDE_S, RIDE_M, FIX_STD_M = 600.0, np.array([4000.0, 2600.0]), 3.0
+
+
+def by_bus(walk: Walk) -> list[object]:
+    """After a fifth of the walk ten minutes in a bus, without steps and fixes; before and after a right fix a second."""
+    rng, ride_s = np.random.default_rng(0), float(np.quantile(walk.recording.accelerometer.time_s, 0.2))
+    streams: dict[str, Samples] = {}
+    for name, shaking in (("accelerometer", 0.3), ("gyroscope", 0.005)):
+        stream = walk.recording.streams[name]
+        before, n = stream.time_s < ride_s, int(100 * RIDE_S)
+        sitting = stream.values[before].mean(axis=0) if name == "accelerometer" else np.zeros(3)
+        streams[name] = Samples(
+            np.concatenate([stream.time_s[before], ride_s + np.arange(n) / 100, stream.time_s[~before] + RIDE_S]),
+            np.vstack(
+                [stream.values[before], sitting + rng.normal(scale=shaking, size=(n, 3)), stream.values[~before]]
+            ),
+        )
+    ridden = replace(walk.recording, **streams, magnetometer=None)
+    time_s, place_m = walk.track.time_s, walk.track.position_m
+    at_s = np.arange(time_s[0], time_s[-1])
+    there = np.column_stack([np.interp(at_s, time_s, place_m[:, k]) for k in (0, 1)])
+    there = there + (at_s > ride_s)[:, None] * RIDE_M + rng.normal(scale=FIX_STD_M, size=there.shape)
+    fixes = [
+        PositionFix(float(t + RIDE_S * (t > ride_s)), place, FIX_STD_M**2 * np.eye(2))
+        for t, place in zip(at_s, there, strict=True)
+    ]
+    found = pdr.track(ridden, fixes=fixes)
+    later = [fix.accepted for fix in found.fixes if fix.time_s > ride_s + RIDE_S]
+    off_m = np.linalg.norm(found.position_m[-1] - place_m[-1] - RIDE_M)
+    std_m = np.sqrt(0.5 * found.position_cov_m2[-1].trace())
+    steps = f"{found.n_steps}; {sum(later)} of {len(later)} fixes behind it used"
+    return [steps, f"{off_m:.1f} at the end ({std_m:.0f})", said(found.notes, walk.track.notes)]
+
+
 def change_one(change: Callable[[FloatArray], FloatArray], walk: Walk, t: float) -> float:
     """What a clock that was changed shows at a time."""
     time_s = walk.recording.accelerometer.time_s
@@ -162,6 +196,7 @@ def main() -> None:
         ],
         ["fixes, clock set back by an hour", "74 of 147 used", *with_fixes(walk, lambda t: set_back(t, 3600.0))],
         ["fixes, two samples three years ahead", "77 of 147 used", *with_fixes(walk, lambda t: ahead(t, YEARS_S))],
+        ["ten minutes in a bus without steps or fixes, then right ones", "1 of 1848 used", *by_bus(walk)],
         ["angular rate times 0", "243 m off, 54 m claimed", *walk.of(pdr.track(walk.with_values("gyroscope", zero)))],
         ["z of the gyroscope stuck", "241 m off", *walk.of(pdr.track(walk.with_values("gyroscope", stuck(2))))],
         [

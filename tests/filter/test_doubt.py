@@ -44,9 +44,11 @@ def truth_m(walk: Recording, times: np.ndarray) -> np.ndarray:
     )
 
 
-def fixes_of(walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.ndarray]) -> list[PositionFix]:
-    """One in ten seconds with errors of 4 m, and what `wrong_m` (times, places) adds to them."""
-    times = np.arange(2.0, walk.duration_s - 4.0, 10.0)
+def fixes_of(
+    walk: Recording, wrong_m: Callable[[np.ndarray, np.ndarray], np.ndarray], every_s: float = 10.0
+) -> list[PositionFix]:
+    """Some with errors of 4 m, and what `wrong_m` (times, places) adds to them."""
+    times = np.arange(2.0, walk.duration_s - 4.0, every_s)
     places = truth_m(walk, times)
     errors = np.random.default_rng(4).normal(scale=4.0, size=places.shape)
     return [
@@ -184,3 +186,13 @@ def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recordin
     later = [u for u in updates if u.of_start is None]
     np.testing.assert_array_equal([u.position_m for u in later], whole.position_m[-len(later) :])
     assert online.notes == tuple(note for note in whole.notes if note not in walk.notes)
+
+
+@pytest.mark.parametrize("every_s", [1.0, 3.0])
+def test_fixes_in_quick_succession_move_the_track_as_soon_as_rare_ones(walk: Recording, every_s: float) -> None:
+    carried_s = 120.0
+    track = tracked(walk, fixes_of(walk, displaced(carried_s), every_s))
+    late = track.time_s > carried_s + PATIENCE_S
+    error_m = np.linalg.norm(track.position_m[late] - truth_m(walk, track.time_s[late]) - FAR_M, axis=1)
+    assert outcomes(track).count("moved") == 1
+    assert np.median(error_m) < 4.0
