@@ -113,7 +113,7 @@ RIDE_S, RIDE_M, FIX_STD_M = 600.0, np.array([4000.0, 2600.0]), 3.0
 
 
 def by_bus(walk: Walk) -> list[object]:
-    """After a fifth of the walk ten minutes in a bus, without steps and fixes; before and after a right fix a second."""
+    """After a fifth of the walk ten minutes in a bus, without steps and fixes; before and after one a second."""
     rng, ride_s = np.random.default_rng(0), float(np.quantile(walk.recording.accelerometer.time_s, 0.2))
     streams: dict[str, Samples] = {}
     for name, shaking in (("accelerometer", 0.3), ("gyroscope", 0.005)):
