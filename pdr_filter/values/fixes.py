@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
 
@@ -37,8 +38,8 @@ class PositionFix:
     floor: int | None = None  # number of the storey
 
     def __post_init__(self) -> None:
-        object.__setattr__(self, "position_m", read_only(self.position_m))
-        object.__setattr__(self, "cov_m2", read_only(self.cov_m2))
+        _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor")
+        _take_arrays(self, "position_m", "cov_m2")
         if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
             raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
@@ -47,7 +48,7 @@ class PositionFix:
         if not 0 <= self.correlation_s < np.inf:
             raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
         if self.floor is not None:
-            if self.floor != np.round(self.floor):
+            if not (np.isfinite(self.floor) and self.floor == np.round(self.floor)):
                 raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
             object.__setattr__(self, "floor", int(self.floor))
         _check_times(self.time_s, self.received_time_s)
@@ -104,6 +105,7 @@ class HeadingFix:
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
 
     def __post_init__(self) -> None:
+        _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
         _check_times(self.time_s, self.received_time_s)
         if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < _MAX_STD):
             raise ValueError(
@@ -129,6 +131,7 @@ class SpeedFix:
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
 
     def __post_init__(self) -> None:
+        _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
         if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < _MAX_STD):
             raise ValueError(
@@ -155,9 +158,37 @@ class Standstill:
     received_time_s: float | None = None  # not before `time_s`; steps that were reported before are not taken back
 
     def __post_init__(self) -> None:
+        _take_numbers(self, "time_s", "received_time_s", "end_s")
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
+
+
+_MAY_BE_UNKNOWN = ("received_time_s", "floor")
+
+
+def _take_numbers(fix: object, *names: str) -> None:
+    """Make fields floats; ValueError for what is no number."""
+    for name in names:
+        value = getattr(fix, name)
+        if value is not None or name not in _MAY_BE_UNKNOWN:
+            object.__setattr__(fix, name, _taken(fix, name, value, float))
+
+
+def _take_arrays(fix: object, *names: str) -> None:
+    """Make fields read-only arrays of floats; ValueError for what is none."""
+    for name in names:
+        object.__setattr__(fix, name, _taken(fix, name, getattr(fix, name), read_only))
+
+
+def _taken(fix: object, name: str, value: Any, as_numbers: Callable[[Any], Any]) -> Any:
+    try:
+        if isinstance(value, str | bytes):
+            raise TypeError
+        return as_numbers(value)
+    except (TypeError, ValueError, OverflowError):
+        what = f"{name} of {type(fix).__name__} must be a number or an array of numbers, got {value!r}"
+        raise ValueError(what[:300]) from None
 
 
 def _check_times(time_s: float, received_time_s: float | None) -> None:

@@ -1,0 +1,48 @@
+"""Fixes of apps: what is no number is refused by its name, not somewhere inside."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from pdr_filter.values import HeadingFix, PositionFix, SpeedFix, Standstill
+
+FIXES: dict[str, Callable[[Any], object]] = {
+    "time_s of PositionFix": lambda v: PositionFix(v, (0.0, 0.0), np.eye(2)),
+    "position_m of PositionFix": lambda v: PositionFix(0.0, [0.0, v], np.eye(2)),
+    "cov_m2 of PositionFix": lambda v: PositionFix(0.0, (0.0, 0.0), [[v, 0.0], [0.0, 1.0]]),
+    "walking_heading_rad of HeadingFix": lambda v: HeadingFix(0.0, v, 0.1),
+    "std_rad of HeadingFix": lambda v: HeadingFix(0.0, 0.0, v),
+    "speed_mps of SpeedFix": lambda v: SpeedFix(0.0, v, 0.1),
+    "end_s of Standstill": lambda v: Standstill(0.0, v),
+}
+
+
+@pytest.mark.parametrize("name", FIXES)
+@pytest.mark.parametrize(
+    "value", ["x", 1 + 2j, 10**400, {}, object()], ids=["text", "complex", "huge", "dict", "object"]
+)
+def test_what_is_no_number_is_refused_by_its_name(name: str, value: object) -> None:
+    with pytest.raises(ValueError, match=name.split()[0]):
+        FIXES[name](value)
+
+
+@pytest.mark.parametrize("name", [n for n in FIXES if "PositionFix" not in n or "time_s" in n])
+def test_a_number_that_is_missing_is_refused_by_its_name(name: str) -> None:
+    with pytest.raises(ValueError, match=name):
+        FIXES[name](None)
+
+
+@pytest.mark.parametrize("floor", [0.5, np.inf, np.nan, "first"])
+def test_a_storey_is_a_whole_number(floor: Any) -> None:
+    with pytest.raises(ValueError, match="floor"):
+        PositionFix(0.0, (0.0, 0.0), np.eye(2), floor=floor)
+
+
+def test_numbers_of_any_kind_become_floats() -> None:
+    fix = SpeedFix(3, np.float32(1.5), np.array(0.25))  # type: ignore[arg-type]
+    assert (fix.time_s, fix.speed_mps, fix.std_mps) == (3.0, 1.5, 0.25)
+    assert all(type(value) is float for value in (fix.time_s, fix.speed_mps, fix.std_mps))
