@@ -73,7 +73,11 @@ def test_every_step_length_stands_with_its_context_beside_its_median() -> None:
 
 def test_a_track_without_steps_has_an_empty_figure() -> None:
     for draw in (plot.way, plot.contexts, plot.heights, plot.step_lengths):
-        draw(make_track(0, 0)).figure.canvas.draw()
+        axes = draw(make_track(0, 0))
+        axes.figure.canvas.draw()
+        # nothing of a step: a legend's samples and marks of the start have one or no point
+        assert all(len(np.asarray(line.get_xdata())) <= 1 for line in axes.lines)
+        assert all(len(dots) <= 1 for dots in offsets(axes))
 
 
 def test_the_dots_of_a_reliability_diagram_are_its_bins() -> None:
