@@ -12,7 +12,7 @@ from scipy.stats import chi2, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
-from pdr_filter.filter.alignment import Place
+from pdr_filter.filter.alignment import Alignment, Place
 from pdr_filter.filter.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.pedestrian import present_position
@@ -533,3 +533,19 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
     np.testing.assert_allclose(world.cov_m2, cov + turn.origin_var_m2 * np.eye(2), atol=1e-10)
+
+
+def test_a_settled_turn_takes_the_ellipse_of_a_place_with_it_and_adds_its_own_errors() -> None:
+    turn = Alignment(0.7, 1e-4, np.array([1.0, 2.0]), np.array([10.0, -5.0]), 0.3, n_steps=9)
+    place = Place(np.array([4.0, -1.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.2, 0)
+    rng, n = np.random.default_rng(0), 200_000
+    track = rng.multivariate_normal(place.position_m, place.cov_m2, n) - turn.track_centre_m
+    # clockwise by an angle; the centre is known less well, the angle about the place that is reported
+    angle = 0.7 + 0.01 * rng.standard_normal(n)
+    c, s = np.cos(angle), np.sin(angle)
+    world = np.column_stack([c * track[:, 0] + s * track[:, 1], c * track[:, 1] - s * track[:, 0]])
+    world += turn.world_centre_m + np.sqrt(0.3) * rng.standard_normal((n, 2))
+    there = turn.world(place)
+    np.testing.assert_allclose(there.position_m, world.mean(axis=0), atol=0.02)
+    np.testing.assert_allclose(there.cov_m2, np.cov(world.T), atol=0.04)
+    assert there.heading_rad == pytest.approx(0.9)

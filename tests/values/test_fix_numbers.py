@@ -46,3 +46,8 @@ def test_numbers_of_any_kind_become_floats() -> None:
     fix = SpeedFix(3, np.float32(1.5), np.array(0.25))  # type: ignore[arg-type]
     assert (fix.time_s, fix.speed_mps, fix.std_mps) == (3.0, 1.5, 0.25)
     assert all(type(value) is float for value in (fix.time_s, fix.speed_mps, fix.std_mps))
+
+
+def test_a_number_in_quotes_is_none() -> None:
+    with pytest.raises(ValueError, match="speed_mps of SpeedFix"):
+        SpeedFix(0.0, "1.5", 0.1)  # type: ignore[arg-type]
