@@ -244,7 +244,8 @@ class BounceStepLength:
 
     r is for the steps that are shorter than the person's usual ones:
 
-    - where A is below its usual value B, as when people stop or shuffle, (A / B)^(1/4);
+    - where A, over two steps because left and right differ in a pocket, is below its usual value B, as when people stop
+      or shuffle, (A / B)^(1/4);
     - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.9)^2);
     - a step from rest, which begins with the feet together, is half a step;
     - beyond 2.4 steps a second, where a step was found twice, it is the speed that stays: 2.4 / f.
@@ -274,9 +275,9 @@ class BounceStepLength:
         part *= min(self.max_frequency_hz / step.frequency_hz, 1.0)
         if step.from_rest:
             return 0.5 * part
-        if step.usual_amplitude_mps2 <= 0:
+        if step.usual_amplitude_mps2 <= 0 or step.stride_amplitude_mps2 <= 0:
             return part
-        return part * min(step.vertical_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25
+        return part * min(step.stride_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25
 
 
 # --- fits -----------------------------------------------------------------------------------------------------------

@@ -57,11 +57,15 @@ class Step:
     yaw_bias_std_radps: float = 0.0
     # Of the sinusoid at the step's own frequency in the vertical: the bounce of the body without heel strikes.
     vertical_amplitude_mps2: float = 0.0
-    # Geometric mean of that over the person's last steps, this one included; 0 before the second step of a bout.
+    # Mean of that over this step and the one before: in a pocket the steps of one leg bounce more than the other's. 0
+    # where nothing says; of this step alone after a rest.
+    stride_amplitude_mps2: float = 0.0
+    # Geometric mean of the amplitude over the person's last steps, this one included; 0 before the second of a bout.
     usual_amplitude_mps2: float = 0.0
     # How fast the device turned over this step and the one before, without sign: the sway of a stride is not in it.
     turn_rate_radps: float = 0.0
     from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
+    is_two: bool = False  # the contact in the middle was missed
     # Heading of true north in the attitude's frame, as the magnetic field shows it: device heading and shown offset
     # less this is where the person walks against north. Unknown where its standard deviation is infinite.
     north_rad: float = 0.0

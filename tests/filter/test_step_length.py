@@ -42,7 +42,7 @@ from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
 from pdr_filter.sensing.steps.detector import unknown_contexts
-from pdr_filter.sensing.steps.step_log import amplitude_of_one_period
+from pdr_filter.sensing.steps.step_log import amplitude as amplitude_of
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
@@ -215,6 +215,7 @@ def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     """At most 0.45 of the height, at least a sixteenth of that, whatever the samples hold."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
+    step = replace(step, stride_amplitude_mps2=step.vertical_amplitude_mps2)
     turning = replace(step, turn_rate_radps=turn_rate_radps)
     straight_m, turning_m = (bounce_fit(1.8).predict(s)[0] for s in (step, turning))
     assert 0.45 * 1.8 / 16 < turning_m <= straight_m < 0.45 * 1.8
@@ -334,10 +335,17 @@ def test_all_steps_on_stairs_may_be_wrong_alike() -> None:
 
 def test_a_step_weaker_than_usual_is_shorter_and_a_stronger_one_is_not_longer_for_that() -> None:
     model = BounceStepLength()
-    usual = step_of(amplitude=1.6)
+    usual = replace(step_of(amplitude=1.6), stride_amplitude_mps2=1.6)
     lengths = {ratio: length_of(model, replace(usual, usual_amplitude_mps2=1.6 / ratio), 0.3) for ratio in (0.5, 1, 2)}
     assert lengths[1] == lengths[2] == length_of(model, usual, 0.3)
     assert lengths[0.5] == pytest.approx(0.5**0.25 * lengths[1])
+
+
+def test_in_a_pocket_the_steps_of_the_weaker_leg_are_not_shorter_for_that() -> None:
+    model = BounceStepLength()
+    weak = replace(step_of(amplitude=1.0), usual_amplitude_mps2=2.0)
+    of_pocket = length_of(model, replace(weak, stride_amplitude_mps2=2.5), 0.3)
+    assert of_pocket == length_of(model, step_of(amplitude=1.0), 0.3)
 
 
 def test_a_step_from_rest_is_half_a_step() -> None:
@@ -357,7 +365,7 @@ def test_the_amplitude_is_that_of_the_sinusoid_whatever_else_there_is(
     turn = 2 * np.pi * np.arange(n) / n
     signal = level + amplitude * np.cos(turn + phase)
     harmonics = heel_strike * (np.cos(2 * turn) + np.sin(3 * turn))
-    assert amplitude_of_one_period(signal + harmonics) == pytest.approx(amplitude, rel=1e-9, abs=1e-9)
+    assert amplitude_of(signal + harmonics) == pytest.approx(amplitude, rel=1e-9, abs=1e-9)
 
 
 def test_a_detected_step_has_the_amplitude_of_the_bounce() -> None:

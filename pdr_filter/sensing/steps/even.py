@@ -7,12 +7,16 @@ changes slowly: it is learnt from the past, so that no step waits for the next o
 With three contacts the one in the middle is off by d = t_1 - (t_0 + t_2) / 2 from even steps. If contact k is late by
 (-1)^k e, d is twice that: (-1)^k e is estimated as d / 2, which takes half of the way and half of the noise that the
 mean t_0 / 4 + t_1 / 2 + t_2 / 4 takes of the middle one. The estimates, each with its sign, have a running mean.
+
+Before that, a step that is two becomes two, with the contact that the detector missed in the middle: in a hand that
+swings every second one is weak.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from math import inf
 
 from pdr_filter.values import Step, replace
 
@@ -50,9 +54,39 @@ class EvenSteps:
         """New state, and the steps with their times, durations and frequencies made even."""
         moved: list[tuple[int, Step]] = []
         for number, step in steps:
-            before, state = state, _after(state, step.time_s)
-            moved.append((number, _moved(step, before, state.shift_s)))
+            for part in _halves(step) if step.is_two else (step,):
+                before, state = state, _after(state, part.time_s)
+                moved.append((number, _moved(part, before, state.shift_s)))
         return state, moved
+
+
+def _halves(step: Step) -> tuple[Step, Step]:
+    """The two steps, with the person's usual bounce; what was learnt of the direction is known after both."""
+    half_s, quarter_rad = 0.5 * step.duration_s, 0.25 * step.heading_change_rad
+    both = replace(
+        step,
+        duration_s=half_s,
+        frequency_hz=1.0 / half_s,
+        heading_change_rad=2.0 * quarter_rad,
+        vertical_amplitude_mps2=step.usual_amplitude_mps2,
+        stride_amplitude_mps2=step.usual_amplitude_mps2,
+        is_two=False,
+    )
+    first = replace(
+        both,
+        time_s=step.time_s - half_s,
+        device_heading_rad=step.device_heading_rad - quarter_rad,
+        walking_heading_std_rad=inf,
+        offset_change_std_rad=0.0,
+        heading_unknown_s=0.0,
+        north_std_rad=inf,
+    )
+    second = replace(
+        both,
+        device_heading_rad=step.device_heading_rad + quarter_rad,
+        walking_heading_rad=step.walking_heading_rad + quarter_rad,
+    )
+    return first, second
 
 
 def _after(state: EvenStepsState, contact_s: float) -> EvenStepsState:

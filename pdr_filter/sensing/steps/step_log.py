@@ -44,6 +44,7 @@ class StepLogState:
     log_durations: float
     last_turn_rad: float  # of the device over the last step, and how long that took; 0 at the start of a bout
     last_duration_s: float
+    last_amplitude_mps2: float  # of the last step; 0 if it was longer than usual
 
     def fits(self, n_samples: int) -> bool:
         """Whether a segment of so many samples can leave this."""
@@ -54,6 +55,10 @@ class StepLogState:
 USUAL_DECAY = 0.95
 # A step that takes so many times the usual time began with a rest.
 _REST_PERIODS = 1.8
+# Unless it is two of which one contact was missed: then it is not longer than this, and the body rises and falls twice
+# in it, with this part of the usual amplitude. Pauses have up to 0.3 (ms_indoor, ipol), pairs of steps about 0.4 to 0.8
+# (oxford with foot switches, tyrex with the hand that swings). Only in walking: of runs the contacts are not known.
+_TWO_PERIODS, _TWICE_SHARE, _WALKING_S = 2.6, 0.5, 1 / 2.4
 
 
 @dataclass(frozen=True)
@@ -74,7 +79,7 @@ class StepLog:
 
     def init(self) -> StepLogState:
         """State before the first sample of a segment."""
-        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        return StepLogState(0, np.empty((6, 0)), -1, -np.inf, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
     def extend(self, state: StepLogState, block: UniformBlock, attitude: AttitudeBlock) -> StepLogState:
         """State with the samples of a block; call before their contacts are given, and `trim` after."""
@@ -143,7 +148,7 @@ class StepLog:
     def describe(self, state: StepLogState, spans: Sequence[StepSpan]) -> tuple[StepLogState, list[Step]]:
         """New state and steps, from their samples and what is usual for this person, each step itself included."""
         steps: list[Step] = []
-        turn_rad, before_s = state.last_turn_rad, state.last_duration_s
+        turn_rad, before_s, before_mps2 = state.last_turn_rad, state.last_duration_s, state.last_amplitude_mps2
         n_usual, log_amplitudes, log_durations = state.n_usual, state.log_amplitudes, state.log_durations
         for span, step in zip(spans, describe_steps(state.signals, spans), strict=True):
             if span.is_first:
@@ -152,18 +157,34 @@ class StepLog:
             turn_rate_radps = abs(step.heading_change_rad + turn_rad) / (step.duration_s + before_s)
             turn_rad, before_s = step.heading_change_rad, step.duration_s
             usual_s = exp(log_durations / n_usual) if n_usual > 0 else inf
-            from_rest = span.is_first or step.duration_s > _REST_PERIODS * usual_s
-            if not from_rest:
+            is_long = span.is_first or step.duration_s > _REST_PERIODS * usual_s
+            is_two = False
+            if is_long and not span.is_first and usual_s > _WALKING_S and step.duration_s < _TWO_PERIODS * usual_s:
+                vertical = state.signals[_VERTICAL, slice(*span.columns)]
+                is_two = amplitude(vertical, 2) > _TWICE_SHARE * exp(log_amplitudes / n_usual)
+            if not is_long:
                 n_usual = USUAL_DECAY * n_usual + 1.0
                 log_amplitudes = USUAL_DECAY * log_amplitudes + log(max(step.vertical_amplitude_mps2, 0.05))
                 log_durations = USUAL_DECAY * log_durations + log(step.duration_s)
             usual_mps2 = exp(log_amplitudes / n_usual) if n_usual > 0 else 0.0
-            of_person = {"usual_amplitude_mps2": usual_mps2, "from_rest": from_rest}
-            steps.append(replace(step, turn_rate_radps=turn_rate_radps, **of_person))
+            own_mps2 = step.vertical_amplitude_mps2
+            goes_on = before_mps2 > 0 and not is_long
+            steps.append(
+                replace(
+                    step,
+                    turn_rate_radps=turn_rate_radps,
+                    stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if goes_on else own_mps2,
+                    usual_amplitude_mps2=usual_mps2,
+                    from_rest=is_long and not is_two,
+                    is_two=is_two,
+                )
+            )
+            before_mps2 = 0.0 if is_long else own_mps2
         state = replace(
             state,
             last_turn_rad=turn_rad,
             last_duration_s=before_s,
+            last_amplitude_mps2=before_mps2,
             n_usual=n_usual,
             log_amplitudes=log_amplitudes,
             log_durations=log_durations,
@@ -210,22 +231,22 @@ def describe_steps(signals: FloatArray, spans: Sequence[StepSpan]) -> list[Step]
                 device_heading_rad=heading_rad,
                 heading_unknown_s=span.heading_unknown_s,
                 yaw_bias_std_radps=float(signals[_BIAS_STD, contact - 1]),
-                vertical_amplitude_mps2=amplitude_of_one_period(signals[_VERTICAL, first:contact]),
+                vertical_amplitude_mps2=amplitude(signals[_VERTICAL, first:contact]),
             )
         )
     return steps
 
 
-def amplitude_of_one_period(values: FloatArray) -> float:
-    """Amplitude of the sinusoid with one period in the values (n,): 2 / n |sum x_k exp(-2 pi i k / n)|."""
-    cosine, sine = (values @ _one_period(len(values))).tolist()
+def amplitude(values: FloatArray, periods: int = 1) -> float:
+    """Amplitude of the sinusoid with m periods in the values (n,): 2 / n |sum x_k exp(-2 pi i m k / n)|."""
+    cosine, sine = (values @ _periods(len(values), periods)).tolist()
     return 2 / len(values) * hypot(cosine, sine)
 
 
 @lru_cache(maxsize=512)
-def _one_period(n: int) -> FloatArray:
-    """Cosine and sine (n, 2) of one period in n samples; of one sample, which has no motion, they are zero."""
-    phase = 2 * np.pi * np.arange(n) / n
+def _periods(n: int, periods: int) -> FloatArray:
+    """Cosine and sine (n, 2) of some periods in n samples; of one sample, which has no motion, they are zero."""
+    phase = 2 * np.pi * periods * np.arange(n) / n
     waves = np.stack([np.cos(phase), np.sin(phase)], axis=1)
     return waves - waves.mean(axis=0)
 

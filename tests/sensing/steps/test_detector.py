@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from helpers import flat_attitude, uniform_block
 
-from pdr_filter.sensing.steps.step_log import USUAL_DECAY, StepLog, StepLogState, amplitude_of_one_period
+from pdr_filter.sensing.steps.step_log import USUAL_DECAY, StepLog, StepLogState, amplitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 LOG = StepLog(rate_hz=100.0, latency_s=0.8)
@@ -26,8 +26,29 @@ def logged(contacts: list[int], amplitude: np.ndarray) -> list[Step]:
 
 def test_the_first_step_of_a_bout_and_one_after_a_pause_begin_with_a_rest() -> None:
     contacts = [100, 150, 200, 250, 350, 400, 700, 750]  # a pause of a second, and one of three
-    steps = logged(contacts, np.full(900, 2.0))
-    assert [s.from_rest for s in steps] == [True, False, False, False, True, False, True, False]
+    walks = np.full(900, 2.0)
+    walks[255:345] = walks[405:695] = 0.0
+    assert [s.from_rest for s in logged(contacts, walks)] == [True, False, False, False, True, False, True, False]
+
+
+def test_a_long_step_with_two_bounces_is_two_and_says_nothing_of_what_is_usual() -> None:
+    contacts = [100, 150, 200, 250, 350, 400]
+    steps = logged(contacts, np.full(600, 2.0))
+    assert [s.from_rest for s in steps] == [True, False, False, False, False, False]
+    assert [s.is_two for s in steps] == [False, False, False, False, True, False]
+    assert steps[4].usual_amplitude_mps2 == steps[3].usual_amplitude_mps2
+    assert steps[5].stride_amplitude_mps2 == steps[5].vertical_amplitude_mps2
+
+
+def test_a_runner_s_long_step_is_a_rest_whatever_it_bounces() -> None:
+    t = np.arange(400) / 100
+    magnitude = STANDARD_GRAVITY_MPS2 + 2.0 * np.sin(2 * np.pi * 2.5 * t)
+    state = LOG.extend(LOG.init(), uniform_block(magnitude), flat_attitude(magnitude))
+    steps = []
+    for contact in (80, 120, 160, 200, 280):
+        state, step = LOG.add(state, contact, contact + 80)
+        steps.append(step)
+    assert [s.from_rest for s in steps] == [True, False, False, False, True]
 
 
 def test_a_slow_walker_does_not_rest_between_steps() -> None:
@@ -45,15 +66,24 @@ def test_the_usual_amplitude_is_the_geometric_mean_of_the_steps_so_far_without_t
     assert steps[2].vertical_amplitude_mps2 == pytest.approx(1.0, rel=1e-6)
 
 
+def test_the_amplitude_of_a_stride_is_the_mean_of_its_two_steps_and_does_not_reach_back_over_a_rest() -> None:
+    amplitude = np.concatenate([np.full(200, 2.0), np.full(50, 1.0), np.full(50, 3.0), np.full(250, 2.0)])
+    steps = logged([150, 200, 250, 300, 450, 500], amplitude)
+    assert [s.from_rest for s in steps] == [True, False, False, False, True, False]
+    assert [s.stride_amplitude_mps2 for s in steps[1:4]] == pytest.approx([2.0, 1.5, 2.0], rel=1e-6)
+    for alone in (steps[0], *steps[4:]):
+        assert alone.stride_amplitude_mps2 == alone.vertical_amplitude_mps2
+
+
 @pytest.mark.parametrize("n", [20, 55, 101])
-def test_the_amplitude_of_one_period_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
+def test_the_amplitude_is_that_of_the_sinusoid_whatever_the_mean_and_the_harmonics(n: int) -> None:
     phase = 2 * np.pi * np.arange(n) / n
     values = 3.0 + 1.7 * np.cos(phase + 0.4) + 0.9 * np.sin(3 * phase)
-    assert amplitude_of_one_period(values) == pytest.approx(1.7)
+    assert amplitude(values) == pytest.approx(1.7)
 
 
 def test_a_single_sample_has_no_amplitude() -> None:
-    assert amplitude_of_one_period(np.array([4.0])) == 0.0
+    assert amplitude(np.array([4.0])) == 0.0
 
 
 def test_the_turn_rate_is_that_of_the_stride_without_the_sway_of_its_two_steps() -> None:

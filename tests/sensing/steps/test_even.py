@@ -47,13 +47,47 @@ def test_even_steps_stay_where_they_are_whatever_their_pace() -> None:
         np.testing.assert_allclose(times_s(evened(contacts_s)), contacts_s, atol=1e-9)
 
 
-def test_after_a_missed_step_the_sides_are_learnt_anew() -> None:
+def test_after_a_rest_the_sides_are_learnt_anew() -> None:
     k = np.delete(np.arange(41), 20)
     true_s = 5.0 + 0.55 * k
     found = times_s(evened(true_s + 0.06 * (-1.0) ** k))
     # the two contacts around the hole have no side yet, the later ones are right again
     assert found[20] == true_s[20] + 0.06 * (-1.0) ** k[20]
     np.testing.assert_allclose(found[26:], true_s[26:], atol=0.025)
+
+
+def test_a_missed_contact_is_put_in_the_middle_of_a_step_twice_as_long() -> None:
+    k = np.delete(np.arange(41), 20)
+    steps = [(i, replace(s, is_two=i == 20)) for i, s in steps_at(5.0 + 0.55 * k)]
+    found = times_s([s for _, s in EvenSteps().step(EvenSteps().init(), steps)[1]])
+    np.testing.assert_allclose(found, 5.0 + 0.55 * np.arange(41))
+
+
+def test_the_two_halves_turn_and_say_together_what_the_long_step_did() -> None:
+    contacts_s = 5.0 + 0.5 * np.array([0, 1, 2, 3, 5])
+    steps = steps_at(contacts_s)
+    long = replace(
+        steps[-1][1],
+        heading_change_rad=0.4,
+        device_heading_rad=1.0,
+        walking_heading_rad=1.3,
+        walking_heading_std_rad=0.2,
+        offset_change_std_rad=0.6,
+        heading_unknown_s=0.1,
+        usual_amplitude_mps2=2.5,
+        is_two=True,
+    )
+    first, second = (s for _, s in EvenSteps().step(EvenSteps().init(), [*steps[:-1], (9, long)])[1][-2:])
+    assert (first.time_s, second.time_s) == (pytest.approx(7.0), long.time_s)
+    assert (first.duration_s, second.duration_s) == (pytest.approx(0.5), pytest.approx(0.5))
+    assert (first.device_heading_rad, second.device_heading_rad) == (pytest.approx(0.9), pytest.approx(1.1))
+    assert first.heading_change_rad + second.heading_change_rad == pytest.approx(0.4)
+    assert not first.is_two and not second.is_two
+    assert first.vertical_amplitude_mps2 == second.stride_amplitude_mps2 == 2.5
+    # said once, and of the angle between walking and device
+    assert (first.walking_heading_std_rad, first.offset_change_std_rad, first.heading_unknown_s) == (np.inf, 0.0, 0.0)
+    assert (second.walking_heading_std_rad, second.offset_change_std_rad, second.heading_unknown_s) == (0.2, 0.6, 0.1)
+    assert second.walking_heading_rad - second.device_heading_rad == pytest.approx(0.3)
 
 
 @given(intervals_s=st.lists(st.floats(0.15, 4.0), min_size=1, max_size=40))
