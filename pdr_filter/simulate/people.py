@@ -132,7 +132,7 @@ def _pocket(rng: np.random.Generator) -> Carrying:
         roll_rad=rng.choice([0.0, np.pi / 2, np.pi, -np.pi / 2], p=[0.4, 0.1, 0.4, 0.1]) + rng.normal(0.0, 0.35),
         twist_rad=across + rng.normal(0.0, 0.35),
         side=side,
-        force=0.85 if back else 1.45,
+        force=1.0 if back else 1.45,  # the ratio is that of 11 people of ubicomp13, 0.70
         **_grip(rng),
     )
 

@@ -3,7 +3,8 @@
 usage: python -m tests.benchmarks.stride_harmonics [--data ../shared/data] [--print]
 
 Licensed recordings only: motionsense and difronzo (MIT, trouser pockets), humolire (CC BY 4.0) and ms_indoor (MIT, in
-the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear). Written are measured_strides.npz of
+the hand), tyrex (CeCILL 2.1, one person: pockets, swinging, at the ear), oxford (CC BY 4.0, one person, accelerometer:
+how large the harmonics of a swinging hand are). Written are measured_strides.npz of
 `pdr_filter.simulate` and, for people to read, docs/tables/measured_strides.md. Nothing of a recording is kept but means
 and scatter of Fourier coefficients.
 
@@ -11,6 +12,11 @@ A stride is two steps, from one maximum of the vertical specific force at step f
 Attitudes are those of vqf run in both directions. The frame turns with the phone's mean heading; its forward is where
 the push forward points (docs/methods/heading.md), in the hand the phone's long axis. Each stride is resampled to 64
 phases, closed by taking off the line between its ends, and transformed.
+
+Where few people are known, those near are used too. A swinging hand is the mean of two, whose harmonics of the force
+differ by a factor of two. The back pocket of one, in which the phone rattled, is half of what is drawn there, and
+people's front pockets are the other half: the mean stride of 12 people of ubicomp13 with the phone in the back pocket,
+which chose nothing, has a correlation of 0.72 with his, 0.85 with that of the front pockets and 0.90 with their mean.
 
 For each place and context: the mean strides of each person, of their recording whose strides are most alike; how much
 each person's strides differ; and the principal ways in which they do, of all people together.
@@ -31,9 +37,10 @@ from vqf import offlineVQF
 import pdr_filter as pdr
 from pdr_filter.sensing.conditioning import Conditioner, merge_streams
 from pdr_filter.simulate.gait import CONTEXT_GAITS, walking_law
-from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, ComplexArray, Strides, write
+from pdr_filter.simulate.strides import N_CHANNELS, N_HARMONICS, PEOPLE_SPREAD, ComplexArray, Strides, write
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 from tests.benchmarks.common import Tables, options, recordings
+from tests.benchmarks.stride_neighbours import halfway, sizes_of_oxford, towards_sizes
 
 RATE_HZ = 100.0
 N_PHASES = 64
@@ -300,7 +307,7 @@ def measured(group: Sequence[Stretch], max_level: FloatArray) -> Strides:
     return Strides(
         people=mean[order],
         amplitude_mps2=force[order],
-        people_rest=ONE_PERSON_SPREAD * np.abs(mean[0]) * few,
+        people_rest=ONE_PERSON_SPREAD / PEOPLE_SPREAD * np.abs(mean[0]) * few,
         level=level[order],
         ways=ways,
         ways_rest=rest,
@@ -344,7 +351,7 @@ def main() -> None:
     rows: list[list[object]] = []
     for place, context in order:
         group = groups[place, context]
-        known = reference.get(place) if place == "pocket" else None
+        known = reference.get("pocket") if "pocket" in place else None
         start = group[0].harmonics.mean(axis=0) if known is None else known
         group, mean = aligned(group, start)
         if context == "walking":
@@ -352,10 +359,14 @@ def main() -> None:
                 group, mean = [replace(s, harmonics=other_foot(s.harmonics)) for s in group], other_foot(mean)
             reference[place] = mean
         table = measured(group, level.get("pocket" if "pocket" in place else "texting", np.full(2, np.inf)))
+        rows.append(_row(place, context, of_people(group), table))
+        if (place, context) == ("swinging", "walking"):
+            table = towards_sizes(table, sizes_of_oxford(args.data, "*swinging*"))
+        if (place, context) == ("back_pocket", "walking"):
+            table = halfway(table, found["pocket", context])
         if context == "walking":
             level.setdefault(place, np.median(table.level, axis=0))
         found[place, context] = table
-        rows.append(_row(place, context, of_people(group), table))
     Tables.of(__spec__.name, args).write("measured_strides", COLUMNS, rows, ABOUT)
     if not args.print:
         write(found)

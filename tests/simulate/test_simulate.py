@@ -376,7 +376,7 @@ REAL = {
 @pytest.mark.parametrize(("context", "mode"), REAL)
 def test_signals_are_within_thirty_per_cent_of_real_ones(context: str, mode: str) -> None:
     rows = []
-    for seed in range(16):
+    for seed in range(32):
         recording = simulate([Leg(context, duration_s=14)], Gait.random(seed), mode, seed=seed)
         assert recording.gyroscope is not None
         force, rate = norms(recording.accelerometer.values), norms(recording.gyroscope.values)
