@@ -97,7 +97,8 @@ class Compass:
 
     def density(self, angle_rad: FloatArray) -> FloatArray:
         """Density at turns (A,): normal, but for the compasses that point anywhere."""
-        away = wrap_angle(angle_rad - self.angle_rad)
+        away = np.abs(angle_rad - self.angle_rad) % (2.0 * math.pi)
+        away = np.minimum(away, 2.0 * math.pi - away)
         peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
         return peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_DENSITY
 
