@@ -82,7 +82,7 @@ def rmse_m(walk: Walk, track: pdr.Track) -> float:
 def without_axes(config: pdr.Config) -> pdr.Config:
     heading = config.sensing.heading
     assert isinstance(heading, WalkingHeading)
-    heading = replace(heading, corridors=replace(heading.corridors, sure_log_odds=np.inf))
+    heading = replace(heading, corridors=replace(heading.corridors, sure_log_odds=1e9))
     return replace(config, sensing=replace(config.sensing, heading=heading))
 
 
