@@ -421,7 +421,8 @@ def scale_std(height_m: float | None) -> float:
 
 # A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
 TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
-# One person's scale differs by so much between walks: 1.7 to 2.8 % over nine walks of one, by the model (docs/benchmarks.md).
+# One person's scale differs by so much between walks: 1.7 to 2.8 % over nine walks of one, by the model
+# (docs/benchmarks.md, one walk left out).
 RECORDING_STD = 0.025
 
 
