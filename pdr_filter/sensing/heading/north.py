@@ -23,6 +23,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import FloatArray, Step, replace
+from pdr_filter.values.quaternions import rotation_matrix
 
 # Mean readings are over half a second, about a step.
 _READING_S = 0.5
@@ -170,14 +171,7 @@ class MagneticNorth:
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
     """Time and [X f]' [X f] (R, 50) of whole samples (R, size, 8), X and f being their means."""
-    w, x, y, z = np.moveaxis(samples[:, :, _QUAT], 2, 0)
-    to_frame = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))
     Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), np.moveaxis(to_frame.mean(axis=3), 2, 0)
     Xf[:, :, _F] = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2).T
