@@ -171,9 +171,9 @@ class Browser:
         self.ask("Input.dispatchMouseEvent", type="mouseReleased", **press, **b)
         self.settle()
 
-    def wheel(self, selector: str, down: float) -> None:
-        """Turn the wheel over the middle of an element."""
-        place = self._place(selector, 0.5, 0.5)
+    def wheel(self, selector: str, down: float, x: float = 0.5, y: float = 0.5) -> None:
+        """Turn the wheel over an element, at this part of its width and height."""
+        place = self._place(selector, x, y)
         self.ask("Input.dispatchMouseEvent", type="mouseWheel", deltaX=0, deltaY=down, **place)
         self.settle()
 

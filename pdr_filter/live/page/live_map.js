@@ -16,7 +16,6 @@ class LiveMap extends PlaneMap {
     this.provisional = L.polyline([], { renderer: this.above, className: "provisional", weight: 3, dashArray: "4 5" }).addTo(this.leaflet);
     this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
     this.fixes = L.layerGroup().addTo(this.leaflet);
-    this.here = this.walker();
     this.cross = L.DomUtil.create("div", "cross rejected middle", box);
     this.setFollow(true);
     this.setPlacing(false);
@@ -57,7 +56,11 @@ class LiveMap extends PlaneMap {
     return this.way?.now ? this.way.now.position_m : this.way?.path.at(-1)?.slice(1, 3) ?? [0, 0];
   }
 
-  keepUp() { if (this.follow && !this.isZooming) this.leaflet.setView(this.at(...this.position), this.leaflet.getZoom(), { animate: false }); }
+  keepUp() {
+    if (!this.follow || this.isZooming) return;
+    const place = this.at(...this.position), middle = this.leaflet.getSize().divideBy(2);
+    if (this.leaflet.latLngToContainerPoint(place).distanceTo(middle) > 1) this.leaflet.panTo(place, { animate: false });
+  }
 
   show(way) {
     this.way = way;
@@ -70,15 +73,14 @@ class LiveMap extends PlaneMap {
     this.provisional.setLatLngs(steps.length && path.length ? [this.at(...path.at(-1).slice(1, 3)), ...steps] : steps);
     if (!now) {
       this.within.setLatLngs([]);
-      this.here.remove();
+      this.walker.remove();
       return;
     }
     const [[ee, en], [, nn]] = now.position_cov_m2;
     const mean = (ee + nn) / 2, root = Math.hypot((ee - nn) / 2, en);
     const axes = [mean + root, Math.max(mean - root, 0)].map(v => Math.sqrt(v) * ELLIPSE_95);
     this.within.setLatLngs(this.ellipse(this.position, ...axes, 0.5 * Math.atan2(2 * en, ee - nn)));
-    this.here.setLatLng(this.at(...this.position)).addTo(this.leaflet);
-    this.here.getElement().firstChild.style.transform = `rotate(${now.walking_heading_rad}rad)`;
+    this.stand(this.at(...this.position), now.walking_heading_rad);
   }
 
   // Below it the plane, or the tiles that the user named, if it is known where on Earth it lies.

@@ -13,7 +13,6 @@ class WayMap extends PlaneMap {
     this.isWhole = true;
     this.still = L.layerGroup().addTo(this.leaflet); // what is the same at any time
     this.now = L.layerGroup().addTo(this.leaflet); // and what is not
-    this.here = this.walker();
     this.leaflet.on("mousemove click", event => { if (!this.leaflet.dragging.moving()) this.point(event.latlng, 40); });
     this.leaflet.on("movestart", () => { this.isWhole = false; });
     this.leaflet.on("resize", () => { if (this.isWhole) this.whole(); });
@@ -147,7 +146,10 @@ class WayMap extends PlaneMap {
     this.walked.setLatLngs(row < 0 ? [] : this.way.slice(0, row + 2));
     this.walkedBy.forEach((line, own) => line.setLatLngs(this.runsUntil(own, row + 1)));
     now.clearLayers();
-    if (row < 0) return;
+    if (row < 0) {
+      this.walker.remove();
+      return;
+    }
     now.addLayer(L.polygon(this.ellipseOf(row), { ...shape, className: "within", fillOpacity: 0.16, opacity: 0.9 }));
     if (track.places && !this.hidden.has("places")) {
       // Where on the plan the walk may be, if in several places, with how probable each is.
@@ -157,7 +159,6 @@ class WayMap extends PlaneMap {
         now.addLayer(this.mark(this.at(east, north), "percent", `${Number(percent)} %`));
       }
     }
-    now.addLayer(this.here.setLatLng(this.way[row + 1]));
-    this.here.getElement().firstChild.style.transform = `rotate(${track.heading[row]}deg)`;
+    this.stand(this.way[row + 1], track.heading[row] * Math.PI / 180);
   }
 }

@@ -10,7 +10,10 @@ L.Polyline.mergeOptions({ smoothFactor: 0.5 });
 L.Polygon.mergeOptions({ smoothFactor: 0 }); // otherwise ellipses have corners
 // Whole pixels make a curve crooked.
 L.Map.include({ latLngToLayerPoint(place) { return this.project(place).subtract(this.getPixelOrigin()); } });
-const NAVIGATION = { keyboardPanDelta: 60, zoomSnap: 0, zoomDelta: 0.6, zoomControl: false, doubleClickZoom: false, attributionControl: false };
+const NAVIGATION = {
+  zoomSnap: 0, zoomDelta: 0.6, wheelPxPerZoomLevel: 120, keyboardPanDelta: 60, // a bit nearer or farther
+  zoomControl: false, doubleClickZoom: false, attributionControl: false, // pages have their own
+};
 
 // What Leaflet reckons with: metres where nothing lies below the way, ...
 const PLANE = {
@@ -49,6 +52,7 @@ class PlaneMap {
     // A jump leaves them between pixels until something moves.
     this.leaflet.on("viewreset", () => this.leaflet.fire("moveend"));
     this.squares = L.polyline([], { renderer: below, className: "squares" }).addTo(this.leaflet);
+    this.walker = this.mark(this.at(0, 0), "walker", "<svg viewBox='-12 -16 24 32'><path d='M0-15 9.5 11 0 5.5-9.5 11Z'/></svg>");
     this.bar = L.DomUtil.create("div", "bar-of-metres", box);
     L.DomUtil.create("div", "north", box).textContent = "N";
     this.leaflet.on("moveend", () => this.measure());
@@ -63,11 +67,9 @@ class PlaneMap {
   }
 
   // Pixels per metre in the middle.
-  get scale() { return this.scaleAt(this.leaflet.getZoom()); }
-
-  scaleAt(zoom) {
-    const [east, north] = this.place(), [here, there] = [east, east + 1].map(e => this.leaflet.project(this.at(e, north), zoom));
-    return there.x - here.x;
+  get scale() {
+    const [east, north] = this.place();
+    return this.leaflet.project(this.at(east + 1, north)).x - this.leaflet.project(this.at(east, north)).x;
   }
 
   zoom(factor) { this.leaflet.zoomIn(Math.log2(factor)); }
@@ -107,10 +109,10 @@ class PlaneMap {
     return L.marker(place, { icon });
   }
 
-  // Somebody who is there and walks some way, clockwise from north.
-  walker() {
-    const drawing = "<svg viewBox='-12 -16 24 32'><path d='M0-15 9.5 11 0 5.5-9.5 11Z'/></svg>";
-    return this.mark(this.at(0, 0), "walker", drawing);
+  // Somebody is there and walks this way, clockwise from north.
+  stand(place, headingRad) {
+    this.walker.setLatLng(place).addTo(this.leaflet);
+    this.walker.getElement().firstChild.style.transform = `rotate(${headingRad}rad)`;
   }
 
   // Squares, and how many metres one is wide.
