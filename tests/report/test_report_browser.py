@@ -220,7 +220,7 @@ def test_the_way_is_moved_and_zoomed_and_shown_whole_again(browser: Browser, pag
 
 @pytest.mark.parametrize("latitude_deg", [0.0, 48.1, -77.8])
 def test_metres_are_put_where_they_are_on_earth(browser: Browser, page: Path, latitude_deg: float) -> None:
-    """For tiles below a way. A kilometre from the origin the plane is wrong by 40 cm near a pole, by 10 cm in Europe."""
+    """For tiles below a way. A kilometre from the origin it is wrong by 40 cm near a pole, by 10 cm in Europe."""
     browser.open(page)
     origin = pdr.Origin(latitude_deg, 11.575)
     places_m = np.array([[1000.0, 0.0], [0.0, 1000.0], [-600.0, -800.0]])
@@ -344,7 +344,16 @@ def test_hostile_names_run_nothing_in_the_browser(
     assert content != text
 
 
-def test_a_printed_page_is_light_and_holds_the_pictures(browser: Browser, page: Path, tmp_path: Path) -> None:
+def test_a_printed_page_is_light_and_holds_the_pictures(
+    browser: Browser, page: Path, track: Track, tmp_path: Path
+) -> None:
     browser.open(page, theme="dark")
+    browser.ask("Emulation.setEmulatedMedia", media="print")
+    browser.value("dispatchEvent(new Event('beforeprint'))")
+    width, height = browser.value("(m => [m.clientWidth, m.clientHeight])(document.getElementById('map'))")
+    assert (600 < width <= 700) & (height > 300)
+    assert {"#FFFFFF", palette.COLOURS[track.contexts.index("walking")].upper()} <= colours_of(browser, "#map")
+    browser.value("dispatchEvent(new Event('afterprint'))")
+    browser.ask("Emulation.setEmulatedMedia", media="")
     assert browser.printed(tmp_path / "page.pdf").stat().st_size > 30_000
     assert browser.value("document.documentElement.dataset.theme") == "dark"  # again
