@@ -547,17 +547,18 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
     turn, place = open_turn(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
     means, covs = [], []
-    for angle_rad, origin_m in zip(np.linspace(-np.pi, np.pi, 120, endpoint=False), turn.origin_m, strict=True):
-        c, s = np.cos(angle_rad), np.sin(angle_rad)
-        turned = np.array([[c, s], [-s, c]])
-        means.append(turned @ place.position_m + origin_m)
+    for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
+        turned = clockwise(angle_rad)
+        # where least squares puts it: the three pairs count alike
+        centre_m, world_m = (np.mean([getattr(p, name) for p in pairs], axis=0) for name in ("track_m", "world_m"))
+        means.append(turned @ (place.position_m - centre_m) + world_m)
         covs.append(turned @ place.cov_m2 @ turned.T)
     mean = turn.prob @ np.array(means)
     away = np.array(means) - mean
     cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
-    np.testing.assert_allclose(world.cov_m2, cov + turn.origin_var_m2 * np.eye(2), atol=1e-10)
+    np.testing.assert_allclose(world.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
 
 
 def test_a_settled_turn_takes_the_ellipse_of_a_place_with_it_and_adds_its_own_errors() -> None:
