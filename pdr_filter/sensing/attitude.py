@@ -24,7 +24,7 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, 
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
 _MAX_TILT_COS = 0.5
 
-# Columns of the samples that wait for a whole window of the bias. The field and 1 stand side by side, to be turned alike.
+# Columns of the samples that wait for a whole window of the bias; the field and 1 side by side, to be turned alike.
 _RATE, _FORCE, _FIELD, _ONE, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), 9, slice(10, 14)
 _FIELD_AND_ONE = slice(6, 10)
 _HEADING, _RATE_KNOWN, _FIELD_KNOWN = 14, 15, 16
