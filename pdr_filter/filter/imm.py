@@ -69,8 +69,8 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Probabilities mu_i|j (..., j, i) of the last mode given the next one, and predicted ones c_j (..., M)."""
     joint = transition_prob * mode_prob[..., :, None]
-    predicted = np.add.reduce(joint, axis=-2)
-    if np.minimum.reduce(predicted, axis=None) > 0:
+    predicted = joint.sum(axis=-2)
+    if (predicted > 0).all():
         return (joint / predicted[..., None, :]).swapaxes(-1, -2), predicted
     reachable = (predicted > 0)[..., None, :]
     weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(joint.shape[-1]))
@@ -126,11 +126,11 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     """
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
-    highest = np.maximum.reduce(log_posterior, axis=-1, keepdims=True)  # NaN if any is
+    highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
     is_finite = np.isfinite(highest)
     if is_finite.all():
         relative = np.exp(log_posterior - highest)
-        return relative / np.add.reduce(relative, axis=-1, keepdims=True)
+        return relative / relative.sum(axis=-1, keepdims=True)
     if not is_finite.any():
         return predicted_mode_prob
     above = log_posterior - np.where(is_finite, highest, 0.0)

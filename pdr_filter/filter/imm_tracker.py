@@ -109,8 +109,10 @@ class ImmTracker:
             shared_cov(after),
             is_step=True,
         )
-        used, n_unused = (window, n_later) if is_new else (state.used, state.n_unused)
-        return ImmState(after, state.windows, used, n_unused), TrackerOutput((update,), (passage,))
+        state = replace(state, pedestrian=after)
+        if is_new:
+            state = replace(state, used=window, n_unused=n_later)
+        return state, TrackerOutput((update,), (passage,))
 
     def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, TrackerOutput]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
@@ -153,7 +152,7 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
         cov[..., o, o] += step.offset_change_std_rad**2
         cov = bound_heading_variance(cov)
     variance = step.walking_heading_std_rad**2
-    if not math.isfinite(variance):
+    if not np.isfinite(variance):
         return mean, cov
     innovation = wrap_angle(step.walking_heading_rad - step.device_heading_rad - frame_rad - mean[..., o])
     gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]
@@ -180,7 +179,8 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     return cov
 
 
-class Advance(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Advance:
     """Where a step led the modes: the step, predicted means (..., M, 4), covariances, and the linearisation F and Q."""
 
     move: StepMotion
@@ -220,10 +220,11 @@ def advance(
     F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
 
     Q = np.zeros_like(F)
-    u, v, var_u_m2, var_v_m2 = move.along, move.across, move.var_along_m2[..., None], move.var_across_m2[..., None]
-    Q[..., :2, :2] = (var_u_m2 * u)[..., :, None] * u[..., None, :] + (var_v_m2 * v)[..., :, None] * v[..., None, :]
-    Q[..., EAST, EAST] += directions.extra_var_m2
-    Q[..., NORTH, NORTH] += directions.extra_var_m2
+    sine, cosine = move.along[..., 0], move.along[..., 1]
+    sine2, cosine2, along, across = sine * sine, cosine * cosine, move.var_along_m2, move.var_across_m2
+    Q[..., EAST, EAST] = along * sine2 + across * cosine2 + directions.extra_var_m2
+    Q[..., NORTH, NORTH] = along * cosine2 + across * sine2 + directions.extra_var_m2
+    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = (along - across) * sine * cosine
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
     )
@@ -232,7 +233,8 @@ def advance(
     return Advance(move, predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
-class StepMotion(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class StepMotion:
     """Where steps lead and how unsure that is, for arrays of steps or pedestrians (...) and M modes.
 
     d = L e^s u, u = [sin psi, cos psi], psi = device heading + heading offset + the mode's own offset, and its
@@ -277,7 +279,7 @@ def step_motion(
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
     """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
-    if np.maximum.reduce(variance, axis=None) <= MAX_HEADING_VARIANCE:
+    if (variance <= MAX_HEADING_VARIANCE).all():
         return cov
     scaling = np.ones(cov.shape[:-1])
     scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))

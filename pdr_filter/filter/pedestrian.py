@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, fields
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -33,7 +33,7 @@ TRAIL_STEPS = 64
 TRAIL_TIME, TRAIL_HEADING = 0, 3
 TRAIL_POSITION = slice(1, 3)
 # Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
-_PARAMETERS = slice(2, None)
+_ALONG, _ACROSS, _PARAMETERS = 0, 1, slice(2, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -157,7 +157,8 @@ def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
     return any(begin_s <= step.time_s <= end_s for begin_s, end_s in state.standstills)
 
 
-class Walked(NamedTuple):
+@dataclass(frozen=True, slots=True, eq=False)
+class Walked:
     """One step as a tracker weighted it."""
 
     length_m: float
@@ -183,7 +184,8 @@ def with_step(
     sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
     along_m, across_m = walked.length_m * along, walked.length_m * across
     shared_m = state.shared_m.copy()
-    shared_m[:2] += ((along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine))
+    shared_m[_ALONG] += (along_m * sine, along_m * cosine)
+    shared_m[_ACROSS] += (across_m * cosine, -across_m * sine)
     shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * walked.own_direction
     # a pause before the step starts the smoothed speed afresh
     is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s

@@ -315,8 +315,8 @@ class StepLengthFit:
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
-        length, jacobian = length_and_jacobian(self.model, step, self.theta)
-        return max(float(length), 0.0), float(_parameter_var(jacobian, self.theta_cov)) + self.residual_std_m**2
+        length, parameter_var = _predict(self.model, step, self.theta, self.theta_cov)
+        return float(length), float(parameter_var) + self.residual_std_m**2
 
 
 @dataclass(frozen=True, eq=False)
@@ -326,24 +326,18 @@ class StepLengths:
     fits: tuple[StepLengthFit, ...]
 
     @cached_property
-    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray]]:
-        """For each distinct model: which fits use it, and their theta (m, p)."""
+    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]]:
+        """For each distinct model: which fits use it, their theta (m, p) and covariance (m, p, p)."""
         models: list[StepLengthModel] = []
         for fit in self.fits:
             if fit.model not in models:
                 models.append(fit.model)
-        groups: list[tuple[StepLengthModel, IntArray, FloatArray]] = []
+        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]] = []
         for model in models:
             index = np.array([i for i, fit in enumerate(self.fits) if fit.model == model])
-            groups.append((model, index, np.stack([self.fits[i].theta for i in index])))
+            own = [self.fits[i] for i in index]
+            groups.append((model, index, np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])))
         return groups
-
-    @cached_property
-    def _theta_cov(self) -> FloatArray:
-        """Covariances (M, p, p) of the parameters, p the most that a model has; the others have zeros there."""
-        p = max(fit.model.n_params for fit in self.fits)
-        covs = [np.pad(fit.theta_cov, (0, p - fit.model.n_params)) for fit in self.fits]
-        return np.stack(covs)
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
@@ -357,19 +351,23 @@ class StepLengths:
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
-        length, jacobian = np.empty(len(self.fits)), np.zeros(self._theta_cov.shape[:2])
-        for model, index, theta in self._groups:
-            length[index], jacobian[index, : model.n_params] = length_and_jacobian(model, step, theta)
-        return np.maximum(length, 0.0), _parameter_var(jacobian, self._theta_cov)
+        length, parameter_var = np.empty((2, len(self.fits)))
+        for model, index, theta, cov in self._groups:
+            length[index], parameter_var[index] = _predict(model, step, theta, cov)
+        return length, parameter_var
 
 
-def _parameter_var(jacobian: FloatArray, theta_cov: FloatArray) -> FloatArray:
-    """J C J' (...,) of J (..., p) and C (..., p, p), never negative.
+def _predict(
+    model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
+) -> tuple[FloatArray, FloatArray]:
+    """Length (...,) and its variance (...,) due to the parameters, both not negative.
 
-    A covariance that was estimated may miss zero by its rounding. Summed row by row: zeros beside it change no bit.
+    For theta (..., p) and theta_cov (..., p, p).
     """
-    rows = np.add.reduce(theta_cov * (jacobian[..., :, None] * jacobian[..., None, :]), axis=-1)
-    return np.maximum(np.add.reduce(rows, axis=-1), 0.0)
+    length, jacobian = length_and_jacobian(model, step, theta)
+    products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
+    # a covariance that was estimated may miss zero by its rounding
+    return np.maximum(length, 0.0), np.maximum(np.add.reduce(products, axis=(-2, -1)), 0.0)
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
