@@ -170,6 +170,8 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
         browser.until(f"{SESSION}?.origin && {SESSION}.path.length > 20")
         if named:
             browser.until("document.querySelector('#map .leaflet-tile-loaded')")
+            owner = browser.value("document.querySelector('#map .leaflet-control-attribution').textContent")
+            assert owner == "127.0.0.1"
         browser.settle()
         elsewhere = [address for address in browser.asked_for if not address.startswith((server.address, "data:"))]
         assert bool(elsewhere) == bool(asked) == named

@@ -90,8 +90,16 @@ class LiveMap extends PlaneMap {
     this.drawn.path = null;
     this.lieIn(origin ? world(origin) : PLANE);
     this.box.classList.toggle("has-tiles", Boolean(origin));
-    this.ground ??= L.tileLayer(this.tiles, { maxNativeZoom: 19, maxZoom: 25 });
+    this.ground ??= this.tilesOf(this.tiles);
     this.ground[origin ? "addTo" : "removeFrom"](this.leaflet);
+  }
+
+  // Whose tiles they are stands on the map.
+  tilesOf(address) {
+    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
+    const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
+    L.control.attribution({ prefix: false }).addTo(this.leaflet);
+    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
   }
 
   drawPath(path) {
