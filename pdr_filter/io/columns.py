@@ -106,6 +106,12 @@ def normal_unit(unit: str) -> str:
     return unit.translate(_LATIN).replace("mkt", "ut")
 
 
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, of a sensor or a time."""
+    unit = normal_unit(text)
+    return unit in TIME_UNITS or any(unit in units for units in UNITS.values())
+
+
 def letters(name: str) -> str:
     """The letters of a name, in lower case and without accents."""
     return re.sub(r"[^a-z]", "", unicodedata.normalize("NFKD", name).lower())

@@ -89,12 +89,14 @@ def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[i
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
     """Quantity and the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
+    # Letters that differ, as in ax and wx, say more than the name of a file.
+    differ = len({column.stem for column in columns if column.quantity and len(column.stem) == 1}) > 1
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
     for column in columns:
         if not column.axis or (of_file and of_file not in VECTORS):
             continue
         quantity = column.quantity
-        if not quantity or len(column.stem) == 1:
+        if not quantity or (len(column.stem) == 1 and not differ):
             before = max((t for t in times if t < column.place), default=-1)
             of_time = quantity_of_file(sheet.fields[before])[0] if before >= 0 else ""
             by_name = [q for q in (of_time, of_file) if q in VECTORS]

@@ -202,6 +202,17 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
         BOTH,
     ),
+    "units in a line of their own": (
+        lambda: {
+            "walk.csv": "T;AccX;AccY;AccZ;GyrX;GyrY;GyrZ\nms;m/s^2;m/s^2;m/s^2;\u00b0/s;\u00b0/s;\u00b0/s\n"
+            + table_text({"": 1000 * TIME_S} | axes("%", FORCE) | axes("r%", np.degrees(RATE)), ";").split("\n", 1)[1]
+        },
+        BOTH,
+    ),
+    "letters in a file that is called after one of its sensors": (
+        lambda: {"gyro_walk.csv": table_text(columns_of("time", "a%", "w%"))},
+        BOTH,
+    ),
     "Sensor Logger in one table": (
         lambda: {
             "merged.csv": table_text(
