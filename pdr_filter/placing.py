@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal, get_args
 
 import numpy as np
 
 from pdr_filter.config import Config
 from pdr_filter.gnss import origin_of
-from pdr_filter.io.recording import MissingSensorError, Recording
+from pdr_filter.io.recording import MissingSensorError, Recording, Samples
 from pdr_filter.values import Fix, HeadingFix, Origin, PositionFix
+from pdr_filter.values.quaternions import rotation_matrix
 
 # What becomes of a recording's own locations.
 GnssUse = Literal["filter", "align", "off"]
+# What says where north is: the magnetometer, or the phone's own attitude, whose world then has y to magnetic north
+# (Android's rotation vector) or x to true north (xTrueNorthZVertical of iOS).
+NorthUse = Literal["magnetic", "rotation-vector", "true-heading", "off"]
 
 
 def is_placed(
@@ -90,24 +95,27 @@ def with_north(
     gnss: str | None,
     north: str | None,
 ) -> Config:
-    """The configuration with north of the magnetometer, if it is used; ValueError for what contradicts itself."""
-    if north not in ("magnetic", "off", None):
-        raise ValueError(f'north must be "magnetic" or "off", got {north!r}')
+    """The configuration with what says where north is, if it is used; ValueError for what contradicts itself."""
+    if north is not None and north not in get_args(NorthUse):
+        raise ValueError(f"north must be one of {get_args(NorthUse)}, got {north!r}")
     where = None if origin is None else Origin.of(origin)
-    missing = [name for name in ("gyroscope", "magnetometer") if name not in recording.streams]
-    if north == "magnetic":
+    sensor = "attitude" if north in _FIELD_UT else "magnetometer"
+    missing = [name for name in ("gyroscope", sensor) if name not in recording.streams]
+    if north not in ("off", None):
         if heading_rad is not None or (where is not None and where.turn_rad is not None):
-            raise ValueError('heading_rad, or the turn of origin, and north="magnetic" both say north: leave one out')
+            raise ValueError(f'heading_rad, or the turn of origin, and north="{north}" both say north: leave one out')
         if gnss == "align":
-            raise ValueError('gnss="align" and north="magnetic" both turn the track: leave one out')
+            raise ValueError(f'gnss="align" and north="{north}" both turn the track: leave one out')
         if missing:
             raise MissingSensorError(
-                f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="magnetic": leave '
+                f'{recording.name or "the recording"} has no {" and no ".join(missing)}, got north="{north}": leave '
                 "it out"
             )
     by_itself = with_location and gnss != "align" and not missing and config.learns_directions
     if north == "off" or (north is None and not by_itself):
         return config
+    if north == "true-heading":
+        return config.with_magnetic_north(0.0)
     if where is None and recording.location is not None:
         where = origin_of(recording.location)
     if where is None:
@@ -116,6 +124,23 @@ def with_north(
     if epoch_s is None or not np.isfinite(epoch_s):
         return config.with_magnetic_north(where.declination_rad())
     return config.with_magnetic_north(where.declination_rad(1970.0 + epoch_s / _YEAR_S))
+
+
+# The field of an attitude's own north, in its world: horizontally that of middle latitudes, against which the doubt of
+# a field is set (`MagneticNorth`); as much down as it dips there.
+_FIELD_UT = {"rotation-vector": (0.0, 25.0, -43.0), "true-heading": (25.0, 0.0, -43.0)}
+
+
+def with_north_of_attitude(recording: Recording, north: str | None) -> Recording:
+    """The recording with the field that a magnetometer would show if the phone's own attitude were right.
+
+    R' m, R from the sensor to the attitude's world. What the phone made of its magnetometer is doubted like one: it
+    bends to the same iron.
+    """
+    if north not in _FIELD_UT or recording.attitude is None:
+        return recording
+    field_ut = np.array(_FIELD_UT[north]) @ rotation_matrix(recording.attitude.values)
+    return replace(recording, magnetometer=Samples(recording.attitude.time_s, field_ut))
 
 
 def live_config(first: Recording, config: Config) -> Config:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -29,7 +29,7 @@ from pdr_filter.filtering import (
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.notes import notes_of
-from pdr_filter.placing import GnssUse, is_placed, uses_location, with_north
+from pdr_filter.placing import GnssUse, NorthUse, is_placed, uses_location, with_north, with_north_of_attitude
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
@@ -71,7 +71,7 @@ def track(
     gnss: GnssUse | None = None,
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
-    north: Literal["magnetic", "off"] | None = None,
+    north: NorthUse | None = None,
     plan: FloorPlan | None = None,
     start: PositionFix | str | None = None,
 ) -> Track:
@@ -109,10 +109,12 @@ def track(
     heading_rad : float, optional
         True heading in which the person first walked, clockwise from north: the track is turned by it. Its error, of
         which nothing is said, turns the whole track about its start; an `Origin` with a turn has a standard deviation.
-    north : {"magnetic", "off"}, optional
-        Whether the magnetometer says where true north is, until fixes have settled it: "magnetic" if not given, where
-        the locations of the recording are used. With "magnetic" `fixes` are in a frame whose north is true north, and
-        without fixes the track is turned about its start (`Track.frame` is "north").
+    north : {"magnetic", "rotation-vector", "true-heading", "off"}, optional
+        What says where true north is, until fixes have settled it. "magnetic": the magnetometer, also if not given,
+        where the locations of the recording are used. The phone's own attitude, where there is no magnetometer: as
+        "rotation-vector", whose world has y to magnetic north (Android), or "true-heading", whose world has x to true
+        north (xTrueNorthZVertical of iOS). Then `fixes` are in a frame whose north is true north, and without fixes
+        the track is turned about its start (`Track.frame` is "north"). "off": nothing.
     plan : FloorPlan, optional
         Keeps the track where people can walk. `fixes` are in its frame, and so is the track then (`Track.frame` is
         "plan"); `Track.clusters` says in how many places the walk may be. The recording's own locations are used
@@ -154,6 +156,7 @@ def track(
     if with_location:
         config = config.in_world_frame()
     config = with_north(config, recording, origin, heading_rad, with_location, gnss, north)
+    recording = with_north_of_attitude(recording, north)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
     if has_place and recording.location is not None and gnss is None:

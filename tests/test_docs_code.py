@@ -280,10 +280,10 @@ def sections(text: str) -> list[str]:
 
 
 @pytest.mark.parametrize("page", [page for page, text in PAGES.items() if tables_of(text)])
-def test_figures_in_the_text_beside_a_table_stand_in_a_table_of_the_page(page: str) -> None:
-    known = set(re.findall(r"\d+(?:\.\d+)?", " ".join(TABLES[name] for name in tables_of(PAGES[page]))))
+def test_figures_in_the_text_beside_a_table_stand_in_a_table_of_the_section(page: str) -> None:
     for section in sections(PAGES[page]):
         if tables_of(section):
+            known = set(re.findall(r"\d+(?:\.\d+)?", " ".join(TABLES[name] for name in tables_of(section))))
             given = {
                 number for numbers in re.findall(r"<!-- given: ([\d. ]+) -->", section) for number in numbers.split()
             }

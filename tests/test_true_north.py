@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Literal
 
 import numpy as np
 import pytest
 from helpers import cut_randomly
+from scipy.spatial.transform import Rotation
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -17,6 +19,7 @@ from pdr_filter.filter.turn import Compass, PairedPoint, align, open_turn
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.simulate import Leg, simulate
+from pdr_filter.simulate.walk import phone_motion
 from pdr_filter.values import HeadingFix, Origin, PositionFix, Samples, wrap_angle
 
 LEGS = [Leg("walking", distance_m=35.0), Leg("walking", distance_m=30.0, turn_rad=1.4)]
@@ -240,7 +243,7 @@ def test_an_app_gets_the_same_bits_however_samples_arrive_and_after_a_break(walk
 
 
 def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
-    with pytest.raises(ValueError, match=r'"magnetic" or "off"'):
+    with pytest.raises(ValueError, match=r"north must be one of .*'magnetic'.*got 'true'"):
         pdr.track(walk, north="true")  # pyright: ignore[reportArgumentType]
     with pytest.raises(MissingSensorError, match="no magnetometer"):
         pdr.track(replace(walk, magnetometer=None), north="magnetic")
@@ -248,6 +251,30 @@ def test_what_contradicts_itself_is_refused(walk: Recording) -> None:
         pdr.track(replace(walk, gyroscope=None), north="magnetic")
     with pytest.raises(ValueError, match="'martinelli2018' does not learn where the person walks"):
         pdr.track(walk, recipes.martinelli2018(), north="magnetic")
+
+
+@pytest.mark.parametrize(("north", "quarters"), [("rotation-vector", 0), ("true-heading", 1)])
+def test_an_attitude_whose_world_has_a_known_north_turns_the_track_as_the_field_does(
+    walk: Recording, north: Literal["rotation-vector", "true-heading"], quarters: int
+) -> None:
+    time_s = np.arange(0.0, walk.duration_s, 0.02)
+    in_its_world = Rotation.from_euler("z", -90.0 * quarters, degrees=True)  # where x, not y, is north
+    true = in_its_world * phone_motion(LEGS, seed=3, start_heading_rad=2.0).rotation(time_s)
+    own = replace(walk, magnetometer=None, attitude=Samples(time_s, true.as_quat()[:, [3, 0, 1, 2]]))
+    by_attitude, by_field = pdr.track(own, north=north), pdr.track(walk, north="magnetic")
+    assert by_attitude.frame == "north"
+    np.testing.assert_allclose(by_attitude.position_m, by_field.position_m, atol=0.02 * by_field.distance_m)
+    with pytest.raises(MissingSensorError, match="no attitude"):
+        pdr.track(replace(walk, attitude=None), north=north)
+
+
+def test_only_magnetic_north_is_corrected_by_the_declination(walk: Recording) -> None:
+    quat = np.tile([1.0, 0.0, 0.0, 0.0], (len(walk.accelerometer.time_s), 1))
+    own = replace(walk, attitude=Samples(walk.accelerometer.time_s, quat))
+    for north, declination_rad in (("rotation-vector", HERE.declination_rad()), ("true-heading", 0.0)):
+        there, nowhere = (pdr.track(own, origin=o, north=north) for o in (HERE, None))
+        turned_rad = wrap_angle(there.walking_heading_rad - nowhere.walking_heading_rad)
+        np.testing.assert_allclose(turned_rad, declination_rad, atol=1e-9)
 
 
 def test_a_place_that_is_given_says_the_declination_and_a_heading_that_is_given_all(walk: Recording) -> None:

@@ -42,12 +42,17 @@ class NorthUse(StrEnum):
     """What says where true north is until locations do."""
 
     MAGNETIC = "magnetic"
+    ROTATION_VECTOR = "rotation-vector"
+    TRUE_HEADING = "true-heading"
     OFF = "off"
 
 
 North = Annotated[
     NorthUse | None,
-    typer.Option(help="Whether the magnetometer says where true north is; if not given, where locations are used."),
+    typer.Option(
+        help="What says where true north is: the magnetometer, also if not given where locations are used, or the "
+        "phone's own attitude, Android's rotation vector or the true heading of iOS."
+    ),
 ]
 Origin = Annotated[
     str | None,

@@ -83,12 +83,11 @@ class Frame:
         known = self.alignment or self._open
         if known is None:
             return place
-        var_m2 = known.centre_var_m2 if isinstance(known, Alignment) else known.origin_var_m2
         return replace(
             place,
             turn_rad=float(wrap_angle(before_rad + known.angle_rad)),
             turn_std_rad=math.sqrt(known.angle_var_rad2),
-            position_std_m=math.sqrt(var_m2),
+            position_std_m=math.sqrt(known.centre_var_m2),
         )
 
     def drawn(self) -> Frame:
@@ -147,7 +146,7 @@ class Frame:
     def most_probable(self, n_steps: int) -> Alignment:
         """The alignment of a turn that stays open, for what comes after."""
         assert self._open is not None
-        return self._open.alignment(self.agreeing, n_steps)
+        return self._open.alignment(n_steps)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""

@@ -408,8 +408,8 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.5 %
-# without (docs/methods/step_length.md). Those are few people at few sites, and strangers elsewhere were off by up to
+# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.6 %
+# without (docs/benchmarks.md). Those are few people at few sites, and strangers elsewhere were off by up to
 # 20 %: rounded up, more so for those of whom nothing is known.
 _SCALE_STD_OF_KNOWN_HEIGHT, _SCALE_STD = 0.07, 0.10
 
@@ -421,7 +421,8 @@ def scale_std(height_m: float | None) -> float:
 
 # A step of walking at 1.85 Hz with the phone in the hand: medians over two sites.
 TYPICAL_STEP = Step(0.54, 0.54, 0.54, 1.85, 4.0, 3.5, -3.5, 13.8, 6.8, 1.7, 0.0, 0.0, vertical_amplitude_mps2=2.4)
-# One person's scale differs by so much between walks: 2.3 % over nine walks of one (docs/methods/step_length.md).
+# One person's scale differs by so much between walks: 1.7 to 2.8 % over nine walks of one, by the model
+# (docs/benchmarks.md, one walk left out).
 RECORDING_STD = 0.025
 
 

@@ -326,9 +326,10 @@ class ParticleFilter:
         particles[:, :4] = x + rng.standard_normal((n, 4)) @ np.linalg.cholesky(P + 1e-12 * np.eye(4)).T
         if open_turn is not None:
             open_turn = open_turn.with_compass(known.frame.compass)
-            angle_rad, at = open_turn.samples(rng, n)
-            particles[:, :2] = rotated(particles[:, :2], angle_rad) + open_turn.origin_m[at]
-            particles[:, :2] += math.sqrt(open_turn.origin_var_m2) * rng.standard_normal((n, 2))
+            angle_rad = open_turn.samples(rng, n)
+            from_centre_m = particles[:, :2] - open_turn.track_centre_m
+            particles[:, :2] = rotated(from_centre_m, angle_rad) + open_turn.world_centre_m
+            particles[:, :2] += math.sqrt(open_turn.centre_var_m2) * rng.standard_normal((n, 2))
             particles[:, OFFSET] += angle_rad
             particles[:, TURN] = angle_rad
         return self._begun(state, particles, known, ground)

@@ -5,7 +5,7 @@ harmonics of a stride, how they differ between people and from stride to stride 
 walking in five places of the phone and, in the trouser pocket, of stairs and running (`strides`). Step length, cadence
 and the force of the steps go together as in the data. What was not measured is made of what was: stairs with the phone
 in the hand, running at the ear, walking sideways. The shipped models tell the contexts of simulated people as they do
-those of real ones; how far a classifier can tell simulated windows from real ones is in docs/methods/simulator.md.
+those of real ones; how far a classifier can tell simulated windows from real ones is in docs/benchmarks.md.
 Never quote accuracy measured on simulated walks as accuracy.
 """
 

@@ -1,4 +1,4 @@
-"""What calibration is worth on real walks, whether its intervals hold, and what it costs: docs/methods/calibration.md.
+"""What calibration is worth on real walks, whether its intervals hold, and what it costs: docs/benchmarks.md.
 
 usage: python -m tests.benchmarks.calibration [noise] [halves] [measure] [coverage] [speed] [--data ../shared/data]
 

@@ -1,4 +1,4 @@
-"""Whole walks of real people left out of a calibration, and of the choice of its form: docs/methods/calibration.md.
+"""Whole walks of real people left out of a calibration, and of the choice of its form: docs/benchmarks.md.
 
 usage: python -m tests.benchmarks.calibration_left_out [--data ../shared/data]
 

@@ -1,6 +1,6 @@
 """The covariance is the size of the errors: on walks that are drawn from the filter's own model, and over a long time.
 
-Smaller than `tests/benchmarks/consistency.py`, whose walks these are; docs/methods/imm.md has its figures.
+Smaller than `tests/benchmarks/consistency.py`, whose walks these are; docs/benchmarks.md has its figures.
 """
 
 from __future__ import annotations
@@ -69,7 +69,7 @@ def test_fixes_surprise_as_much_as_they_should(mixed: Errors) -> None:
 
 
 def test_the_whole_state_is_nearly_consistent(mixed: Errors) -> None:
-    """Approximations of the IMM and of the linear scale cost up to a tenth: docs/methods/imm.md."""
+    """Approximations of the IMM and of the linear scale cost up to a tenth: docs/benchmarks.md."""
     low, high = bounds(4, 200)
     mean = mixed.state.mean(axis=0)
     assert (mean >= low).all()

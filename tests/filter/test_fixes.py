@@ -8,7 +8,8 @@ from time import process_time
 import numpy as np
 import pytest
 from helpers import cut_randomly
-from scipy.stats import chi2, multivariate_normal
+from scipy.special import logsumexp, softmax
+from scipy.stats import chi2, invgamma, multivariate_normal
 
 import pdr_filter as pdr
 from pdr_filter import recipes
@@ -16,7 +17,7 @@ from pdr_filter.filter.alignment import Alignment, Place
 from pdr_filter.filter.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmState, ImmTracker
 from pdr_filter.filter.pedestrian import present_position
-from pdr_filter.filter.turn import PairedPoint, align, open_turn
+from pdr_filter.filter.turn import PairedPoint, align, least_squares_error, open_turn
 from pdr_filter.filtering import add_fixes, init
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate import Leg, simulate
@@ -93,20 +94,44 @@ def test_a_track_finds_the_place_and_the_north_of_its_fixes(walk: Recording, wei
     assert np.abs(first).max() < 0.4
 
 
-def test_the_density_of_the_turn_is_that_of_normal_errors_of_fixes_and_track() -> None:
+def test_the_density_of_the_turn_is_that_of_normal_errors_whose_variance_nobody_knows() -> None:
     rng = np.random.default_rng(3)
     track, fix_var, walked_var = rng.normal(scale=6.0, size=(4, 2)), [1.0, 4.0, 2.0, 1.0], [3.0, 3.5, 5.0, 9.0]
-    world = track @ clockwise(1.1).T + [30.0, 8.0] + rng.normal(scale=1.5, size=(4, 2))
+    world = track @ clockwise(1.1).T + [30.0, 8.0] + rng.normal(scale=3.5, size=(4, 2))
     pairs = [PairedPoint(t, w, v, s) for t, w, v, s in zip(track, world, fix_var, walked_var, strict=True)]
+    assert least_squares_error(pairs) > 2 * 4 - 3  # the errors are larger than they are said to be
     walked = np.array(walked_var) - walked_var[0]
-    # the shift may be anything: a wide normal distribution of it
-    cov = np.diag(fix_var) + np.minimum(walked[:, None], walked) + 1e6
+    cov = np.diag(fix_var) + np.minimum(walked[:, None], walked)
     angles = np.linspace(-np.pi, np.pi, 120, endpoint=False)
-    log_density = [
-        sum(multivariate_normal.logpdf((world - track @ clockwise(a).T)[:, k], cov=cov) for k in (0, 1)) for a in angles
-    ]
-    expected = np.exp(np.array(log_density) - max(log_density))
-    np.testing.assert_allclose(open_turn(pairs).prob, expected / expected.sum(), atol=1e-4)
+
+    def log_density(factor: float) -> np.ndarray:
+        # the shift may be anything: a wide normal distribution of it
+        errors = [(world - track @ clockwise(a).T).T for a in angles]
+        return np.array([multivariate_normal.logpdf(e, cov=factor * cov + 1e6).sum() for e in errors])
+
+    np.testing.assert_allclose(open_turn(pairs).normal_prob, softmax(log_density(1.0)), atol=1e-4)
+    # a scaled inverse chi-square distribution of four degrees of freedom: 4 over the factor is chi-square
+    factors = np.geomspace(0.02, 200.0, 150)
+    weights = invgamma.logpdf(factors, 2.0, scale=2.0) + np.log(factors)
+    each = np.array([w + log_density(factor) for w, factor in zip(weights, factors, strict=True)])
+    np.testing.assert_allclose(open_turn(pairs).prob, softmax(logsumexp(each, axis=0)), atol=2e-4)
+
+
+def test_errors_that_are_smaller_than_they_are_said_to_be_do_not_make_the_turn_surer() -> None:
+    track = np.array([[0.0, 0.0], [0.0, 20.0], [15.0, 20.0], [15.0, 60.0]])
+    exact = [PairedPoint(t, clockwise(0.8) @ t, 9.0) for t in track]
+    off = [replace(exact[0], world_m=np.array([0.0, 3.0])), *exact[1:]]
+    further = [replace(exact[0], world_m=np.array([0.0, 15.0])), *exact[1:]]
+    of_exact, of_off, of_further = (align(pairs, 0) for pairs in (exact, off, further))
+    assert of_exact is not None and of_off is not None and of_further is not None
+    away_m = track - track.mean(axis=0)
+    assert of_exact.angle_rad == pytest.approx(0.8, abs=1e-9)
+    assert of_exact.angle_var_rad2 == pytest.approx(9.0 / (away_m**2).sum())
+    assert of_off.angle_var_rad2 == pytest.approx(of_exact.angle_var_rad2, rel=0.1)
+    # five errors are free
+    scatter = (4.0 + least_squares_error(further)) / (4.0 + 5.0)
+    assert scatter > 1.5
+    assert of_further.centre_var_m2 == pytest.approx(scatter * of_exact.centre_var_m2, rel=0.02)
 
 
 def test_after_one_fix_the_pedestrian_is_on_a_circle_around_it(walk: Recording) -> None:
@@ -522,17 +547,18 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     pairs = [PairedPoint(rng.normal(size=2), rng.normal(size=2), 4.0) for _ in range(3)]
     turn, place = open_turn(pairs), Place(np.array([3.0, -7.0]), np.array([[4.0, 1.5], [1.5, 1.0]]), 0.0, 0)
     means, covs = [], []
-    for angle_rad, origin_m in zip(np.linspace(-np.pi, np.pi, 120, endpoint=False), turn.origin_m, strict=True):
-        c, s = np.cos(angle_rad), np.sin(angle_rad)
-        turned = np.array([[c, s], [-s, c]])
-        means.append(turned @ place.position_m + origin_m)
+    for angle_rad in np.linspace(-np.pi, np.pi, 120, endpoint=False):
+        turned = clockwise(angle_rad)
+        # where least squares puts it: the three pairs count alike
+        centre_m, world_m = (np.mean([getattr(p, name) for p in pairs], axis=0) for name in ("track_m", "world_m"))
+        means.append(turned @ (place.position_m - centre_m) + world_m)
         covs.append(turned @ place.cov_m2 @ turned.T)
     mean = turn.prob @ np.array(means)
     away = np.array(means) - mean
     cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
-    np.testing.assert_allclose(world.cov_m2, cov + turn.origin_var_m2 * np.eye(2), atol=1e-10)
+    np.testing.assert_allclose(world.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
 
 
 def test_a_settled_turn_takes_the_ellipse_of_a_place_with_it_and_adds_its_own_errors() -> None:

@@ -251,13 +251,10 @@ def test_a_wall_across_the_corridor_is_passed_and_the_contradiction_is_said(tmp_
 
 
 def test_a_plan_of_another_building_is_said_to_be_of_no_use(tmp_path: Path) -> None:
-    bars = np.arange(-60.5, 60.0, 1.5)
-    cages = [feature("wall", line((x, -60.5), (x, 60))) for x in bars]
-    cages += [feature("wall", line((-60.5, y), (60, y))) for y in bars]
-    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", cages))
+    plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", turned(FEATURES, 1.2)))
     alone, misled = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, plan))
     assert any("nothing on the plan fits" in note for note in misled.notes)
-    assert np.median(errors_m(misled, WALK)) < np.median(errors_m(alone, WALK)) + 3.0
+    assert np.median(errors_m(misled, WALK)) < np.median(errors_m(alone, WALK)) + 5.0
 
 
 def test_a_thousand_particles_are_a_hundred_times_as_fast_as_the_walk(plan: pdr.FloorPlan) -> None:

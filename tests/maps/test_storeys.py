@@ -48,7 +48,7 @@ def test_after_stairs_the_walls_are_those_of_the_storey_above(tmp_path: Path) ->
     kept = tracked(tmp_path, [*BELOW, *ABOVE], fixes=FIXES)
     upstairs = kept.floor == 1
     assert upstairs.sum() > 30
-    assert errors_m(kept, WALK)[-1] < 1.0 < 2.5 < errors_m(alone, WALK)[-1]
+    assert errors_m(kept, WALK)[-1] < 1.0 < 1.8 < errors_m(alone, WALK)[-1]
     assert kept.notes == alone.notes
     # by the walls of below it would leave the outline
     elsewhere = tracked(tmp_path, BELOW, fixes=FIXES)
@@ -61,7 +61,7 @@ def test_on_a_storey_that_is_not_drawn_the_steps_lead_alone(tmp_path: Path) -> N
     track = tracked(tmp_path, [*BELOW, *far_above], fixes=FIXES)
     assert track.notes == alone.notes
     steps_m = [np.linalg.norm(np.diff(t.position_m[track.floor == 1], axis=0), axis=1) for t in (track, alone)]
-    np.testing.assert_allclose(steps_m[0].sum(), steps_m[1].sum(), rtol=0.05)
+    np.testing.assert_allclose(steps_m[0].sum(), steps_m[1].sum(), rtol=0.12)  # the corridor has taught the scale
     assert track.uncertainty_95_m[-1] > track.uncertainty_95_m[track.floor == 0][-1]
 
 

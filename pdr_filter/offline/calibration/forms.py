@@ -18,7 +18,7 @@ from pdr_filter.offline.robust import DISTRUST
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 # Fewer segments, people or recordings do not choose a form. From so many on the chosen one is no worse than the default
-# on the totals of walks left out of the choice, at five sites (docs/methods/calibration.md).
+# on the totals of walks left out of the choice, but for 0.2 points at one of five sites (docs/benchmarks.md).
 MIN_SEGMENTS, MIN_GROUPS = 30, 5
 _MAX_SEGMENTS = 2000  # about so many choose it in a large cohort: more would only take longer
 _N_FOLDS = 5

@@ -18,7 +18,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Step, TrackRows, steps_of
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
-# at each end (measured on 133 straight legs of one person; docs/methods/calibration.md).
+# at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
 ANCHOR_STD_M = 0.35
 # A "segment" shorter than this is a single step (group B of Martinelli et al. 2018: one stair, 0.29 or 0.43 m), whose
 # length is that of the tread and not a distance between clicks.

@@ -94,8 +94,7 @@ class OffsetCompensation:
         M_omit: of them those at the start that are left out, while the phone slides into place.
     direction_std_rad : float
         Given to every direction. The paper trusts them fully; its median errors are 1 to 5 degrees (Tables VIII, IX).
-        On winding walks in a room ours are 5 to 17 (docs/methods/tian2016.md): give more where other measurements of
-        direction compete.
+        On winding walks in a room ours are 5 to 17: give more where other measurements of direction compete.
     """
 
     rate_hz: float = 100.0

@@ -23,6 +23,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.values import FloatArray, Step, replace
+from pdr_filter.values.quaternions import rotation_matrix
 
 # Mean readings are over half a second, about a step.
 _READING_S = 0.5
@@ -32,6 +33,8 @@ _TIME, _SQUARES, _READING_COLUMNS = 0, slice(1, 50), 50
 # Steps become known some seconds after their contact, behind a gate most of all; no result depends on more.
 _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
+_DIAGONAL = np.diag_indices(_F)
+_OF_M = 1e-9  # next to nothing is known of m
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,11 +148,12 @@ class MagneticNorth:
         x = (m, b): P^-1 = diag(0, 1 / iron^2) + sum X' X / (c v), P^-1 x = sum X' f / (c v); psi = atan2(m_e, m_n) has
         the variance u' P u / (m_e^2 + m_n^2), u = (cos psi, -sin psi, 0).
         """
-        c = 1.0 / math.tanh(0.5 / self.correlation_readings)
+        c, of_b = 1.0 / math.tanh(0.5 / self.correlation_readings), 1.0 / self.iron_std_ut**2
         weight = 1.0 / (c * state.variance_ut2)
         XX, Xf, ff = state.squares[:_F, :_F], state.squares[:_F, _F], float(state.squares[_F, _F])
-        of_m, of_b = 1e-9, 1.0 / self.iron_std_ut**2  # next to nothing is known of m
-        P = np.linalg.inv(np.diag([of_m, of_m, of_m, of_b, of_b, of_b]) + weight * XX)
+        information = weight * XX
+        information[_DIAGONAL] += _OF_M, _OF_M, _OF_M, of_b, of_b, of_b
+        P = np.linalg.inv(information)
         x = weight * (P @ Xf)
         left_ut2 = ff - 2.0 * float(x @ Xf) + float(x @ XX @ x)
         own = self.disturbance_readings * self.disturbance_ut**2
@@ -167,14 +171,7 @@ class MagneticNorth:
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:
     """Time and [X f]' [X f] (R, 50) of whole samples (R, size, 8), X and f being their means."""
-    w, x, y, z = np.moveaxis(samples[:, :, _QUAT], 2, 0)
-    to_frame = np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-            [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-            [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-        ]
-    )
+    to_frame = np.moveaxis(rotation_matrix(samples[:, :, _QUAT]), (-2, -1), (0, 1))
     Xf = np.empty((len(samples), 3, 7))
     Xf[:, :, _M], Xf[:, :, _B] = np.eye(3), np.moveaxis(to_frame.mean(axis=3), 2, 0)
     Xf[:, :, _F] = (to_frame * np.moveaxis(samples[:, :, _FIELD], 2, 0)).sum(axis=1).mean(axis=2).T

@@ -13,7 +13,8 @@ rms of |specific force| around the step, m/s2, f in Hz (tests/benchmarks/steps.p
    periods 1 / f or more after the last step. Where it comes when the rhythm of the last steps expects it,
    `rhythm_share` of both thresholds is enough.
 
-Reasons and figures: docs/methods/steps.md. Source of the transform: Martinelli et al. 2018, section IV.
+Reasons: docs/methods/steps.md; figures: docs/benchmarks.md. Source of the transform: Martinelli et al. 2018,
+section IV.
 """
 
 from __future__ import annotations

@@ -14,7 +14,7 @@ needs the specific force alone: neither gyroscope nor attitude, no model, no car
 4. Edges. A step before the first accepted one belongs to the bout if walking is not improbable, and so do up to
    `n_fill` more, close by. A refused step between two accepted ones of a bout belongs to it.
 
-The steps of a block are judged together. docs/methods/steps.md has data, figures and limits.
+The steps of a block are judged together. docs/methods/steps.md has data and limits, docs/benchmarks.md figures.
 """
 
 from __future__ import annotations
