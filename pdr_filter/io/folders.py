@@ -8,7 +8,7 @@ from pathlib import Path
 
 from pdr_filter.io import limits
 from pdr_filter.io.any_table import sensors_of
-from pdr_filter.io.archive import Members
+from pdr_filter.io.archive import IN_PLACE, Members
 from pdr_filter.io.columns import ACCELERATION, GRAVITY
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
@@ -16,7 +16,7 @@ from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.several import parts_of, recordings_among
 
 _TEXTS = {".csv", ".txt", ".tsv", ".json"}
-_FILES = {".zip", ".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".sqlite", ".db", ".mcap", ".db3", ".gz"}
+_FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
