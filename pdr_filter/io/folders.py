@@ -52,9 +52,10 @@ def recordings_in(folder: str | Path) -> list[Path]:
 def only_recording_in(path: Path) -> Path:
     """The path, or the only recording in a folder around it; RecordingError if there are several."""
     parts = parts_of(path, detect_file)
-    # Nobody's home folder is searched.
-    is_small = path.is_dir() and next(islice(path.rglob("*"), limits.MAX_MEMBERS, None), None) is None
-    if is_small and (parts or detect(path) == "own"):
+    # Neither is anybody's home folder searched, nor is a link followed to what nobody gave.
+    below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
+    is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
+    if is_searched and (parts or detect(path) == "own"):
         found = recordings_in(path)
         if len(found) == 1:
             return found[0]

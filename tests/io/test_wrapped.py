@@ -55,6 +55,13 @@ def test_a_folder_with_more_files_than_recordings_have_is_not_searched(
     assert "no recording" in refusal(tmp_path / "home")
 
 
+def test_a_folder_with_a_link_is_not_searched(tmp_path: Path) -> None:
+    write_folder(tmp_path / "elsewhere", FILES)
+    (tmp_path / "export").mkdir()
+    (tmp_path / "export" / "walk").symlink_to(tmp_path / "elsewhere")
+    assert "no recording" in refusal(tmp_path / "export")
+
+
 def test_a_recording_in_a_gz_is_read(tmp_path: Path) -> None:
     text = phyphox_files(WALK)["Accelerometer.csv"]
     (tmp_path / "walk.csv.gz").write_bytes(gzip.compress(text.encode()))
