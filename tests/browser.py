@@ -29,6 +29,9 @@ OPTIONS = (
     "--remote-debugging-pipe",
 )
 
+# Of the keys that a page may know by their codes.
+KEY_CODES = {"ArrowLeft": 37, "ArrowUp": 38, "ArrowRight": 39, "ArrowDown": 40, "+": 187, "-": 189}
+
 
 class Browser:
     """One page of one browser. Messages are JSON with a zero byte behind, which Chromium reads at 3 and writes at 4."""
@@ -108,7 +111,8 @@ class Browser:
         self.ask(
             "Emulation.setDeviceMetricsOverride", width=width, height=height, deviceScaleFactor=1, mobile=width < 600
         )
-        self.ask("Emulation.setEmulatedMedia", features=[{"name": "prefers-color-scheme", "value": theme}])
+        media = {"prefers-color-scheme": theme, "prefers-reduced-motion": "reduce"}
+        self.ask("Emulation.setEmulatedMedia", features=[{"name": n, "value": v} for n, v in media.items()])
         self.complaints, self.asked_for = [], []
         self.ask("Page.navigate", url=page if isinstance(page, str) else page.as_uri())
         self.until("document.readyState === 'complete'")
@@ -167,17 +171,26 @@ class Browser:
         self.ask("Input.dispatchMouseEvent", type="mouseReleased", **press, **b)
         self.settle()
 
-    def wheel(self, selector: str, down: float) -> None:
-        """Turn the wheel over the middle of an element."""
-        place = self._place(selector, 0.5, 0.5)
+    def wheel(self, selector: str, down: float, x: float = 0.5, y: float = 0.5) -> None:
+        """Turn the wheel over an element, at this part of its width and height."""
+        place = self._place(selector, x, y)
         self.ask("Input.dispatchMouseEvent", type="mouseWheel", deltaX=0, deltaY=down, **place)
         self.settle()
 
     def press(self, key: str) -> None:
         """Press a key."""
         for kind in ("keyDown", "keyUp"):
-            self.ask("Input.dispatchKeyEvent", type=kind, key=key)
+            self.ask("Input.dispatchKeyEvent", type=kind, key=key, windowsVirtualKeyCode=KEY_CODES.get(key, 0))
         self.settle()
+
+    def picture(self, selector: str) -> bytes:
+        """An element as it is seen, as PNG."""
+        self._place(selector, 0, 0)
+        box = self.value(
+            f"(r => ({{x: r.left + scrollX, y: r.top + scrollY, width: r.width, height: r.height}}))"
+            f"(document.querySelector({selector!r}).getBoundingClientRect())"
+        )
+        return base64.b64decode(self.ask("Page.captureScreenshot", clip={**box, "scale": 1})["data"])
 
     def shot(self, path: Path) -> Path:
         """A picture of the whole page."""

@@ -254,10 +254,10 @@ def _on_first_positions(
 def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
     """State after a fix that cannot be right if the others are.
 
-    After a lost heading the place of the track is one of them. Fixes that contradict it for long move the track: it
-    goes on from them, with its turn open.
+    After a lost heading the place of the track is one of them. Fixes that contradict the others for long move the
+    track: it goes on from them, with its turn open.
     """
-    state = replace(state, doubt=state.doubt.with_rejected(pair) if state.frame.since else Doubt())
+    state = replace(state, doubt=state.doubt.with_rejected(pair))
     if not state.doubt.contradicts:
         return state, "rejected", np.inf
     n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)

@@ -1,8 +1,8 @@
 """Tracks on one HTML page that needs nothing else: no network, no fonts, no other files.
 
 The page is `page/report.html`, with its style, its scripts and the numbers of `page_data` in it. Its content security
-policy forbids browsers to load anything and to run other scripts than these. Pictures over time are drawn by uPlot
-(`assets`), the way by `page/map.js`.
+policy forbids browsers to load anything and to run other scripts than these. Pictures over time are drawn by uPlot, the
+way by Leaflet: both lie in `assets` as npm has them (`.ci/vendor.py`).
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ from pdr_filter.values import TrackRows, how_many
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01
-_SCRIPTS = ("assets/uPlot.iife.min.js", "page/canvas_map.js", "page/map.js", "page/report.js")
-_STYLES = ("assets/uPlot.min.css", "page/report.css")
+_SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
+_STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
 
@@ -70,7 +70,7 @@ def html_report(
         track_data(track, recording, plan or track.plan, len(every)) | {"colour": colour}
         for track, colour in zip(every, colours, strict=True)
     ]
-    scripts = [_asset(name) for name in _SCRIPTS]
+    scripts = [_script(name) for name in _SCRIPTS]
     return _template().render(
         title=_title(every, recording),
         tracks=[
@@ -103,6 +103,15 @@ def _template() -> jinja2.Template:
 
 def _asset(name: str) -> str:
     return resources.files("pdr_filter.report").joinpath(name).read_text(encoding="utf-8")
+
+
+def _script(name: str) -> str:
+    """A script; one of others with their licence, which says that it must be there."""
+    folder, file = name.split("/")
+    if folder == "page":
+        return _asset(name)
+    licence = _asset(f"assets/{file.partition('.')[0]}.LICENSE.txt")
+    return f"/*\n{licence}*/\n{_asset(name)}"
 
 
 def _hash(script: str) -> str:

@@ -111,13 +111,15 @@ async def crowd(n: int, server: Server, bodies: list[bytes], seconds: float, see
 
 # When what was shown last was received, each time that it is drawn.
 _TIMED = """(() => {
-  const paint = live.map.paint.bind(live.map);
+  const show = live.map.show.bind(live.map);
   let last = null;
   window.drawn = [];
-  live.map.paint = () => {
-    paint();
-    const now = live.map.way?.now;
-    if (now?.received_unix_s && now !== last) drawn.push(Date.now() / 1000 - (last = now).received_unix_s);
+  live.map.show = way => {
+    show(way);
+    const { now } = way;
+    if (!now?.received_unix_s || now === last) return;
+    last = now;
+    requestAnimationFrame(() => drawn.push(Date.now() / 1000 - now.received_unix_s)); // after the map has drawn in it
   };
 })()"""
 

@@ -99,6 +99,19 @@ def test_wrong_first_fixes_that_settled_the_frame_are_outlived(walk: Recording, 
     assert error_m[track.time_s > 45.0 + PATIENCE_S + 20.0].max() < 20.0
 
 
+def test_wrong_first_fixes_that_left_the_turn_open_are_outlived_too(walk: Recording) -> None:
+    begin_m = truth_m(walk, np.array([2.0]))[0]
+    # as if he stood: the turn stays open, and nothing rights it but the fixes that come
+    wrong = fixes_of(walk, lambda times, places: (begin_m + 10.0 * FAR_M - places) * (times < 50.0)[:, None])
+    track = tracked(walk, [replace(fix, cov_m2=64.0 * np.eye(2)) for fix in wrong])
+    assert "moved" in outcomes(track)
+    moved_s = track.fixes[outcomes(track).index("moved")].time_s
+    assert moved_s < 50.0 + PATIENCE_S + 10.0
+    late = track.time_s > moved_s + 30.0
+    error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
+    assert np.median(error_m[late]) < 10.0
+
+
 def test_outliers_that_do_not_agree_stay_rejected(walk: Recording) -> None:
     rng = np.random.default_rng(1)
 

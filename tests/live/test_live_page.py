@@ -53,9 +53,20 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         browser.until(f"{SESSION}.path.length > {n_steps + 40}")
         browser.until("Number(document.getElementById('n_steps').textContent) > 60")
         assert browser.words("#where").startswith("At ")
+        # who zooms still follows, who drags does not
+        off = "Math.hypot(...live.map.place().map((v, k) => v - live.map.position[k])) * live.map.scale"
+        browser.click("#nearer")
+        browser.wheel("#map", 100, 0.2, 0.5)
+        browser.until("live.map.scale < 13")
+        assert browser.value(off) < 3
+        browser.drag("#map", (0.5, 0.5), (0.4, 0.5))
+        assert browser.value("document.getElementById('follow').getAttribute('aria-pressed')") == "false"
+        assert browser.value(off) > 50
+        browser.click("#follow")
+        assert browser.value(off) < 3
         browser.click("#here")
-        size = "[live.map.canvas.clientWidth, live.map.canvas.clientHeight]"
-        place = browser.value(f"live.map.place({size}[0] * 0.6, {size}[1] * 0.5)")
+        box = "document.getElementById('map')"
+        place = browser.value(f"live.map.place({box}.clientWidth * 0.6, {box}.clientHeight * 0.5)")
         browser.click("#map", 0.6, 0.5)
         browser.until("document.getElementById('said').textContent.endsWith('waits for the step that it falls into.')")
         assert browser.value(f"{SESSION}.fixes[0].place") == pytest.approx(place, abs=0.2)
@@ -95,13 +106,13 @@ def test_everything_can_be_seen_and_read(
         browser.until("document.querySelectorAll('canvas').length === 3")
         assert browser.value("document.documentElement.scrollWidth") == width
         covered = browser.value("""
-            [...document.querySelectorAll('dd, dt, button, select, canvas, a, caption')].filter(e => {
+            [...document.querySelectorAll('dd, dt, button, select, #map, .uplot, a, caption')].filter(e => {
               const r = e.getBoundingClientRect();
               return r.width && (r.left < 0 || r.right > innerWidth + 0.5);
             }).map(e => e.outerHTML.slice(0, 80))""")
         assert covered == []
         unnamed = browser.value("""
-            [...document.querySelectorAll('button, select, input, canvas[tabindex]')].filter(e =>
+            [...document.querySelectorAll('button, select, input, [tabindex]')].filter(e =>
               !(e.getAttribute('aria-label') || e.textContent.trim() || e.labels?.length)).map(e => e.outerHTML)""")
         assert unnamed == []
         assert browser.shot(tmp_path / "page.png").stat().st_size > 20_000
@@ -158,7 +169,9 @@ def test_tiles_of_the_place_lie_below_the_path_if_somebody_names_a_source(
             server.post(body)
         browser.until(f"{SESSION}?.origin && {SESSION}.path.length > 20")
         if named:
-            browser.until("[...live.map.images.values()].some(i => i.complete && i.naturalWidth)")
+            browser.until("document.querySelector('#map .leaflet-tile-loaded')")
+            owner = browser.value("document.querySelector('#map .leaflet-control-attribution').textContent")
+            assert owner == "127.0.0.1"
         browser.settle()
         elsewhere = [address for address in browser.asked_for if not address.startswith((server.address, "data:"))]
         assert bool(elsewhere) == bool(asked) == named

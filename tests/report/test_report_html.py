@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import re
 import subprocess
@@ -19,12 +20,14 @@ from helpers import a_plan
 import pdr_filter as pdr
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.recording import Recording
-from pdr_filter.report import palette, trust
+from pdr_filter.report import html, palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, Fix, FloorPassage, PositionFix
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
+
+ASSETS = Path(html.__file__).parent / "assets"
 
 
 @pytest.fixture(scope="module")
@@ -245,8 +248,22 @@ def assert_self_contained(page: str) -> None:
 
 def test_the_page_loads_nothing_and_names_no_address(page: str) -> None:
     assert_self_contained(page)
-    own = page.replace("/*! https://github.com/leeoniya/uPlot", "")  # whose it is
+    own = page
+    for library in ASSETS.glob("*.[cj]s*"):  # they name whose they are, and SVG's name space
+        own = own.replace(library.read_text(encoding="utf-8"), "")
     assert not re.search(r"https?://|javascript:|data:[a-z]+/", own)
+
+
+def test_libraries_are_those_of_npm_and_come_with_their_licences(page: str) -> None:
+    libraries = json.loads((ASSETS / "libraries.json").read_text())
+    named = {name for library in libraries for name in library["files"]}
+    assert named == {path.name for path in ASSETS.iterdir()} - {"libraries.json"}
+    for library in libraries:
+        for name, of in library["files"].items():
+            content = (ASSETS / name).read_bytes()
+            assert hashlib.sha256(content).hexdigest() == of["sha256"], name
+            assert name.endswith(".css") or content.decode() in page, name
+            assert not name.endswith(".js") or library["version"] in content.decode()[:200]
 
 
 def test_hostile_names_and_notes_are_only_text(track: Track, recording: Recording, tmp_path: Path) -> None:

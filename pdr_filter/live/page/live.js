@@ -181,11 +181,10 @@ async function setHere(east, north) {
 }
 
 function setPlacing(placing) {
-  map.placing = placing;
+  map.setPlacing(placing);
   byId("said").className = "";
   byId("here").setAttribute("aria-pressed", String(placing));
   text("said", placing ? "Click where you are on the map, or move the cross there with the arrow keys and press Enter." : "");
-  map.draw();
 }
 
 byId("here").addEventListener("click", () => setPlacing(!map.placing));
@@ -196,10 +195,10 @@ byId("whole").addEventListener("click", () => map.whole());
 byId("map").addEventListener("followed", () => byId("follow").setAttribute("aria-pressed", String(map.follow)));
 byId("session").addEventListener("change", event => { shown = event.target.value; draw(); });
 byId("map").addEventListener("keydown", event => {
-  const keys = { // and those of every map
+  const keys = { // and Leaflet's
     f: () => map.setFollow(true), w: () => map.whole(),
     h: () => setPlacing(!map.placing), Escape: () => setPlacing(false),
-    Enter: () => { if (map.placing) setHere(map.view.east, map.view.north); },
+    Enter: () => { if (map.placing) setHere(...map.place()); },
   };
   if (keys[event.key] && !event.ctrlKey && !event.metaKey && !event.altKey) {
     event.preventDefault();
@@ -224,5 +223,8 @@ events.onmessage = message => {
     draw();
   }, Math.max(drawnAt + DRAW_MS - performance.now(), TOGETHER_MS));
 };
-fetch("sessions" + location.search).then(answer => answer.json()).then(content => { map.tiles = content.tiles; });
+fetch("sessions" + location.search).then(answer => answer.json()).then(content => {
+  map.tiles = content.tiles;
+  draw();
+});
 window.live = { sessions, map }; // for tests, and for whoever looks

@@ -1,124 +1,123 @@
 "use strict";
 // The way as it grows: position with its 95 % ellipse, heading, steps that may still be none, fixes; over tiles if any.
 
-const METRES_PER_DEGREE = 111320;
 const ELLIPSE_95 = Math.sqrt(5.991); // chi-square of two degrees of freedom
 
-class LiveMap extends CanvasMap {
-  constructor(canvas, onPlace) {
-    super(canvas, name => getComputedStyle(document.documentElement).getPropertyValue(name).trim());
+class LiveMap extends PlaneMap {
+  constructor(box, onPlace) {
+    super(box, name => getComputedStyle(document.documentElement).getPropertyValue(name).trim());
     this.onPlace = onPlace; // called with east, north where somebody says "I am here"
-    this.follow = true;
-    this.placing = false;
-    this.way = null;
     this.tiles = "";
-    this.images = new Map();
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    this.way = null;
+    this.origin = ""; // of what lies on tiles
+    this.drawn = { path: null, n: 0, last: null }; // to be drawn again when it is another
+    this.path = L.polyline([], { weight: 3 }).addTo(this.leaflet);
+    this.start = L.circleMarker(this.at(0, 0), { radius: 5, stroke: false, fillOpacity: 1 });
+    this.provisional = L.polyline([], { renderer: this.above, className: "provisional", weight: 3, dashArray: "4 5" }).addTo(this.leaflet);
+    this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
+    this.fixes = L.layerGroup().addTo(this.leaflet);
+    this.cross = L.DomUtil.create("div", "cross rejected middle", box);
+    this.setFollow(true);
+    this.setPlacing(false);
+    this.leaflet.on("click", event => { if (this.placing) this.onPlace(...this.frame.place(event.latlng)); });
+    this.leaflet.on("dragstart", () => this.setFollow(false));
+    this.leaflet.on("zoomstart zoomend", event => { this.isZooming = event.type === "zoomstart"; });
+    box.addEventListener("keydown", event => { if (event.key.startsWith("Arrow")) this.setFollow(false); });
+    const isDark = matchMedia("(prefers-color-scheme: dark)");
+    isDark.addEventListener("change", () => this.paint());
+    this.paint();
   }
 
-  moved() { this.setFollow(false); }
-
-  pressed(pixel) { if (this.placing) this.onPlace(...this.place(...pixel)); }
+  paint() {
+    this.path.setStyle({ color: this.colour("--accent") });
+    this.start.setStyle({ color: this.colour("--faint") });
+  }
 
   setFollow(follow) {
     this.follow = follow;
-    this.canvas.dispatchEvent(new Event("followed"));
-    this.draw();
+    // who zooms while the map follows keeps the position in the middle
+    Object.assign(this.leaflet.options, follow ? { scrollWheelZoom: "center", touchZoom: "center" } : { scrollWheelZoom: true, touchZoom: true });
+    this.box.dispatchEvent(new Event("followed"));
+    this.keepUp();
+  }
+
+  setPlacing(placing) {
+    this.placing = placing;
+    this.cross.hidden = !placing;
   }
 
   whole() {
     if (!this.way?.path.length) return;
-    this.fit([0, ...this.way.path.map(row => row[1])], [0, ...this.way.path.map(row => row[2])], 10);
     this.setFollow(false);
-  }
-
-  show(way) {
-    this.way = way;
-    this.draw();
+    this.fit([0, ...this.way.path.map(row => row[1])], [0, ...this.way.path.map(row => row[2])], 10);
   }
 
   get position() {
     return this.way?.now ? this.way.now.position_m : this.way?.path.at(-1)?.slice(1, 3) ?? [0, 0];
   }
 
-  paintBelow() {
-    if (this.follow) [this.view.east, this.view.north] = this.position;
-    if (this.way?.origin && this.tiles) this.paintTiles(this.way.origin);
+  keepUp() {
+    if (!this.follow || this.isZooming) return;
+    const place = this.at(...this.position), middle = this.leaflet.getSize().divideBy(2);
+    if (this.leaflet.latLngToContainerPoint(place).distanceTo(middle) > 1) this.leaflet.panTo(place, { animate: false });
   }
 
-  paintAbove() {
-    if (this.way) this.paintWay(this.way);
-    if (this.placing) this.cross(this.size.map(v => v / 2), 14, this.colour("--wrong"));
-  }
-
-  paintWay(way) {
-    const pen = this.pen, now = way.now, accent = this.colour("--accent");
-    this.line(way.path.map(row => row[1]), way.path.map(row => row[2]), accent, 3);
-    if (way.path.length) this.dot(way.path[0].slice(1, 3), 5, this.colour("--faint"));
-    if (now?.provisional_steps.length) {
-      const last = way.path.at(-1)?.slice(1, 3) ?? now.provisional_steps[0].position_m;
-      const places = [last, ...now.provisional_steps.map(step => step.position_m)];
-      pen.setLineDash([4, 5]);
-      this.line(places.map(p => p[0]), places.map(p => p[1]), accent, 3);
-      pen.setLineDash([]);
+  show(way) {
+    this.way = way;
+    this.lieOn(this.tiles && way.origin ? way.origin : "");
+    this.keepUp();
+    const { now, path } = way;
+    this.drawPath(path);
+    this.drawFixes(way.fixes);
+    const steps = (now?.provisional_steps ?? []).map(step => this.at(...step.position_m));
+    this.provisional.setLatLngs(steps.length && path.length ? [this.at(...path.at(-1).slice(1, 3)), ...steps] : steps);
+    if (!now) {
+      this.within.setLatLngs([]);
+      this.walker.remove();
+      return;
     }
-    for (const fix of way.fixes) this.paintFix(fix);
-    if (!now) return;
     const [[ee, en], [, nn]] = now.position_cov_m2;
     const mean = (ee + nn) / 2, root = Math.hypot((ee - nn) / 2, en);
     const axes = [mean + root, Math.max(mean - root, 0)].map(v => Math.sqrt(v) * ELLIPSE_95);
-    this.ellipse(this.position, ...axes, 0.5 * Math.atan2(2 * en, ee - nn), 0.12, 0.7);
-    this.walker(this.position, now.walking_heading_rad);
+    this.within.setLatLngs(this.ellipse(this.position, ...axes, 0.5 * Math.atan2(2 * en, ee - nn)));
+    this.stand(this.at(...this.position), now.walking_heading_rad);
+  }
+
+  // Below it the plane, or the tiles that the user named, if it is known where on Earth it lies.
+  lieOn(origin) {
+    if (String(origin) === this.origin) return;
+    this.origin = String(origin);
+    this.drawn.path = null;
+    this.lieIn(origin ? world(origin) : PLANE);
+    this.box.classList.toggle("has-tiles", Boolean(origin));
+    this.ground ??= this.tilesOf(this.tiles);
+    this.ground[origin ? "addTo" : "removeFrom"](this.leaflet);
+  }
+
+  // Whose tiles they are stands on the map.
+  tilesOf(address) {
+    const host = new URL(address, location.href.replace(/[?#].*/, "")).hostname.replace("{s}.", "");
+    const attribution = host.endsWith("openstreetmap.org") ? "© OpenStreetMap contributors" : host;
+    L.control.attribution({ prefix: false }).addTo(this.leaflet);
+    return L.tileLayer(address, { maxNativeZoom: 19, maxZoom: 25, attribution });
+  }
+
+  drawPath(path) {
+    const { drawn } = this, last = path.at(-1);
+    if (path === drawn.path && path.length === drawn.n && last === drawn.last) return;
+    this.drawn = { path, n: path.length, last };
+    const places = path.map(row => this.at(row[1], row[2]));
+    this.path.setLatLngs(places);
+    if (last) this.start.setLatLng(places[0]).addTo(this.leaflet);
+    else this.start.remove();
   }
 
   // A cross that is faint while the fix waits; red if it did not fit.
-  paintFix({ place, outcome }) {
-    const name = { waiting: "--faint", rejected: "--wrong", "nothing to compare": "--faint" }[outcome] ?? "--ink";
-    this.cross(this.at(...place), 6, this.colour(name));
-  }
-
-  cross([x, y], size, colour) {
-    const pen = this.pen;
-    pen.strokeStyle = colour;
-    pen.lineWidth = 2;
-    pen.beginPath();
-    pen.moveTo(x - size, y);
-    pen.lineTo(x + size, y);
-    pen.moveTo(x, y - size);
-    pen.lineTo(x, y + size);
-    pen.stroke();
-  }
-
-  // Raster tiles of Web Mercator under the way; metres of the plane at the origin are those of the map near it.
-  paintTiles(origin) {
-    const [latitude, longitude] = origin, cosine = Math.cos(latitude * Math.PI / 180), [width, height] = this.size;
-    const ideal = Math.log2(this.view.scale * METRES_PER_DEGREE * 360 * cosine / 256);
-    const z = Math.min(Math.max(Math.round(ideal), 1), 19), n = 2 ** z;
-    const column = east => (longitude + east / (METRES_PER_DEGREE * cosine) + 180) / 360 * n;
-    const row = north => {
-      const angle = (latitude + north / METRES_PER_DEGREE) * Math.PI / 180;
-      return (1 - Math.asinh(Math.tan(angle)) / Math.PI) / 2 * n;
-    };
-    const [west, north] = this.place(0, 0), [east, south] = this.place(width, height);
-    const size = width / (column(east) - column(west));
-    for (let i = Math.floor(column(west)); i <= column(east); i++) {
-      for (let j = Math.floor(row(north)); j <= row(south); j++) {
-        const image = this.tile(z, ((i % n) + n) % n, j);
-        const x = (i - column(west)) * size, y = (j - row(north)) * size;
-        if (image.complete && image.naturalWidth) this.pen.drawImage(image, x, y, size + 0.5, size + 0.5);
-      }
+  drawFixes(fixes) {
+    this.fixes.clearLayers();
+    for (const { place, outcome } of fixes) {
+      const name = { waiting: "waiting", rejected: "rejected", "nothing to compare": "waiting" }[outcome] ?? "used";
+      this.fixes.addLayer(this.mark(this.at(...place), `cross ${name}`, "", 12));
     }
-  }
-
-  tile(z, x, y) {
-    const address = this.tiles.replace("{z}", z).replace("{x}", x).replace("{y}", y);
-    if (!this.images.has(address)) {
-      if (this.images.size > 300) this.images.clear();
-      const image = new Image();
-      image.onload = () => this.draw();
-      image.src = address;
-      this.images.set(address, image);
-    }
-    return this.images.get(address);
   }
 }

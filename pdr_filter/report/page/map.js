@@ -1,9 +1,9 @@
 "use strict";
 // The way of a report, with what lies beside and below it.
 
-class WayMap extends CanvasMap {
-  constructor(canvas, colour, onStep) {
-    super(canvas, colour);
+class WayMap extends PlaneMap {
+  constructor(box, colour, onStep) {
+    super(box, colour);
     this.onStep = onStep; // called with the number of the step that somebody points at
     this.hidden = new Set(); // layers
     this.tracks = [];
@@ -11,32 +11,23 @@ class WayMap extends CanvasMap {
     this.groups = "floors"; // by what steps are coloured, if there is more than one
     this.row = -1; // the last step that is shown in full
     this.isWhole = true;
-    canvas.addEventListener("dblclick", () => this.whole());
-    canvas.addEventListener("keydown", event => {
-      if (event.key !== "0") return;
-      this.whole();
-      event.preventDefault();
-    });
+    this.still = L.layerGroup().addTo(this.leaflet); // what is the same at any time
+    this.now = L.layerGroup().addTo(this.leaflet); // and what is not
+    this.leaflet.on("mousemove click", event => { if (!this.leaflet.dragging.moving()) this.point(event.latlng, 40); });
+    this.leaflet.on("movestart", () => { this.isWhole = false; });
+    this.leaflet.on("resize", () => { if (this.isWhole) this.whole(); });
+    this.leaflet.on("dblclick", () => this.whole());
+    box.addEventListener("keydown", event => { if (event.key === "0") this.whole(); });
   }
 
   get track() { return this.tracks[this.chosen]; }
 
-  resized() { if (this.isWhole) this.whole(); else this.draw(); }
-
-  moved() { this.isWhole = false; }
-
-  zoomed() { this.isWhole = false; }
-
-  pressed(pixel) { this.point(pixel, 40); }
-
-  pointed(pixel) { this.point(pixel, 40); }
-
-  // The step nearest to a pixel, unless all are farther from it than so many pixels.
-  point(pixel, within) {
-    const { east, north } = this.track;
-    let best = -1, least = within ** 2;
+  // The step nearest to a place, unless all are farther from it than so many pixels.
+  point(latlng, within) {
+    const { east, north } = this.track, place = this.frame.place(latlng);
+    let best = -1, least = (within / this.scale) ** 2;
     for (let k = 0; k < east.length; k++) {
-      const [x, y] = this.at(east[k], north[k]), apart = (x - pixel[0]) ** 2 + (y - pixel[1]) ** 2;
+      const apart = (east[k] - place[0]) ** 2 + (north[k] - place[1]) ** 2;
       if (apart <= least) [best, least] = [k, apart];
     }
     if (best >= 0) this.onStep(best);
@@ -56,134 +47,118 @@ class WayMap extends CanvasMap {
     }
     this.fit(easts, norths, 4);
     this.isWhole = true;
-    this.draw();
   }
 
-  paintBelow() { if (!this.hidden.has("plan")) this.paintPlan(); }
+  places({ east, north }) { return east.map((_, k) => this.at(east[k], north[k])); }
 
-  paintAbove() {
-    const shown = name => !this.hidden.has(name);
-    const track = this.track;
-    if (track.gps && shown("GPS")) this.paintGps(track.gps);
-    if (shown("ellipses")) track.ellipses.forEach(k => this.paintEllipse(k, 0.08, 0.45));
+  wayOf(track) { return [this.at(...track.start), ...this.places(track)]; }
+
+  // All anew: another track, other colours, other layers.
+  draw() {
+    const shown = name => !this.hidden.has(name), { track } = this;
+    this.still.clearLayers();
+    this.now.clearLayers();
+    if (shown("plan")) this.drawPlan(track.plan);
+    if (track.gps && shown("GPS")) this.drawGps(track.gps);
+    if (shown("ellipses")) track.ellipses.forEach(k => this.polygon(this.ellipseOf(k), "--accent", { fillOpacity: 0.08, opacity: 0.45 }));
     if (shown("other tracks")) {
-      this.tracks.filter(t => t !== track).forEach(t => this.line([t.start[0], ...t.east], [t.start[1], ...t.north], t.colour, 2));
+      this.tracks.filter(t => t !== track).forEach(t => this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2 })));
     }
-    this.paintWay(track);
-    if (track.truth && shown("truth")) this.paintTruth(track.truth);
-    this.paintEnds(track);
-    if (this.row >= 0 && this.row < track.east.length) this.paintNow(track);
+    this.drawWay(track);
+    if (track.truth && shown("truth")) this.drawTruth(track.truth);
+    this.drawEnds(track);
+    this.show(this.row);
   }
 
-  paintPlan() {
-    const pen = this.pen;
-    pen.globalAlpha = Number(this.colour("--plan")); // its colours are made for white paper
-    for (const { fill, edge, rings } of this.track.plan) {
-      pen.beginPath();
-      for (const ring of rings) {
-        ring.forEach((place, k) => pen[k ? "lineTo" : "moveTo"](...this.at(...place)));
-        if (fill) pen.closePath();
-      }
-      pen.fillStyle = fill;
-      if (fill) pen.fill("evenodd");
-      pen.strokeStyle = edge;
-      pen.lineWidth = 1.2;
-      pen.stroke();
+  polygon(places, name, options) {
+    const colour = this.colour(name);
+    this.still.addLayer(L.polygon(places, { color: colour, weight: 1.2, ...options }));
+  }
+
+  dot(place, radius, name, options) {
+    const colour = this.colour(name);
+    this.still.addLayer(L.circleMarker(place, { radius, stroke: false, color: colour, fillOpacity: 1, ...options }));
+  }
+
+  drawPlan(plan) {
+    const opacity = Number(this.colour("--plan")); // its colours are made for white paper
+    for (const { fill, edge, rings } of plan) {
+      const places = rings.map(ring => ring.map(place => this.at(...place)));
+      const options = { color: edge, weight: 1.2, opacity };
+      this.still.addLayer(fill ? L.polygon(places, { ...options, fillColor: fill, fillOpacity: opacity }) : L.polyline(places, options));
     }
-    pen.globalAlpha = 1;
   }
 
-  paintGps({ east, north, accuracy }) {
-    const pen = this.pen;
-    pen.strokeStyle = pen.fillStyle = this.colour("--gps");
-    east.forEach((_, k) => {
-      const [x, y] = this.at(east[k], north[k]);
-      pen.globalAlpha = 0.12;
-      pen.lineWidth = 1;
-      pen.beginPath();
-      pen.arc(x, y, (accuracy[k] ?? 0) * this.view.scale, 0, 7);
-      pen.stroke();
-      pen.globalAlpha = 0.8;
-      pen.beginPath();
-      pen.arc(x, y, 2, 0, 7);
-      pen.fill();
+  drawGps(gps) {
+    this.places(gps).forEach((place, k) => {
+      const radius = gps.accuracy[k] ?? 0;
+      if (radius) this.still.addLayer(L.circle(place, { radius, color: this.colour("--gps"), weight: 1, opacity: 0.12, fill: false }));
+      this.dot(place, 2, "--gps", { fillOpacity: 0.8 });
     });
-    pen.globalAlpha = 1;
   }
 
-  paintTruth({ east, north, points }) {
-    const pen = this.pen;
-    pen.setLineDash([5, 5]);
-    this.line(east, north, this.colour("--truth"), 1.5);
-    pen.setLineDash([]);
-    if (!points) return;
-    pen.fillStyle = this.colour("--truth");
-    east.forEach((_, k) => {
-      const [x, y] = this.at(east[k], north[k]);
-      pen.fillRect(x - 3, y - 3, 6, 6);
-    });
+  drawTruth(truth) {
+    const places = this.places(truth);
+    this.still.addLayer(L.polyline(places, { color: this.colour("--truth"), weight: 1.5, dashArray: "5 5" }));
+    if (truth.points) places.forEach(place => this.dot(place, 3, "--truth"));
   }
 
   // Every step in the colour of its group; those after the shown time are faint.
-  paintWay(track) {
-    const east = [track.start[0], ...track.east], north = [track.start[1], ...track.north];
+  drawWay(track) {
     const { group, colours } = track.groups[this.groups] ?? track.groups.contexts;
-    const until = Math.min(this.row + 1, group.length), pen = this.pen;
-    this.line(east, north, this.colour("--ink"), 5, 0, until + 1);
-    for (const [from, to, alpha] of [[until, group.length, 0.3], [0, until, 1]]) {
-      pen.globalAlpha = alpha;
-      for (let k = from; k < to;) {
-        let end = k + 1;
-        while (end < to && group[end] === group[k]) end++;
-        this.line(east, north, colours[group[k]], 3.4, k, end + 1);
-        k = end;
+    this.way = this.wayOf(track);
+    this.runs = []; // steps that follow each other in one group: its number, the first, and that after the last
+    group.forEach((own, k) => {
+      if (k && own === group[k - 1]) this.runs.at(-1)[2] = k + 1;
+      else this.runs.push([own, k, k + 1]);
+    });
+    const inColours = opacity => colours.map((color, own) => {
+      const line = L.polyline(opacity < 1 ? this.runsUntil(own, group.length) : [], { color, weight: 3.4, opacity });
+      this.still.addLayer(line);
+      return line;
+    });
+    inColours(0.3);
+    this.walked = L.polyline([], { color: this.colour("--ink"), weight: 5 });
+    this.still.addLayer(this.walked);
+    this.walkedBy = inColours(1);
+  }
+
+  // The ways of a group's steps before one of them.
+  runsUntil(own, until) {
+    return this.runs.filter(([of, from]) => of === own && from < until)
+      .map(([, from, to]) => this.way.slice(from, Math.min(to, until) + 1));
+  }
+
+  drawEnds(track) {
+    this.dot(this.at(...track.start), 5, "--paper", { stroke: true, weight: 2, color: this.colour("--ink"), fillColor: this.colour("--paper") });
+    if (track.east.length) this.still.addLayer(this.mark(this.way.at(-1), "end", "", 9));
+  }
+
+  ellipseOf(k) {
+    const { east, north, major, minor, angle } = this.track;
+    return major[k] === null ? [] : this.ellipse([east[k], north[k]], major[k], minor[k], angle[k]);
+  }
+
+  // One step in full.
+  show(row) {
+    const { track, now } = this, shape = { renderer: this.above, weight: 1.2 };
+    this.row = row;
+    this.walked.setLatLngs(row < 0 ? [] : this.way.slice(0, row + 2));
+    this.walkedBy.forEach((line, own) => line.setLatLngs(this.runsUntil(own, row + 1)));
+    now.clearLayers();
+    if (row < 0) {
+      this.walker.remove();
+      return;
+    }
+    now.addLayer(L.polygon(this.ellipseOf(row), { ...shape, className: "within", fillOpacity: 0.16, opacity: 0.9 }));
+    if (track.places && !this.hidden.has("places")) {
+      // Where on the plan the walk may be, if in several places, with how probable each is.
+      for (const [percent, east, north, ...of] of track.places[row]) {
+        const dashed = { ...shape, className: "maybe", fillOpacity: 0.05, dashArray: "6 4" };
+        now.addLayer(L.polygon(this.ellipse([east, north], ...of), dashed));
+        now.addLayer(this.mark(this.at(east, north), "percent", `${Number(percent)} %`));
       }
     }
-    pen.globalAlpha = 1;
-  }
-
-  paintEnds(track) {
-    const pen = this.pen, [x, y] = this.at(...track.start);
-    pen.lineWidth = 2;
-    pen.strokeStyle = this.colour("--ink");
-    pen.fillStyle = this.colour("--paper");
-    pen.beginPath();
-    pen.arc(x, y, 5, 0, 7);
-    pen.fill();
-    pen.stroke();
-    if (!track.east.length) return;
-    const [a, b] = this.at(track.east.at(-1), track.north.at(-1));
-    pen.fillStyle = this.colour("--ink");
-    pen.fillRect(a - 4.5, b - 4.5, 9, 9);
-  }
-
-  paintEllipse(k, fill, edge) {
-    const { east, north, major, minor, angle } = this.track;
-    if (major[k] !== null) this.ellipse([east[k], north[k]], major[k], minor[k], angle[k], fill, edge);
-  }
-
-  // Where on the plan the walk may be, if in several places, with how probable each is.
-  paintPlaces(places) {
-    const pen = this.pen;
-    pen.setLineDash([6, 4]);
-    for (const [, east, north, ...shape] of places) this.ellipse([east, north], ...shape, 0.05, 1, "--wrong");
-    pen.setLineDash([]);
-    pen.font = "bold 13px system-ui, sans-serif";
-    pen.textAlign = "center";
-    pen.lineWidth = 4;
-    for (const [percent, east, north] of places) {
-      const [x, y] = this.at(east, north);
-      pen.strokeStyle = this.colour("--paper");
-      pen.strokeText(`${percent} %`, x, y + 26);
-      pen.fillStyle = this.colour("--wrong");
-      pen.fillText(`${percent} %`, x, y + 26);
-    }
-    pen.textAlign = "start";
-  }
-
-  paintNow(track) {
-    this.paintEllipse(this.row, 0.16, 0.9);
-    if (track.places && !this.hidden.has("places")) this.paintPlaces(track.places[this.row]);
-    this.walker([track.east[this.row], track.north[this.row]], track.heading[this.row] * Math.PI / 180);
+    this.stand(this.way[row + 1], track.heading[row] * Math.PI / 180);
   }
 }

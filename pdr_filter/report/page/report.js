@@ -7,10 +7,11 @@
   const { tracks } = JSON.parse(byId("data").textContent);
   const BOUT_PAUSE_S = 2.5; // steps further apart belong to different bouts: the speed between them is not known
   const PLAY_S = 20;
-  let track = tracks[0], row = -1, charts = [], isFollowing = false, playing = null;
+  let track = tracks[0], charts = [], isFollowing = false, playing = null;
 
   const map = new WayMap(byId("map"), colour, k => show(k));
   map.tracks = tracks;
+  map.whole();
 
   // --- words ---------------------------------------------------------------------------------------------------------
 
@@ -80,8 +81,7 @@
   }
 
   function show(k, time = track.time[k]) {
-    row = map.row = k;
-    map.draw();
+    map.show(k);
     tell(k);
     if (k < 0) return;
     byId("time").value = time;
@@ -283,6 +283,8 @@
     layers();
     colours();
     build();
+    map.row = -1; // of the track before
+    map.draw();
     show(track.time.length - 1, track.end_s);
   }
 
@@ -310,8 +312,18 @@
   const fit = () => charts.forEach(each => each.setSize({ width: each.root.parentElement.clientWidth, height: each.height }));
   new ResizeObserver(fit).observe(document.body);
   let before = "light";
-  addEventListener("beforeprint", () => { before = root.dataset.theme; paint("light"); fit(); map.paint(); });
-  addEventListener("afterprint", () => { paint(before); fit(); });
+  addEventListener("beforeprint", () => {
+    before = root.dataset.theme;
+    root.classList.add("printed");
+    paint("light");
+    fit();
+    map.leaflet.invalidateSize(); // draws it at once
+  });
+  addEventListener("afterprint", () => {
+    root.classList.remove("printed");
+    paint(before);
+    fit();
+  });
 
   root.dataset.theme = scheme.matches ? "dark" : "light";
   byId("theme").textContent = scheme.matches ? "light" : "dark";
