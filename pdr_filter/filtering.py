@@ -253,21 +253,22 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
         output.fixes.extend(used)
         state = _with_pressure(config, state, known_s, output)
         if isinstance(event, WindowContext):
-            state = replace(state, height=height.on_window(state.height, event, config.model))
+            known = height.on_window(state.height, event, config.model)
             context = with_climb(event, climb_at(state.climbs, event.time_s))
             output.windows.append(context)
-            state = replace(state, seen=state.seen.plus(context), window=context)
             tracker, brought = config.tracker.on_window(state.tracker, context)
+            seen = state.seen.plus(context)
+            state = replace(state, tracker=tracker, height=known, seen=seen, window=context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
                 state = replace(state, particles=particles)
-            state = replace(state, last_update=None)
+            state = replace(state, tracker=tracker, last_update=None)
         else:
-            state = replace(state, walked=state.walked.plus(event))
             tracker, brought = config.tracker.on_step(state.tracker, event)
-        state = _with_steps(config, replace(state, tracker=tracker), known_s, brought.updates, output)
+            state = replace(state, tracker=tracker, walked=state.walked.plus(event))
+        state = _with_steps(config, state, known_s, brought.updates, output)
         output.passages.extend(brought.passages)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)

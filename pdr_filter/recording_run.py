@@ -42,6 +42,7 @@ from pdr_filter.values import (
     CONTEXTS,
     Fix,
     FixResult,
+    FloatArray,
     ImuBlock,
     IntArray,
     Origin,
@@ -219,11 +220,13 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     if config.on_plan is not None:
         track = _on_plan(track, config.on_plan.plan, updates)
         origin = config.on_plan.plan.origin if is_on_plan else None
-    start = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0))
+    start_m = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
+    if updates and updates[0].on_plan is not None:  # which knows nothing of before
+        start_m = a_step_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
     return replace(
         track,
         start_time_s=start_s,
-        start_position_m=read_only(start.position_m),
+        start_position_m=read_only(start_m),
         frame="plan" if is_on_plan else frame.name,
         origin=origin,
         duration_s=duration_s,
@@ -233,6 +236,11 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         person=person_of(config, state),
         notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
     )
+
+
+def a_step_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
+    """Where somebody was (2,) who came to a place with a step."""
+    return position_m - length_m * np.array([np.sin(heading_rad), np.cos(heading_rad)])
 
 
 def detect_steps(recording: Recording, config: Config | None = None) -> Table:

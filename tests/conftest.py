@@ -7,9 +7,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.data_folder import DATA
+
 # Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core.
 SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
-DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 
 
 @pytest.fixture(scope="session")

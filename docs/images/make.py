@@ -1,9 +1,9 @@
 """The pictures of the documentation that are not figures of a benchmark: the data flow and two tracks.
 
-usage: .venv/bin/python docs/images/make.py [NAME...]     data_flow, demo_track, real_track; all without NAME
+usage: .venv/bin/python -m docs.images.make [NAME...]     data_flow, demo_track, real_track; all without NAME
 
 SVG, and the same bytes for the same tracks. The README's picture, real_track, is PNG, which every page that shows a
-README can display; it needs the recordings in ../shared/data and is left as it is without them.
+README can display; it needs the real recordings (`tests/data_folder.py`) and is left as it is without them.
 """
 
 from __future__ import annotations
@@ -20,9 +20,10 @@ from matplotlib.patches import FancyBboxPatch
 
 import pdr_filter as pdr
 from pdr_filter.report.palette import BLUE, FAINT, INK, ORANGE
+from tests.data_folder import DATA
 
 HERE = Path(__file__).resolve().parent
-REAL_WALK = HERE.parents[2] / "shared" / "data" / "humolire" / "humolire_user1_1f.zip"
+REAL_WALK = DATA / "humolire" / "humolire_user1_1f.zip"
 
 # What runs while somebody walks, and what runs afterwards; distinguished by the border, too.
 ONLINE: dict[str, object] = {"facecolor": "#DCEBF5", "edgecolor": BLUE, "linestyle": "-"}

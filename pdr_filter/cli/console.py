@@ -6,6 +6,7 @@ import errno
 import json
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
+from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
@@ -122,6 +123,8 @@ def each(
             try:
                 results.append(work(file, show_part))
             except KeyboardInterrupt:
+                for reason in failed.values():
+                    say_error(reason)
                 left = f"{escape(str(file))}" + (f" and {n} more" if (n := len(files) - i - 1) else "")
                 stderr().print(f"stopped: {len(results)} of {len(files)} done, whose files are whole; left: {left}")
                 raise typer.Exit(STOPPED) from None
@@ -209,6 +212,16 @@ def write_track(result: Track, folder: Path, name: str) -> None:
     """The table and the picture of a track."""
     result.to_csv(folder / f"{name}.csv")
     result.plot(folder / f"{name}.png")
+
+
+def files_of(folder: Path, name: str) -> dict[Path, int]:
+    """When each file of a track that is there was written, in ns."""
+    return {path: path.stat().st_mtime_ns for path in folder.glob(f"{glob_escape(name)}.*") if path.is_file()}
+
+
+def replaced_of(before: Mapping[Path, int]) -> list[Path]:
+    """Those files that were written anew since."""
+    return [path for path in sorted(before) if path.exists() and path.stat().st_mtime_ns != before[path]]
 
 
 def unused(name: str, written: set[str]) -> str:

@@ -38,8 +38,10 @@ def convert(
     """
     from pdr_filter.io.any_table import read_guessed, read_mapped
     from pdr_filter.io.describe import reading_report
+    from pdr_filter.io.detection import detect
     from pdr_filter.io.files import write_text
-    from pdr_filter.io.formats import detect, read
+    from pdr_filter.io.folders import only_recording_in
+    from pdr_filter.io.formats import read
     from pdr_filter.io.mapping import read_mapping
 
     with console.one_line_errors():
@@ -47,6 +49,7 @@ def convert(
             raise ValueError("--map says the sign, too: leave --platform out")
         text = ""
         of_platform = None if platform is None else platform.value
+        file = only_recording_in(file)
         if mapping is not None:
             recording = read_mapped(file, read_mapping(mapping))
         elif detect(file) == "table":

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from pdr_filter import plot
-from pdr_filter.cli.console import escape, write_map
+from pdr_filter.cli.console import escape, files_of, replaced_of, unused, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.texts import file_name
@@ -37,6 +37,7 @@ class Demo:
     picture: Path
     geojson: Path
     csv: Path
+    replaced: tuple[Path, ...] = ()  # of these, what was there before
 
     def print(self, console: Console) -> None:
         """Print the summary."""
@@ -72,15 +73,20 @@ def run_demo(
     out_dir: Path,
     progress: Callable[[float], None] | None = None,
     gnss: GnssUse | None = None,
+    written: set[str] | None = None,
 ) -> Demo:
-    """Track a file, or the simulated walk, and write report, picture, map file and table to a folder."""
+    """Track a file, or the simulated walk, and write report, picture, map file and table to a folder.
+
+    `written` has the names of those before it, which it does not take.
+    """
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
     result = track(recording, progress=progress, gnss=gnss)
-    name = file_name(result.name)
+    name = unused(file_name(result.name), set() if written is None else written)
+    before = files_of(out_dir, name)
     picture = out_dir / f"{name}.png"
     plot.track(result, picture, _true_way(recording) if is_simulated else None)
-    return Demo(
+    done = Demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
@@ -89,6 +95,7 @@ def run_demo(
         geojson=write_map(result, out_dir / f"{name}.geojson"),
         csv=result.to_csv(out_dir / f"{name}.csv"),
     )
+    return replace(done, replaced=tuple(replaced_of(before)))
 
 
 def _placed(result: Track) -> str:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -50,14 +51,24 @@ def demo(
     gnss: Gnss = None,
 ) -> None:
     """Track a walk, draw it and say what came out."""
-    from pdr_filter.cli.demo import run_demo
+    from pdr_filter.cli.demo import Demo, run_demo
+
+    use, written = None if gnss is None else gnss.value, set[str]()
+
+    def run(one: Path | None, progress: Callable[[float], None]) -> Demo:
+        return run_demo(one, out, progress, use, written)
 
     with console.one_line_errors():
-        files = [None] if file is None else console.recordings_of([file])
-        for one in files:
+        files = [] if file is None else console.recordings_of([file])
+        if file is None:
             with console.progress("tracking") as show:
-                result = run_demo(one, out, show, None if gnss is None else gnss.value)
-            result.print(Console(highlight=False))
+                demos, failed = [run(None, show)], dict[Path, str]()
+        else:
+            demos, failed = console.each(files, run)
+    for done in demos:
+        done.print(Console(highlight=False))
+    console.say_replaced([path for done in demos for path in done.replaced])
+    console.exit_if_failed(failed, len(files))
 
 
 def _block_walk(carrying_mode: str, seed: int) -> Recording:

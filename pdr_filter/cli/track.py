@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from enum import StrEnum
-from glob import escape as glob_escape
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -152,8 +151,7 @@ class Output:
     def write(self, result: Track, recording: Recording, name: str) -> list[Path]:
         """The files of one track; those that were there before, which are replaced, are returned."""
         folder, kinds = self.out or Path(), self.kinds
-        before = {path for path in folder.glob(f"{glob_escape(name)}.*") if path.is_file()}
-        times = {path: path.stat().st_mtime_ns for path in before}
+        before = console.files_of(folder, name)
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
         if nowhere and result.origin is None:
             raise ValueError(
@@ -170,7 +168,7 @@ class Output:
             from pdr_filter.report.html import write_report
 
             write_report(result, folder / f"{name}.html", recording)
-        return [path for path in sorted(before) if path.exists() and path.stat().st_mtime_ns != times[path]]
+        return console.replaced_of(before)
 
 
 # How each kind of file is written.

@@ -97,6 +97,8 @@ def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]
         whole = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
         found = [part for sheet in whole for part in _by_sensor(sheet)]
     if not found:
+        if not members.is_container and members.head(members.names[0], 4096).lstrip()[:1] in (b"[", b"{"):
+            raise RecordingError(f"{members.path}: JSON of an app that is not known; export it as CSV")
         listed = ", ".join(members.names[:8])
         raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
     return found

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import codecs
+import gzip
+import io
 import json
 import struct
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterator
+from collections.abc import Generator, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
-from typing import Any, cast
+from typing import IO, Any, cast
 
 from pdr_filter.io import limits
 from pdr_filter.io.errors import RecordingError
@@ -21,15 +24,22 @@ SUPPORTED_COMPRESSION = (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)
 # What zipfile raises for a file whose bytes were changed.
 _PYTHON_ERRORS = (EOFError, RuntimeError, OSError, OverflowError, LookupError, ValueError)
 _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
+# Files that are recordings by themselves and are read in place, not out of a zip.
+IN_PLACE = (".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".mcap", ".db3")
+_ZIP, _GZIP = b"PK", b"\x1f\x8b"
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
 class Members:
-    """The files of a recording: those of a zip or a folder, or one file alone. Nothing is unpacked to disk.
+    """The files of a recording: those of a zip or a folder, or one file alone, or in a gz. Nothing is unpacked to disk.
 
     `inside` is what a path names inside a file, which is no folder: of a zip a folder or a file, of a log a session.
+    Text in UTF-16 with a byte order mark comes as UTF-8.
     """
 
-    def __init__(self, path: Path, archive: zipfile.ZipFile | None = None, inside: str = "") -> None:
+    def __init__(
+        self, path: Path, archive: zipfile.ZipFile | None = None, inside: str = "", is_gzip: bool = False
+    ) -> None:
         self.path = path / inside if inside else path
         self.inside = inside
         self._is_folder = path.is_dir()
@@ -37,7 +47,12 @@ class Members:
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
         self._n_read = 0
-        self._files = _files_below(path) if self._is_folder else {path.name: path}
+        self._most = limits.MAX_READ_BYTES
+        self._open = gzip.open if is_gzip else open_regular
+        if is_gzip:
+            self._most = min(self._most, _most_unpacked(path.stat().st_size))
+        name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
+        self._files = _files_below(path) if self._is_folder else {name: path}
         names = sorted(self._files if archive is None else self._infos)  # with forward slashes
         if inside and archive is not None:
             names = [name for name in names if name == inside or name.startswith(f"{inside}/")]
@@ -86,10 +101,10 @@ class Members:
         return self._parts(name, limits.BLOCK_BYTES)
 
     def pieces(self, name: str) -> Iterator[bytes]:
-        """The bytes of a member in pieces that end anywhere; without byte order mark, UTF-16 is refused."""
+        """The bytes of a member in pieces that end anywhere, without byte order mark."""
         for i, part in enumerate(self._parts(name, limits.BLOCK_BYTES)):
-            # UTF-16 and UTF-32, with or without byte order mark, and binary files have zero bytes
-            if i == 0 and (part.startswith((b"\xff\xfe", b"\xfe\xff")) or b"\x00" in part[:4096]):
+            # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
+            if i == 0 and b"\x00" in part[:4096]:
                 raise RecordingError(
                     f"{self.where(name)}: not UTF-8 text but UTF-16 or a binary file; save it as UTF-8"
                 )
@@ -121,16 +136,19 @@ class Members:
             if self._archive is None:
                 file = self._files[name]
                 _check_size(where, file.stat().st_size)
-                opened = open_regular(inside(file, self.path) if self._is_folder else file)
+                opened = self._open(inside(file, self.path) if self._is_folder else file)
             else:
                 _check_claims(where, self._infos[name])
                 opened = self._archive.open(self._infos[name])
             with opened as file:
-                while part := file.read(size):
+                part = file.read(size)
+                decoder = codecs.getincrementaldecoder("utf-16")() if part.startswith(_UTF_16) else None
+                while part:
                     self._n_read += len(part)
-                    if self._n_read > limits.MAX_READ_BYTES:
-                        raise RecordingError(f"{where}: more than {limits.MAX_READ_BYTES} bytes; cut the recording")
-                    yield part
+                    if self._n_read > self._most:
+                        raise RecordingError(f"{where}: more than {self._most} bytes; cut the recording")
+                    yield part if decoder is None else decoder.decode(part).encode()
+                    part = file.read(size)
         except RecordingError:
             raise
         except OSError as error:
@@ -156,17 +174,46 @@ def open_members(path: Path) -> Generator[Members]:
             begin = file.read(2)
             if not begin:
                 raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
-            if begin != b"PK":
+            if begin == _GZIP:
+                packed = Members(path, is_gzip=True)
+                if packed.head(packed.names[0], 2) == _ZIP:
+                    file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
+                else:
+                    yield Members(path, inside=inside, is_gzip=True)
+                    return
+            elif begin != _ZIP:
                 yield Members(path, inside=inside)
                 return
-            try:
-                archive = zipfile.ZipFile(file)
-            except _ZIP_ERRORS as error:
-                raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
-            with archive:
-                yield Members(path, archive, inside)
+            with _in_zip(file, path, inside) as members:
+                yield members
     except OSError as error:
         raise RecordingError(f"{path}: cannot be read ({error.strerror}); check its permissions") from error
+
+
+@contextmanager
+def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) -> Generator[Members]:
+    """The files in a zip; in the one zip in it, if it holds nothing else, or in that of its zips which is named."""
+    try:
+        archive = zipfile.ZipFile(file)
+    except _ZIP_ERRORS as error:
+        raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
+    with archive:
+        members = Members(path, archive)
+        zips = zips_among(members.names)
+        named = [name for name in zips if inside == name or inside.startswith(f"{name}/")]
+        if is_inner or not (named or len(zips) == 1):
+            yield Members(path, archive, inside) if inside else members
+            return
+        content = io.BytesIO(members.whole(*(named or zips), most=limits.MAX_UNPACKED_BYTES))
+        if named:
+            path, inside = path / named[0], inside.removeprefix(named[0]).lstrip("/")
+        with _in_zip(content, path, inside, is_inner=True) as members:
+            yield members
+
+
+def zips_among(names: Sequence[str]) -> list[str]:
+    """The names, if all are those of zips."""
+    return [*names] if all(name.lower().endswith(".zip") for name in names) else []
 
 
 def outside(path: Path) -> tuple[Path, str]:
@@ -213,12 +260,18 @@ def _files_below(path: Path) -> dict[str, Path]:
     return found
 
 
+def _most_unpacked(size: int) -> int:
+    """How many bytes a packed file of this size may hold."""
+    return max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size)
+
+
 def _infos_by_name(path: Path, archive: zipfile.ZipFile) -> dict[str, zipfile.ZipInfo]:
     """Files in a zip by path inside it, whatever system packed it; a path that leads out of it is refused."""
     if len(archive.infolist()) > limits.MAX_MEMBERS:
         raise RecordingError(f"{path}: more than {limits.MAX_MEMBERS} files in the zip; pack one recording alone")
-    claimed, size = sum(info.file_size for info in archive.infolist()), path.stat().st_size
-    if claimed > max(limits.UNPACKED_FREELY_BYTES, limits.MAX_COMPRESSION_RATIO * size):
+    claimed = sum(info.file_size for info in archive.infolist())
+    size = archive.fp.seek(0, io.SEEK_END) if archive.fp else 0  # of the zip itself, which may be inside another
+    if claimed > _most_unpacked(size):
         raise RecordingError(
             f"{path} claims to unpack to {claimed} bytes, {claimed / size:.0f} times its size: no sensor data is like "
             "that; unpack it yourself and give the folder, if you trust it"

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import re
+import unicodedata
 from dataclasses import dataclass
 
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
@@ -41,6 +42,13 @@ QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in 
 # Letters of the physics books, which stand alone: a word may not end with them.
 _LETTERS = {"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD}
 _SHORTEST = 3  # letters of a word that may have something before it
+# What a unit alone says of a column whose word is in a language that is not known.
+OF_UNIT = {
+    **dict.fromkeys(("m/s^2", "m/s2"), ACCELERATION),
+    **dict.fromkeys(("rad/s", "\u00b0/s", "deg/s"), RATE),
+    **{"ut": FIELD, "hpa": "barometer"},
+}
+_AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 # Behind an axis, as in `ax_g` and `gyro_z_dps`.
@@ -66,6 +74,8 @@ UNITS: dict[str, dict[str, float]] = {
     "light": {"lux": 1.0, "lx": 1.0},
     "proximity": {"cm": 1.0, "mm": 0.1, "m": 100.0, "i": 1.0},
 }
+# Cyrillic m, s, rad, and uT as "mkT" and an l
+_LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME = re.compile(r"(time|timestamps?|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _TIME_UNIT_WORDS = {
@@ -92,12 +102,19 @@ class Column:
 def normal_unit(unit: str) -> str:
     """A unit as in `UNITS`."""
     unit = unit.lower().replace(" ", "").replace("\u00b2", "^2").replace("\u00b5", "u").replace("\u03bc", "u")
-    return unit.replace("\u00e2", "")  # what is left of a sign that was decoded wrongly
+    unit = unit.replace("\u00e2", "")  # what is left of a sign that was decoded wrongly
+    return unit.translate(_LATIN).replace("mkt", "ut")
+
+
+def is_unit(text: str) -> bool:
+    """Whether a text is a unit, of a sensor or a time."""
+    unit = normal_unit(text)
+    return unit in TIME_UNITS or any(unit in units for units in UNITS.values())
 
 
 def letters(name: str) -> str:
-    """The letters of a name, in lower case."""
-    return re.sub(r"[^a-z]", "", name.lower())
+    """The letters of a name, in lower case and without accents."""
+    return re.sub(r"[^a-z]", "", unicodedata.normalize("NFKD", name).lower())
 
 
 def quantity_of_stem(stem: str) -> tuple[str, int]:
@@ -138,6 +155,10 @@ def column_of(place: int, name: str) -> Column:
                 unit = unit or ("g" if rest in ("gf", "gforce") else "")
                 return Column(place, name, quantity, axis, unit, rest, preference)
     quantity, preference = quantity_of_stem(stem)
+    axis_found = _AXIS_ALONE.search(words)
+    if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
+        word = words[: axis_found.start()].lower()
+        return Column(place, name, OF_UNIT[unit], axis_found[1].lower(), unit, word)
     return Column(place, name, "" if quantity in VECTORS else quantity, "", unit, stem, preference)
 
 
@@ -145,6 +166,12 @@ def is_time(name: str) -> bool:
     """Whether a name is one of a time."""
     stem = letters(_UNIT.sub("", name))
     return stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
+
+
+def has_time_unit(name: str) -> bool:
+    """Whether a name ends with a unit of time in brackets: a time in a language that is not known."""
+    found = _UNIT.search(name)
+    return found is not None and normal_unit(found[1]) in TIME_UNITS
 
 
 def time_unit_of(name: str) -> str:

@@ -17,9 +17,10 @@ from pdr_filter.values import IntArray
 _MONTHS = {"janfebmaraprmayjunjulaugsepoctnovdec"[3 * i : 3 * i + 3]: i + 1 for i in range(12)}
 _DATE = r"(\d{1,4})[-/. ]([A-Za-z]{3}|\d{1,2})[-/. ](\d{1,4})"
 _CLOCK = r"(\d{1,2})[:\-](\d{2})[:\-](\d{2})(?:[.:_,](\d{1,9}))?"
-_ZONE = r"(?:\s?(Z|UTC|[+-]\d{2}:?\d{2}))?"
+_HALF = r"[AaPp]\.?[Mm]\.?"  # of the day, after a clock of twelve hours
+_ZONE = rf"(?:\s?(Z|UTC|[+-]\d{{2}}:?\d{{2}}|{_HALF}))?"
 _WITH_DATE = re.compile(rf"{_DATE}[ T_]+{_CLOCK}{_ZONE}")
-_CLOCK_ONLY = re.compile(r"()()()(\d{1,2}):(\d{2}):(\d{2})(?:[.:_,](\d{1,9}))?()")
+_CLOCK_ONLY = re.compile(rf"()()()(\d{{1,2}}):(\d{{2}}):(\d{{2}})(?:[.:_,](\d{{1,9}}))?(?:\s?({_HALF}))?")
 _NS_OF_DAY = 86400 * 10**9
 _WIDEST = 40  # signs of a date
 _MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
@@ -34,7 +35,7 @@ def is_date(text: str) -> bool:
 def has_zone(text: str) -> bool:
     """Whether a date says how far its clock is from that of Greenwich."""
     found = _WITH_DATE.fullmatch(text.strip())
-    return found is not None and found[8] is not None
+    return found is not None and found[8] is not None and found[8][0] not in "AaPp"
 
 
 def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
@@ -52,7 +53,10 @@ def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
         key = (year, month, day)
         if key not in days:
             days[key] = _day_ns(*(text.decode() for text in key))
-        ns = days[key] + ((int(hour) * 60 + int(minute)) * 60 + int(second)) * 10**9
+        hours = int(hour)
+        if zone and zone[:1] in b"AaPp":
+            hours = hours % 12 + 12 * (zone[:1] in b"Pp")
+        ns = days[key] + ((hours * 60 + int(minute)) * 60 + int(second)) * 10**9
         ns += int(part.ljust(9, b"0")) if part else 0
         return b"%d" % (ns - _zone_ns(zone) if zone else ns)
 

@@ -62,11 +62,15 @@ DIALECTS = (
         "TotalAcceleration, or Gravity beside Accelerometer, in Sensor Logger",
         sign=None,
     ),
-    Dialect("phyphox", r"Time \(s\).*(Acceleration|\bX) \w* ?\(m/s\^2\)", "'Acceleration with g' in phyphox"),
+    Dialect(  # in any language
+        "phyphox",
+        r"(?m:^[^(),]+ \(s\),.*\b[xyz] \(m/s(\^2|\u00b2)\))|(?m:^(.*/)?meta/device\.csv$)",
+        "'Acceleration with g' in phyphox",
+    ),
     Dialect("senslogs", r"\brecord\.properties\b", "accelerometer.txt in senslogs"),
 )
 
 
 def dialect_of(text: str) -> Dialect | None:
     """The app that this shows; None if none is known."""
-    return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text)), None)
+    return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)

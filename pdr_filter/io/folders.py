@@ -3,17 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import islice
 from pathlib import Path
 
+from pdr_filter.io import limits
 from pdr_filter.io.any_table import sensors_of
-from pdr_filter.io.archive import Members
+from pdr_filter.io.archive import IN_PLACE, Members
 from pdr_filter.io.columns import ACCELERATION, GRAVITY
-from pdr_filter.io.formats import detect, detect_file
+from pdr_filter.io.detection import detect, detect_file
+from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.several import parts_of, recordings_among
 
 _TEXTS = {".csv", ".txt", ".tsv", ".json"}
-_FILES = {".zip", ".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".sqlite", ".db", ".mcap", ".db3"}
+_FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
@@ -44,6 +47,25 @@ def recordings_in(folder: str | Path) -> list[Path]:
         elif path.is_file() and (path.suffix.lower() in _FILES or (path.suffix.lower() in _TEXTS and _is_known(path))):
             found += _each_of(path)
     return found
+
+
+def only_recording_in(path: Path) -> Path:
+    """The path, or the only recording in a folder around it; RecordingError if there are several."""
+    parts = parts_of(path, detect_file)
+    # Neither is anybody's home folder searched, nor is a link followed to what nobody gave.
+    below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
+    is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
+    if is_searched and (parts or detect(path) == "own"):
+        found = recordings_in(path)
+        if len(found) == 1:
+            return found[0]
+        parts = [str(recording.relative_to(path)) for recording in found]
+    if parts:
+        raise RecordingError(
+            f"{path}: holds {len(parts)} recordings ({', '.join(parts[:3])}); read one, such as {path / parts[0]}, "
+            "or give its recordings as recordings_in lists them"
+        )
+    return path
 
 
 def _is_one(folder: Path, files: list[Path]) -> bool:

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 from pdr_filter.io.columns import (
     ACCELERATION,
-    FIELD,
     LOCATION,
-    RATE,
+    OF_UNIT,
     SCALARS,
     UNITS,
     VECTORS,
     Column,
     column_of,
+    has_time_unit,
     is_time,
     letters,
     quantity_of_file,
@@ -23,7 +23,6 @@ from pdr_filter.io.columns import (
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.sheets import Sheet
 
-_OF_UNIT = {"m/s^2": ACCELERATION, "rad/s": RATE, "\u00b0/s": RATE, "deg/s": RATE, "ut": FIELD, "hpa": "barometer"}
 _AXES = ("x", "y", "z")
 
 
@@ -46,6 +45,7 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
+    times = times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
     if not is_named:
         columns, times = _without_names(sheet, times)
     columns = [column for column in columns if column.place not in times]
@@ -89,16 +89,18 @@ def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[i
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
     """Quantity and the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
+    # Letters that differ, as in ax and wx, say more than the name of a file.
+    differ = len({column.stem for column in columns if column.quantity and len(column.stem) == 1}) > 1
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
     for column in columns:
         if not column.axis or (of_file and of_file not in VECTORS):
             continue
         quantity = column.quantity
-        if not quantity or len(column.stem) == 1:
+        if not quantity or (len(column.stem) == 1 and not differ):
             before = max((t for t in times if t < column.place), default=-1)
             of_time = quantity_of_file(sheet.fields[before])[0] if before >= 0 else ""
             by_name = [q for q in (of_time, of_file) if q in VECTORS]
-            quantity = (by_name or [quantity or _OF_UNIT.get(column.unit, ACCELERATION)])[0]
+            quantity = (by_name or [quantity or OF_UNIT.get(column.unit, ACCELERATION)])[0]
         n = 0  # axes without a word may be there again, for the next sensor
         while column.axis in found.get((quantity, column.stem, n), {}):
             n += 1

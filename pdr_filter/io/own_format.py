@@ -10,7 +10,7 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.archive import Members, json_object, open_members
+from pdr_filter.io.archive import IN_PLACE, Members, json_object, open_members
 from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS, WIFI_COLUMNS
@@ -82,9 +82,11 @@ def _folder(members: Members) -> str:
     folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
     if not folders:
         listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
+        whole = next((name for name in members.names if name.lower().endswith(IN_PLACE)), None)
+        remedy = "add that file" if whole is None else f"unpack {whole}, which is read alone"
         raise RecordingError(
             f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}), nor a table of an "
-            "accelerometer of any app; add that file"
+            f"accelerometer of any app; {remedy}"
         )
     if len(folders) > 1:
         names = ", ".join(folder.rstrip("/") or "." for folder in folders[:3])

@@ -54,14 +54,16 @@ FACTOR = {
 }
 LOCATION = (("latitude",), ("longitude",), ("height", "altitude", "altitude wgs84"), ("horizontal accuracy",))
 AXES = ("x", "y", "z")
+_NAMES = {*STREAM_OF, *WITHOUT_GRAVITY, *(name for names in LOCATION for name in names)}
 
 
 def looks_like(header: str) -> bool:
-    """Whether the header line of a CSV file is one of phyphox: a time, and a column with its unit in brackets."""
+    """Whether the header line of a CSV file is one of phyphox: a time, and a column of a sensor with its unit."""
     for separator in SEPARATORS:
         time, _, others = header.partition(separator)
         if time.strip('"') == TIME and others:
-            return others.split(separator, 1)[0].rstrip('" ').endswith(")")
+            parts = _name_axis_unit(others.split(separator, 1)[0].strip('" '))
+            return parts is not None and (not parts[0] or parts[0] in _NAMES)
     return False
 
 
@@ -131,9 +133,8 @@ def _read_table(table: TextTable, stem: str, parsed: Parsed) -> bool:
                 raise RecordingError(f"{where}: {stream} is there twice; keep one of them")
             parsed.streams[stream] = (rows.values[known, 0], values[known])
             first, factor = columns[0]
-            parsed.found.append(
-                f"{stream}: from {fields[first]!r}, factor {factor:.6g}, Android's sign on both systems"
-            )
+            sign = ", Android's sign on both systems" if stream in VECTORS else ""
+            parsed.found.append(f"{stream}: from {fields[first]!r}, factor {factor:.6g}{sign}")
     return without_gravity
 
 

@@ -238,20 +238,21 @@ def _read_tables(members: Members) -> _Export:
     for name in members.names:
         pure = PurePosixPath(name)
         if pure.suffix.lower() == ".csv":
-            if pure.stem in by_stem:
+            stem = pure.stem.lower()
+            if stem in by_stem:
                 raise RecordingError(f"{members.path}: {pure.name} is there twice; make one zip of each recording")
-            by_stem[pure.stem] = name
+            by_stem[stem] = name
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
     metadata, annotations = (
         text_rows(members.small(by_stem[stem]), members.where(by_stem[stem])) if stem in by_stem else []
-        for stem in ("Metadata", "Annotation")
+        for stem in ("metadata", "annotation")
     )
     if len(metadata) >= 2:
         export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
     export.annotations = _annotations(annotations)
     for sensor, columns in COLUMNS.items():
-        if sensor in by_stem:
-            table = TextTable(members.blocks(by_stem[sensor]), members.where(by_stem[sensor]), lambda _: ",")
+        if (name := by_stem.get(sensor.lower())) is not None:
+            table = TextTable(members.blocks(name), members.where(name), lambda _: ",")
             if table.is_empty:
                 export.notes.append(f"{sensor}.csv: empty, left out")
                 continue

@@ -7,7 +7,7 @@ from pathlib import Path, PurePosixPath
 
 from pdr_filter.io import limits, sensor_logger
 from pdr_filter.io.any_table import TEXTS, sensors_of
-from pdr_filter.io.archive import Members, open_members
+from pdr_filter.io.archive import Members, open_members, zips_among
 from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, VECTORS
 
 # Files whose names say that the folder around them is one recording.
@@ -16,15 +16,18 @@ _WHOLE = ("get_sensor_data", "indoor_location", "core_motion", "ronin")
 
 
 def parts_of(path: Path, format_of: Callable[[Members, str], str]) -> list[str]:
-    """What is to be put behind the path of a file that holds several recordings, of each; empty of any other."""
-    if path.is_dir() or not path.exists():
+    """What is to be put behind a path that holds several recordings, of each; empty of any other.
+
+    Of a folder only its own files are looked at; it is one recording if some of them are, whatever else lies there.
+    """
+    if not path.exists():
         return []
     with open_members(path) as members:
         if not members.is_container:
             sessions = sensor_logger.sessions_of(members)
             return sessions if len(sessions) > 1 else []
-        parts = recordings_among(members, members.names, format_of)
-    return parts if len(parts) > 1 else []
+        parts = zips_among(members.names) or recordings_among(members, members.names, format_of)
+    return parts if len(parts) > 1 and not (path.is_dir() and "." in parts) else []
 
 
 def recordings_among(members: Members, names: Iterable[str], format_of: Callable[[Members, str], str]) -> list[str]:

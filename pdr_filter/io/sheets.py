@@ -15,6 +15,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
+from pdr_filter.io.columns import is_unit
 from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
@@ -216,6 +217,8 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         header = split[at] if at is not None else []
         if at is None or _is_row(header) or abs(len(header) - n) > 1:
             at, header = None, []
+        if at and header and all(map(is_unit, filter(None, header))) and len(split[at - 1]) == len(header):
+            header = [f"{name} ({unit})" if unit else name for name, unit in zip(split[at - 1], header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
         return _Found(separator, "," if has_comma else ".", first, row, at, header, (round(share, 2), n))
     return None

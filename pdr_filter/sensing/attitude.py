@@ -18,16 +18,17 @@ from vqf import VQF
 
 from pdr_filter.sensing.bias import BiasWindow, GyroBias, GyroBiasState
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, check_numbers, replace
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, check_numbers, replace
 
 # The device turns about up by what a rotation that leaves gravity's tilt alone would: against an attitude tilted by
 # theta an error of the tilt enters the heading times tan(theta / 2), 0.6 at 60 degrees. Then a new one is needed.
 _MAX_TILT_COS = 0.5
 
-# Columns of the samples that wait for a whole window of the bias.
-_RATE, _FORCE, _UP, _FIELD, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), slice(9, 12), slice(12, 16)
-_HEADING, _RATE_KNOWN, _FIELD_KNOWN = 16, 17, 18
-_NO_SAMPLES = np.empty((0, 19))
+# Columns of the samples that wait for a whole window of the bias; the field and 1 side by side, to be turned alike.
+_RATE, _FORCE, _FIELD, _ONE, _QUAT = slice(0, 3), slice(3, 6), slice(6, 9), 9, slice(10, 14)
+_FIELD_AND_ONE = slice(6, 10)
+_HEADING, _RATE_KNOWN, _FIELD_KNOWN = 14, 15, 16
+_NO_SAMPLES = np.empty((0, 17))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -51,10 +52,9 @@ class AttitudeState:
     vqf: Mapping[str, Any] | None  # None before the first sample
     device_heading_rad: float
     reference_quat: FloatArray | None  # (4,) attitude against which the device turns; None: the next one
-    reference_up: FloatArray | None  # (3,) up in the sensor frame there
     twist_rad: float  # of the last sample against the reference
     bias: GyroBiasState
-    window: FloatArray  # (R, 19) samples since the last whole window of the bias
+    window: FloatArray  # (R, 17) samples since the last whole window of the bias
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ class AttitudeEstimator:
 
     def init(self) -> AttitudeState:
         """State before the first sample."""
-        return AttitudeState(None, 0.0, None, None, 0.0, self.bias.init(), _NO_SAMPLES)
+        return AttitudeState(None, 0.0, None, 0.0, self.bias.init(), _NO_SAMPLES)
 
     def _filter(self) -> Any:  # vqf has no types
         return VQF(1.0 / self.rate_hz, tauAcc=self.tau_acc_s, motionBiasEstEnabled=False, restBiasEstEnabled=False)
@@ -108,7 +108,6 @@ class AttitudeEstimator:
             # vqf starts its low-pass afresh from NaN, exactly as at the first sample
             vqf={**state.vqf, "accLpState": self._initial["accLpState"]},
             reference_quat=None,
-            reference_up=None,
             twist_rad=0.0,
             bias=self.bias.after_gap(state.bias),
             window=_NO_SAMPLES,
@@ -123,54 +122,74 @@ class AttitudeEstimator:
         estimator = self._filter()
         if state.vqf is not None:
             estimator.state = state.vqf
-        start, n, pieces = 0, len(block.time_s), list[tuple[FloatArray, FloatArray, FloatArray]]()
-        biases, lengths = list[GyroBiasState](), list[int]()
-        while start < n:
-            end = min(start + self._window_samples - len(state.window), n)
+        rows, first = _rows(state.window, block), len(state.window)
+        begin, biases, lengths = 0, list[GyroBiasState](), list[int]()
+        while first < len(rows):
+            end = min(begin + self._window_samples, len(rows))
             biases.append(state.bias)
-            lengths.append(end - start)
-            state, found = self._turn(state, estimator, block, slice(start, end))
-            pieces.append(found)
-            start = end
-        quat, up, heading_rad = (
-            pieces[0] if len(pieces) == 1 else [np.concatenate(c) for c in zip(*pieces, strict=True)]
-        )
-        east, north = _horizontal(quat, block.specific_force_mps2)
+            lengths.append(end - first)
+            state = self._turn(state, estimator, rows[first:end])
+            if end - begin == self._window_samples:
+                state = replace(state, bias=self.bias.step(state.bias, _bias_window(rows[begin:end])))
+                begin = end
+            first = end
+        new = rows[len(state.window) :]
+        quat = np.ascontiguousarray(new[:, _QUAT])
+        up, (east, north) = _up_in_sensor_frame(quat), _horizontal(quat, block.specific_force_mps2)
         bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
         errors = np.repeat([(b.heading_error_rad, b.heading_error_var_rad2) for b in biases], lengths, axis=0)
         attitude = AttitudeBlock(
             vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
             horizontal_mps2=np.stack([east, north], axis=1),
             up_sensor=up,
-            device_heading_rad=heading_rad,
+            device_heading_rad=new[:, _HEADING].copy(),
             yaw_bias_std_radps=np.sqrt(_variance_along(up, bias_cov)),
             heading_error_rad=errors[:, 0],
             heading_error_var_rad2=errors[:, 1],
             quat=quat,
         )
-        return replace(state, vqf=estimator.state), attitude
+        return replace(state, vqf=estimator.state, window=rows[begin:].copy()), attitude
 
-    def _turn(
-        self, state: AttitudeState, estimator: Any, block: UniformBlock, piece: slice
-    ) -> tuple[AttitudeState, tuple[FloatArray, FloatArray, FloatArray]]:
-        """State with its bias; attitudes, up and headings of samples of one window."""
-        known, measured = block.angular_rate_known[piece], block.angular_rate_radps[piece]
-        rate = np.where(known[:, None], measured - state.bias.bias_radps, 0.0)
-        force = np.ascontiguousarray(block.specific_force_mps2[piece])
-        quat: FloatArray = estimator.updateBatch(rate, force)["quat6D"]
-        up = _up_in_sensor_frame(quat)
-        state, heading_rad = _follow_heading(state, quat, up, known, -_dot(rate[:1], up[:1])[0] / self.rate_hz)
-        rows = np.empty((len(up), _NO_SAMPLES.shape[1]))
-        rows[:, _RATE], rows[:, _FORCE], rows[:, _UP] = measured, force, up
-        rows[:, _FIELD], rows[:, _QUAT] = block.magnetic_field_ut[piece], quat
-        rows[:, _HEADING], rows[:, _RATE_KNOWN] = heading_rad, known
-        rows[:, _FIELD_KNOWN] = block.magnetic_field_known[piece]
-        window = np.concatenate([state.window, rows]) if len(state.window) else rows
-        found = quat, up, heading_rad
-        if len(window) < self._window_samples:
-            return replace(state, window=window), found
-        bias = self.bias.step(state.bias, _bias_window(window))
-        return replace(state, bias=bias, window=_NO_SAMPLES), found
+    def _turn(self, state: AttitudeState, estimator: Any, rows: FloatArray) -> AttitudeState:
+        """State after samples of one window, whose attitudes and headings are filled in."""
+        rate = rows[:, _RATE_KNOWN, None] * (rows[:, _RATE] - state.bias.bias_radps)
+        rows[:, _QUAT] = estimator.updateBatch(rate, np.ascontiguousarray(rows[:, _FORCE]))["quat6D"]
+        return self._follow_heading(state, rows, rate[0])
+
+    def _follow_heading(self, state: AttitudeState, rows: FloatArray, first_rate_radps: FloatArray) -> AttitudeState:
+        """State after consecutive attitudes, whose headings are filled in.
+
+        One without reference is the first, and has turned by its angular rate (3,).
+        """
+        quat, turned, start = rows[:, _QUAT], np.empty(len(rows)), 0
+        reference, twist_rad = state.reference_quat, state.twist_rad
+        if reference is None:
+            reference, start = quat[0].copy(), 1
+            turned[0] = -_dot(first_rate_radps[None], _up_in_sensor_frame(quat[:1]))[0] / self.rate_hz
+        while start < len(quat):
+            real, along = _real_and_along_up(quat[start:], reference)
+            (too_far,) = (real * real + along * along < 0.5 * (1.0 + _MAX_TILT_COS)).nonzero()
+            n = int(too_far[0]) + 1 if len(too_far) else len(real)
+            twist = -2.0 * np.arctan2(along[:n], real[:n])
+            turned[start] = twist[0] - twist_rad
+            turned[start + 1 : start + n] = twist[1:] - twist[:-1]
+            twist_rad, start = float(twist[-1]), start + n
+            if len(too_far):
+                reference, twist_rad = quat[start - 1].copy(), 0.0
+        turned = rows[:, _RATE_KNOWN] * (turned - 2 * np.pi * np.round(turned / (2 * np.pi)))
+        turned[0] += state.device_heading_rad
+        rows[:, _HEADING] = heading_rad = turned.cumsum()
+        return replace(state, device_heading_rad=float(heading_rad[-1]), reference_quat=reference, twist_rad=twist_rad)
+
+
+def _rows(waiting: FloatArray, block: UniformBlock) -> FloatArray:
+    """The samples that wait and those of a block, whose attitudes and headings are still to be filled in."""
+    rows = np.empty((len(waiting) + len(block.time_s), waiting.shape[1]))
+    rows[: len(waiting)], new = waiting, rows[len(waiting) :]
+    new[:, _RATE], new[:, _FORCE] = block.angular_rate_radps, block.specific_force_mps2
+    new[:, _FIELD], new[:, _ONE] = block.magnetic_field_ut, 1.0
+    new[:, _RATE_KNOWN], new[:, _FIELD_KNOWN] = block.angular_rate_known, block.magnetic_field_known
+    return rows
 
 
 def _bias_window(rows: FloatArray) -> BiasWindow:
@@ -178,10 +197,7 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
-    up = mean[_UP]
-    field_ut, field_known = np.zeros(3), bool(mean[_FIELD_KNOWN] == 1.0)
-    if field_known:
-        field_ut = _mean_rotated(rows[:, _QUAT], rows[:, _FIELD])
+    up, field_ut = _mean_turned(rows[:, _QUAT], rows[:, _FIELD_AND_ONE])
     return BiasWindow(
         angular_rate_radps=mean[_RATE],
         angular_rate_std_radps=math.sqrt(rate_x + rate_y + rate_z),
@@ -190,48 +206,19 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
         heading_rad=float(mean[_HEADING]),
         angular_rate_known=bool(mean[_RATE_KNOWN] == 1.0),
         magnetic_field_ut=field_ut,
-        magnetic_field_known=field_known,
+        magnetic_field_known=bool(mean[_FIELD_KNOWN] == 1.0),
     )
 
 
-def _follow_heading(
-    state: AttitudeState, quat: FloatArray, up: FloatArray, rate_known: BoolArray, first_turn_rad: float
-) -> tuple[AttitudeState, FloatArray]:
-    """Headings (N,) of consecutive attitudes; one without reference has turned by `first_turn_rad` and is the first."""
-    turned = np.empty(len(quat))
-    reference, reference_up, twist_rad, start = state.reference_quat, state.reference_up, state.twist_rad, 0
-    if reference is None or reference_up is None:
-        reference, reference_up, turned[0], start = quat[0].copy(), up[0].copy(), first_turn_rad, 1
-    while start < len(quat):
-        (too_far,) = (_dot(up[start:], reference_up[None, :]) < _MAX_TILT_COS).nonzero()
-        end = start + int(too_far[0]) + 1 if len(too_far) else len(quat)
-        twist = _twist(quat[start:end], reference)
-        turned[start] = twist[0] - twist_rad
-        turned[start + 1 : end] = twist[1:] - twist[:-1]
-        twist_rad = float(twist[-1])
-        if len(too_far):
-            reference, reference_up, twist_rad = quat[end - 1].copy(), up[end - 1].copy(), 0.0
-        start = end
-    turned = np.where(rate_known, turned - 2 * np.pi * np.round(turned / (2 * np.pi)), 0.0)
-    turned[0] += state.device_heading_rad
-    heading_rad = np.cumsum(turned)
-    new = replace(
-        state,
-        device_heading_rad=float(heading_rad[-1]),
-        reference_quat=reference,
-        reference_up=reference_up,
-        twist_rad=twist_rad,
-    )
-    return new, heading_rad
+def _real_and_along_up(quat: FloatArray, reference: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Real and up part of d = q q_0*, by which attitudes (N, 4) are turned from a reference (4,).
 
-
-def _twist(quat: FloatArray, reference: FloatArray) -> FloatArray:
-    """Clockwise turn about up from a reference attitude (4,) to attitudes (N, 4), without the tilt between them."""
+    The twist, the clockwise turn about up without the tilt, is -2 atan2(d_z, d_w); the tilt theta has
+    d_w^2 + d_z^2 = (1 + cos theta) / 2.
+    """
     w, x, y, z = quat.T
     a, b, c, d = reference.tolist()
-    along = -w * d - x * c + y * b + z * a
-    real = w * a + x * b + y * c + z * d
-    return -2.0 * np.arctan2(along, real)
+    return w * a + x * b + y * c + z * d, -w * d - x * c + y * b + z * a
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -249,7 +236,9 @@ def _variance_along(up: FloatArray, cov: FloatArray) -> FloatArray:
 def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
     """Third row of the sensor-to-world rotation matrix of unit quaternions wxyz (N, 4)."""
     w, x, y, z = quat.T
-    return np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    up = np.empty((len(quat), 3))
+    up[:, 0], up[:, 1], up[:, 2] = 2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)
+    return up
 
 
 def _horizontal(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -262,19 +251,21 @@ def _horizontal(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, Float
     return east, north
 
 
-def _mean_rotated(quat: FloatArray, vector: FloatArray) -> FloatArray:
-    """Mean (3,) of vectors (N, 3) turned by (N, 4) to east, north and up, from mean products of q_i, q_j and v_k."""
+def _mean_turned(quat: FloatArray, vector_and_one: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Mean up (3,) in the sensor frame, and mean (3,) of vectors turned by (N, 4) to east, north and up.
+
+    From mean products of q_i, q_j and v_k; the vectors (N, 4) have a fourth part v_3 = 1.
+    """
     pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
-    of_pairs = (pairs.T @ vector / len(quat)).reshape(4, 4, 3).tolist()
+    of_pairs = (pairs.T @ vector_and_one / len(quat)).reshape(4, 4, 4).tolist()
     w, x, y, z = range(4)
-    total = (np.add.reduce(vector) / len(quat)).tolist()
+    a, b, c = (np.add.reduce(vector_and_one[:, :3]) / len(quat)).tolist()
 
-    def along(i: int, j: int, k: int) -> float:
-        return of_pairs[i][j][k]
+    def twice(i: int, j: int, k: int) -> float:
+        return 2 * of_pairs[i][j][k]
 
-    east = total[0] - 2 * (along(y, y, 0) + along(z, z, 0))
-    east += 2 * (along(x, y, 1) - along(w, z, 1)) + 2 * (along(x, z, 2) + along(w, y, 2))
-    north = 2 * (along(x, y, 0) + along(w, z, 0)) + total[1] - 2 * (along(x, x, 1) + along(z, z, 1))
-    north += 2 * (along(y, z, 2) - along(w, x, 2))
-    up = 2 * (along(x, z, 0) - along(w, y, 0)) + 2 * (along(y, z, 1) + along(w, x, 1))
-    return np.array([east, north, up + total[2] - 2 * (along(x, x, 2) + along(y, y, 2))])
+    east = a - twice(y, y, 0) - twice(z, z, 0) + twice(x, y, 1) - twice(w, z, 1) + twice(x, z, 2) + twice(w, y, 2)
+    north = twice(x, y, 0) + twice(w, z, 0) + b - twice(x, x, 1) - twice(z, z, 1) + twice(y, z, 2) - twice(w, x, 2)
+    up = twice(x, z, 0) - twice(w, y, 0) + twice(y, z, 1) + twice(w, x, 1) + c - twice(x, x, 2) - twice(y, y, 2)
+    up_sensor = [twice(x, z, 3) - twice(w, y, 3), twice(y, z, 3) + twice(w, x, 3), 1 - twice(x, x, 3) - twice(y, y, 3)]
+    return np.array(up_sensor), np.array([east, north, up])

@@ -29,6 +29,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -41,6 +42,9 @@ _BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
 _HEADINGS = slice(3, 5)  # both
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
+_OF_BIAS, _OF_FIELD, _OF_ERROR = (
+    read_only(rows) for rows in (_IDENTITY[_BIAS], _IDENTITY[[_FIELD]], _IDENTITY[[_ERROR]])
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -72,7 +76,8 @@ class FieldScatter:
     """Magnetic field of late."""
 
     n_windows: int
-    mean_ut: FloatArray  # (2,) horizontal, up
+    horizontal_ut: float  # mean
+    up_ut: float  # mean
     variance_ut2: float  # of one of them
     direction_rad: float  # in the last window
 
@@ -226,9 +231,8 @@ class GyroBias:
         # an angular rate about up lowers the heading, and so does its bias: without the correction it was so much less
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
         bank, n_still = self._see_still(bank, state.n_still, window)
-        state = replace(state, corrected_rad=state.corrected_rad + correction_rad, n_still=n_still)
-        bank, state = self._see_walk(bank, state, window, measured_rad)
-        bank, state = self._see_field(bank, state, window)
+        bank, walk = self._see_walk(bank, state.walk, window, measured_rad)
+        bank, field, field_tracked, n_field_outliers = self._see_field(bank, state, window)
         mean, cov, log_weight = bank
         of_all, cov_of_all = _mixture(bank)
         return replace(
@@ -240,6 +244,12 @@ class GyroBias:
             bias_cov_radps2=cov_of_all[_BIAS, _BIAS].copy(),
             heading_error_rad=float(of_all[_ERROR]),
             heading_error_var_rad2=float(cov_of_all[_ERROR, _ERROR]),
+            corrected_rad=state.corrected_rad + correction_rad,
+            n_still=n_still,
+            walk=walk,
+            field=field,
+            field_tracked=field_tracked,
+            n_field_outliers=n_field_outliers,
         )
 
     def learnt(self, state: GyroBiasState, error_rad: float = 0.0, error_var_rad2: float = math.inf) -> Device:
@@ -247,7 +257,7 @@ class GyroBias:
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
             seen = (error_rad - state.mean[:, _ERROR])[:, None]
-            bank, _ = _update(bank, np.eye(1, _N_STATES, _ERROR), seen, np.eye(1) * error_var_rad2, 1e-9, 0.0)
+            bank, _ = _update(bank, _OF_ERROR, seen, np.array([[error_var_rad2]]), 1e-9, 0.0)
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
@@ -262,22 +272,20 @@ class GyroBias:
         if n_still >= 1:
             std = self.still_std_radps + self.still_std_share * window.angular_rate_std_radps
             rate = window.angular_rate_radps
-            rows = np.eye(3, _N_STATES)
             innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
             turn = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            if _likelihood(bank, rows, innovation, noise) < odds * _likelihood(bank, rows, innovation, turn):
+            if _likelihood(bank, _OF_BIAS, innovation, noise) < odds * _likelihood(bank, _OF_BIAS, innovation, turn):
                 noise = turn
             otherwise = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
-            bank, _ = _update(bank, rows, innovation, noise, self.still_outlier_prob, otherwise)
+            bank, _ = _update(bank, _OF_BIAS, innovation, noise, self.still_outlier_prob, otherwise)
         return bank, n_still + 1
 
     def _see_walk(
-        self, bank: _Bank, state: GyroBiasState, window: BiasWindow, measured_rad: float
-    ) -> tuple[_Bank, GyroBiasState]:
-        walk = state.walk
+        self, bank: _Bank, walk: StraightWalk | None, window: BiasWindow, measured_rad: float
+    ) -> tuple[_Bank, StraightWalk | None]:
         if window.specific_force_std_mps2 < self.walking_acc_mps2:
-            return self._measure_walk(bank, walk), replace(state, walk=None)
+            return self._measure_walk(bank, walk), None
         if walk is not None:
             late = walk.heading_rad
             is_corner = abs(window.heading_rad - sum(late) / len(late)) > self.corner_rad
@@ -285,16 +293,15 @@ class GyroBias:
             if is_corner or _dot(walk.up_sensor, window.up_sensor) < math.cos(self.tilted_rad):
                 bank, walk = self._measure_walk(bank, walk), None
         if walk is None:
-            first = StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0)
-            return bank, replace(state, walk=first)
-        walk = replace(walk, heading_rad=(*walk.heading_rad, window.heading_rad)[-2:])
+            return bank, StraightWalk((window.heading_rad,), (measured_rad,), window.up_sensor, 0)
+        late = (*walk.heading_rad, window.heading_rad)[-2:]
         if walk.n_to_skip > 0:
-            return bank, replace(state, walk=replace(walk, n_to_skip=walk.n_to_skip - 1))
-        walk = replace(walk, measured_rad=(*walk.measured_rad, measured_rad))
+            return bank, replace(walk, heading_rad=late, n_to_skip=walk.n_to_skip - 1)
+        walk = replace(walk, heading_rad=late, measured_rad=(*walk.measured_rad, measured_rad))
         if len(walk.measured_rad) >= round(self.straight_s[1] / self.window_s) + 2:
             bank = self._measure_walk(bank, walk)
             walk = replace(walk, measured_rad=(), n_to_skip=round(self.straight_again_s / self.window_s))
-        return bank, replace(state, walk=walk)
+        return bank, walk
 
     def _measure_walk(self, bank: _Bank, walk: StraightWalk | None) -> _Bank:
         """The slope of the uncorrected heading, without the first and the last window, is the bias."""
@@ -308,21 +315,23 @@ class GyroBias:
         rows = np.array([[*up, 0.0, 0.0]])
         otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
         seen = (rate_radps - _along(bank[0], up))[:, None]
-        return _update(bank, rows, seen, np.eye(1) * variance, self.straight_outlier_prob, otherwise)[0]
+        return _update(bank, rows, seen, np.array([[variance]]), self.straight_outlier_prob, otherwise)[0]
 
-    def _see_field(self, bank: _Bank, state: GyroBiasState, window: BiasWindow) -> tuple[_Bank, GyroBiasState]:
+    def _see_field(
+        self, bank: _Bank, state: GyroBiasState, window: BiasWindow
+    ) -> tuple[_Bank, FieldScatter | None, bool, int]:
+        """The bank, and what is known of the field: scatter, whether it is tracked, and outliers in a row."""
         if not window.magnetic_field_known:
-            return bank, replace(state, field=None, field_tracked=False, n_field_outliers=0)
+            return bank, None, False, 0
         east, north, up = window.magnetic_field_ut.tolist()
         direction_rad = math.atan2(east, north)
         before = state.field
-        field, variance_ut2 = self._scatter(before, np.array([math.hypot(east, north), up]), direction_rad)
-        state = replace(state, field=field)
+        field, variance_ut2 = self._scatter(before, math.hypot(east, north), up, direction_rad)
         if field.n_windows * self.window_s < self.field_correlation_s:
-            return bank, state
+            return bank, field, state.field_tracked, state.n_field_outliers
         # the variance of a mean of correlated samples
         independent = 2 * self.field_correlation_s / self.window_s
-        horizontal_ut = max(float(field.mean_ut[0]), 1.0)
+        horizontal_ut = max(field.horizontal_ut, 1.0)
         scatter = self.field_scatter_weight * variance_ut2 / horizontal_ut**2
         variance = independent * (scatter + self.field_std_rad**2)
         mean, _, _ = bank
@@ -330,24 +339,33 @@ class GyroBias:
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
             seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)[:, None]
-            rows, otherwise = np.eye(1, _N_STATES, _FIELD), _uniform_log_density(2 * math.pi)
-            bank, inlier_prob = _update(bank, rows, seen, np.eye(1) * variance, self.field_outlier_prob, otherwise)
+            otherwise, noise = _uniform_log_density(2 * math.pi), np.array([[variance]])
+            bank, inlier_prob = _update(bank, _OF_FIELD, seen, noise, self.field_outlier_prob, otherwise)
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
-                return bank, replace(state, n_field_outliers=n_outliers)
+                return bank, field, True, n_outliers
             # another place, another field: start again
-        return _restarted(bank, _FIELD, direction_rad, variance), replace(state, field_tracked=True, n_field_outliers=0)
+        return _restarted(bank, _FIELD, direction_rad, variance), field, True, 0
 
-    def _scatter(self, field: FieldScatter | None, now: FloatArray, direction_rad: float) -> tuple[FieldScatter, float]:
+    def _scatter(
+        self, field: FieldScatter | None, horizontal_ut: float, up_ut: float, direction_rad: float
+    ) -> tuple[FieldScatter, float]:
         """Mean and scatter with this window, and the variance to assume for it."""
         if field is None:
-            return FieldScatter(1, now, 0.0, direction_rad), 0.0
+            return FieldScatter(1, horizontal_ut, up_ut, 0.0, direction_rad), 0.0
         n = field.n_windows + 1
         gain = max(1.0 / n, self.window_s / self.field_memory_s)
-        away = now - field.mean_ut
-        own_ut2 = 0.5 * float(away[0] * away[0] + away[1] * away[1])
+        along_ut, upward_ut = horizontal_ut - field.horizontal_ut, up_ut - field.up_ut
+        own_ut2 = 0.5 * (along_ut * along_ut + upward_ut * upward_ut)
         variance_ut2 = (1.0 - gain) * (field.variance_ut2 + gain * own_ut2)
-        return FieldScatter(n, field.mean_ut + gain * away, variance_ut2, direction_rad), variance_ut2 + own_ut2
+        mean_ut = field.horizontal_ut + gain * along_ut, field.up_ut + gain * upward_ut
+        return FieldScatter(n, *mean_ut, variance_ut2, direction_rad), variance_ut2 + own_ut2
+
+    @cached_property
+    def wander_cov(self) -> FloatArray:
+        """Covariance (5, 5) that a window adds."""
+        of_bias, of_field = self.walk_radps_per_sqrt_s**2, self.field_walk_rad_per_sqrt_s**2
+        return self.window_s * np.diag((of_bias, of_bias, of_bias, of_field, 0.0))
 
 
 _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log weights
@@ -362,9 +380,7 @@ def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Ba
     transition[_HEADINGS, _BIAS] = -dt * up_sensor
     mean = state.mean @ transition.T
     mean[:, _HEADINGS] += dt * _dot(up_sensor, state.bias_radps)
-    cov = transition @ state.cov @ transition.T
-    of_bias, of_field = bias.walk_radps_per_sqrt_s**2 * dt, bias.field_walk_rad_per_sqrt_s**2 * dt
-    return mean, cov + np.diag((of_bias, of_bias, of_bias, of_field, 0.0)), state.log_weight
+    return mean, transition @ state.cov @ transition.T + bias.wander_cov, state.log_weight
 
 
 def _update(
@@ -388,13 +404,13 @@ def _update(
     gain = np.swapaxes(hp, 1, 2) @ inverse
     shift = (gain @ innovation[:, :, None])[:, :, 0]
     mean = mean + inlier[:, None] * shift
-    doubt = (inlier * (1.0 - inlier))[:, None, None] * shift[:, :, None] * shift[:, None, :]
-    cov = cov - inlier[:, None, None] * (gain @ hp) + doubt
+    doubt = ((inlier * (1.0 - inlier))[:, None] * shift)[:, :, None] * shift[:, None, :]
+    cov = cov - (inlier[:, None, None] * gain) @ hp + doubt
     cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
     log_weight = log_weight + log_both
-    log_weight = np.maximum(log_weight - log_weight.max(), _MIN_LOG_WEIGHT)
+    log_weight = np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
     weight = np.exp(log_weight)
-    return (mean, cov, log_weight), float((weight * inlier).sum() / weight.sum())
+    return (mean, cov, log_weight), float(weight @ inlier) / float(np.add.reduce(weight))
 
 
 def _predicted(
@@ -445,7 +461,7 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
     """Mean (5,) and covariance (5, 5) over the bank."""
     mean, cov, log_weight = bank
     weight = np.exp(log_weight)
-    weight = weight / weight.sum()
+    weight = weight / np.add.reduce(weight)
     of_all = weight @ mean
     away = mean - of_all
     within = (weight @ cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)

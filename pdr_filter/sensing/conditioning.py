@@ -7,6 +7,7 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -201,16 +202,14 @@ class Conditioner:
         raw = np.empty((len(block.time_s), 10))
         raw[:, 0], raw[:, _FORCE] = block.time_s, block.specific_force_mps2
         raw[:, _RATE], raw[:, _FIELD] = block.angular_rate_radps, block.magnetic_field_ut
-        finite, beyond = np.isfinite(raw[:, :4]).all(axis=1), np.abs(raw) > _LIMITS  # of NaN nothing is
-        wild, wild_field = finite & beyond[:, _MOTION].any(axis=1), beyond[:, _FIELD].any(axis=1)
-        raw[wild_field, _FIELD] = np.nan
-        is_usable = finite & ~wild
-        usable = raw if is_usable.all() else raw[is_usable]
+        usable, n_not_finite, n_implausible, n_wild_field = _usable(raw)
         clock, followed, n_dropped, n_jumps = follow(state.clock, usable, self.max_gap_s)
-        watched, motion = watch(state.watchdog, followed[:, 0], followed[:, _MOTION])
-        is_dead = np.isnan(motion[:, 0])
-        n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
-        if is_dead.any():
+        measured, n_dead_force, n_dead_rate = followed[:, _MOTION], 0, 0
+        watched, motion = watch(state.watchdog, followed[:, 0], measured)
+        if motion is not measured:  # a sensor is dead
+            is_dead = np.isnan(motion[:, 0])
+            n_dead_force = int(is_dead.sum())
+            n_dead_rate = int((np.isnan(motion[:, 3]) & ~np.isnan(followed[:, 4])).sum())
             followed, motion = followed[~is_dead], motion[~is_dead]
         rows = np.empty((len(motion), _N_COLUMNS))
         rows[:, 0], rows[:, _FORCE] = followed[:, 0], motion[:, :3]
@@ -220,14 +219,14 @@ class Conditioner:
         report = replace(
             old,
             n_received=old.n_received + len(raw),
-            n_not_finite=old.n_not_finite + int((~finite).sum()),
-            n_implausible=old.n_implausible + int(wild.sum()),
+            n_not_finite=old.n_not_finite + n_not_finite,
+            n_implausible=old.n_implausible + n_implausible,
             n_not_increasing=old.n_not_increasing + n_dropped,
             n_clock_jumps=old.n_clock_jumps + n_jumps,
             n_deaf=clock.n_deaf,
-            n_dead_force=old.n_dead_force + int(is_dead.sum()),
+            n_dead_force=old.n_dead_force + n_dead_force,
             n_dead_rate=old.n_dead_rate + n_dead_rate,
-            n_wild_field=old.n_wild_field + int(wild_field.sum()),
+            n_wild_field=old.n_wild_field + n_wild_field,
         )
         if len(rows):
             first = rows[0, 0] if np.isnan(old.first_time_s) else old.first_time_s
@@ -260,8 +259,9 @@ class Conditioner:
     def _resample(self, state: ConditionerState, rows: FloatArray) -> tuple[ConditionerState, list[UniformBlock]]:
         """Mean of the linear interpolant over each interval of the grid that the rows cover."""
         # A grid point needs a sample after it: interpolated from the left alone it would have other last bits.
-        last = int(np.ceil((rows[-1, 0] - state.segment_start_s) * self.rate_hz)) + 1
-        while last > 0 and state.segment_start_s + last / self.rate_hz >= rows[-1, 0]:
+        last_s = float(rows[-1, 0])
+        last = math.ceil((last_s - state.segment_start_s) * self.rate_hz) + 1
+        while last > 0 and state.segment_start_s + last / self.rate_hz >= last_s:
             last -= 1
         n_complete = last // self.hop_samples * self.hop_samples
         if n_complete <= state.n_emitted:
@@ -292,6 +292,20 @@ class Conditioner:
         return new, [output]
 
 
+def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
+    """Rows (N, 10) of time, force, rate and field that can be used, a wild field being NaN.
+
+    Also how many were not finite, how many implausible, and how many had a wild field.
+    """
+    finite, beyond = np.isfinite(raw[:, :4]), np.abs(raw) > _LIMITS  # of NaN nothing is
+    if finite.all() and not beyond.any():
+        return raw, 0, 0, 0
+    is_finite, wild_field = finite.all(axis=1), beyond[:, _FIELD].any(axis=1)
+    wild = is_finite & beyond[:, _MOTION].any(axis=1)
+    raw[wild_field, _FIELD] = np.nan
+    return raw[is_finite & ~wild], int((~is_finite).sum()), int(wild.sum()), int(wild_field.sum())
+
+
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Values with missing rows replaced by the last finite one, the age of each (0 if measured), and the new last."""
     if np.isfinite(values).all():
@@ -306,13 +320,15 @@ def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[Flo
 
 def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) -> FloatArray:
     """Mean over each interval of the grid of the linear interpolant through (time, value), shape (len(grid) - 1, d)."""
-    right = np.clip(np.searchsorted(time_s, grid_s, side="right"), 1, len(time_s) - 1)
+    right = np.minimum(np.maximum(time_s.searchsorted(grid_s, side="right"), 1), len(time_s) - 1)
     left = right - 1
     fraction = ((grid_s - time_s[left]) / (time_s[right] - time_s[left]))[:, None]
-    at_grid = values[left] + (values[right] - values[left]) * fraction
+    before, after = values[left], values[right]
+    at_grid = before + (after - before) * fraction
     # All knots inside the grid in order: grid points go in before the first sample at or after them.
-    inside = slice(int(np.searchsorted(time_s, grid_s[0])), int(np.searchsorted(time_s, grid_s[-1])))
-    position = np.searchsorted(time_s[inside], grid_s)
+    position = time_s.searchsorted(grid_s)
+    inside = slice(int(position[0]), int(position[-1]))
+    position -= position[0]
     of_grid = position + np.arange(len(grid_s))
     is_sample = np.ones(inside.stop - inside.start + len(grid_s), dtype=bool)
     is_sample[of_grid] = False

@@ -85,17 +85,13 @@ class Rattle:
             rest=magnitude[n_whole * n :],
         )
         found, n_known = [(number, step.time_s) for number, step in steps], 0
-        for second in range(n_whole):
-            waiting_mps2 = (*state.waiting_mps2, self._jitter(magnitude[second * n : (second + 1) * n]))
+        jitters_mps2 = _jitter(magnitude[: n_whole * n].reshape(n_whole, n)) if n_whole else []
+        for second, jitter_mps2 in enumerate(jitters_mps2):
+            waiting_mps2 = (*state.waiting_mps2, jitter_mps2)
             until = bisect_left(found, ((first + second + 1) * n,), lo=n_known)
             state = replace(state, waiting_mps2=waiting_mps2, steps=(*state.steps, *found[n_known:until]))
             state, n_known = self._judge(state, first + second), until
         return replace(state, steps=(*state.steps, *found[n_known:]))
-
-    def _jitter(self, magnitude: FloatArray) -> float:
-        """Jitter of a second."""
-        means = magnitude.reshape(round(_JITTER_HZ), -1).mean(axis=1)
-        return float(np.sqrt((np.diff(means) ** 2).mean()))
 
     def _judge(self, state: RattleState, second: int) -> RattleState:
         """State when a second is over: the one some seconds earlier has all its steps."""
@@ -115,3 +111,9 @@ class Rattle:
             moving_s=state.moving_s + moving_s,
             seen_s=state.seen_s + 1,
         )
+
+
+def _jitter(magnitude: FloatArray) -> list[float]:
+    """Jitter of each second (S, N)."""
+    means = magnitude.reshape(len(magnitude), round(_JITTER_HZ), -1).mean(axis=2)
+    return np.sqrt((np.diff(means) ** 2).mean(axis=1)).tolist()

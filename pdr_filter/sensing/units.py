@@ -65,9 +65,10 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
 
     A window is judged when it is whole, so that the result does not depend on how rows were cut into blocks.
     """
-    squares, new = motion * motion, np.empty((len(time_s), 4))
+    new = np.empty((len(time_s), 4))
     new[:, 0], new[:, 2] = time_s, motion[:, 2]
-    new[:, 1], new[:, 3] = np.sqrt(squares[:, :3].sum(axis=1)), np.sqrt(squares[:, 3:].sum(axis=1))
+    for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):
+        new[:, column] = np.sqrt(x * x + y * y + z * z)
     rows = np.concatenate([state.rows, new])
     times_s, start = rows[:, 0].tolist(), 0
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:

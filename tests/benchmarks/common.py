@@ -24,11 +24,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 import pdr_filter as pdr
+from tests.data_folder import DATA
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "tables"
-# A folder of data sets, as for `pdr_filter.datasets.fetch`; else that beside the clone.
-DATA = Path(os.environ.get("PDR_DATA") or ROOT.parent / "shared" / "data")
 _COPY = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end of table -->)", re.DOTALL)
 _DATE = re.compile(r"\d{4}-\d\d-\d\d")
 

@@ -407,6 +407,21 @@ def test_demo_prints_the_summary_and_writes_four_files(tmp_path: Path) -> None:
     assert {p.suffix for p in tmp_path.iterdir()} == {".html", ".png", ".geojson", ".csv"}
 
 
+def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:
+    folder = tmp_path / "walks"
+    (folder / "a").mkdir(parents=True)
+    (folder / "0.zip").write_bytes(b"no zip")
+    for path in (folder / "a" / "w.zip", folder / "w.zip"):
+        path.write_bytes(walk.read_bytes())
+    result = run("demo", folder, "--out", tmp_path / "out")
+    assert result.exit_code == 1
+    assert "1 of 3 files failed" in result.stderr
+    assert "replaced" not in result.stderr
+    assert len(list((tmp_path / "out").glob("*.csv"))) == 2  # of one name
+    again = run("demo", walk, "--out", tmp_path / "out")
+    assert "replaced, as they were there before" in one_line(again.stderr)
+
+
 def test_version_is_the_version_of_the_package() -> None:
     assert run("--version").stdout.strip() == f"pdr-filter {pdr.__version__}"
 
@@ -638,10 +653,13 @@ def test_a_stop_says_what_is_done_and_what_is_left(walk: Path, tmp_path: Path, m
         return original(recording)
 
     monkeypatch.setattr(describe, "describe", stopped)
+    (tmp_path / "many" / "0.zip").write_bytes(b"no zip")
     result = run("info", tmp_path / "many")
     assert result.exit_code == 130
-    assert "stopped: 1 of 3 done" in one_line(result.stderr)
-    assert "b.zip and 1 more" in one_line(result.stderr)
+    failed, stopped = result.stderr.strip().splitlines()
+    assert "0.zip" in failed
+    assert "stopped: 1 of 4 done" in stopped
+    assert "b.zip and 1 more" in stopped
 
 
 def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:

@@ -53,6 +53,16 @@ def test_a_mapping_that_was_corrected_is_obeyed_and_nothing_is_overwritten(tmp_p
     assert not (tmp_path / "second.toml").exists()
 
 
+def test_a_folder_of_several_recordings_is_refused_with_their_names(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / "walks" / name).mkdir(parents=True)
+        a_table(tmp_path / "walks" / name)
+    refused = RUN.invoke(app, ["convert", str(tmp_path / "walks"), "--out", str(tmp_path / "a.zip")])
+    assert refused.exit_code == 2
+    assert "holds 2 recordings (a, b)" in " ".join(refused.stderr.split())
+    assert RUN.invoke(app, ["convert", str(tmp_path / "walks" / "a"), "--out", str(tmp_path / "a.zip")]).exit_code == 0
+
+
 def test_the_platform_says_the_sign_and_what_cannot_be_known_is_said(tmp_path: Path) -> None:
     table = a_table(tmp_path, "time,ax,ay,az")
     refused = RUN.invoke(app, ["convert", str(table), "--out", str(tmp_path / "a.zip")])

@@ -33,7 +33,7 @@ def test_short_names_of_a_time_are_known(name: str) -> None:
 
 
 def test_a_table_whose_columns_have_no_units_is_not_one_of_phyphox() -> None:
-    assert looks_like('"Time (s)";"Beschleunigung x (m/s^2)"')
+    assert looks_like('"Time (s)";"Acceleration x (m/s^2)"')
     assert looks_like("Time (s),Acceleration x (m/s^2),Acceleration y (m/s^2)")
     # Physics Toolbox with several sensors at once
     assert not looks_like("Time (s),gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)")

@@ -23,9 +23,10 @@ from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, 
 
 from pdr_filter import batch
 from pdr_filter.io import limits
+from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
-from pdr_filter.io.formats import detect, read
+from pdr_filter.io.formats import read
 from pdr_filter.io.phyphox import _name_axis_unit
 from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.values import Samples

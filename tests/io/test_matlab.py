@@ -10,7 +10,8 @@ import numpy as np
 from app_files import a_walk, assert_same_streams, on_one_clock, refusal, write_mat
 
 from pdr_filter.io.describe import reading_report
-from pdr_filter.io.formats import detect, read
+from pdr_filter.io.detection import detect
+from pdr_filter.io.formats import read
 
 WALK = on_one_clock(a_walk(50.0))
 CODES = {"f8": (9, 6), "u1": (2, 9), "u4": (6, 13)}  # of the numbers, and of the array that holds them

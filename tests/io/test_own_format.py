@@ -341,7 +341,7 @@ def test_a_row_with_too_few_fields_is_refused_with_its_line(tmp_path: Path) -> N
 
 
 def test_a_file_that_is_no_utf8_is_refused(tmp_path: Path) -> None:
-    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().encode("utf-16")))
+    message = refusal(folder_with(tmp_path / "w", accelerometer=accelerometer_csv().encode("utf-16-le")))
     assert "accelerometer.csv: not UTF-8" in message
 
 

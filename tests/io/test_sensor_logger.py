@@ -107,6 +107,14 @@ def test_a_platform_that_contradicts_the_attitude_is_refused(tmp_path: Path) -> 
 # ---------------------------------------------------------------- traps of the files
 
 
+def test_members_are_known_in_small_letters_too(tmp_path: Path) -> None:
+    walk = a_walk()
+    files = {name.lower(): text for name, text in sensor_logger_files(walk).items()}
+    recording = read(write_zip(tmp_path / "walk.zip", files))
+    assert_same_streams(recording, walk, "accelerometer gyroscope", time_s=1e-8)
+    assert "android" in recording.meta["reading"]["source"]
+
+
 def test_columns_are_found_by_name_whatever_their_order(tmp_path: Path) -> None:
     files = sensor_logger_files(WALK)
     for columns in ("x,y,z", "z,y,x", "y,z,x"):

@@ -103,6 +103,24 @@ def columns_of(time: str, force: str, rate: str, **more: np.ndarray) -> dict[str
 
 
 BOTH = "accelerometer gyroscope"
+# Of phyphox in other languages: time, acceleration, gyroscope, and the names of their files.
+LANGUAGES = {
+    "German": "Zeit Beschleunigung Gyroskop Beschleunigung Gyroskop",
+    "French": "Temps Acc\u00e9l\u00e9ration Gyroscope Acc\u00e9l\u00e9rom\u00e8tre Gyroscope",
+    "Spanish": "Tiempo Aceleraci\u00f3n Giroscopio Aceler\u00f3metro Giroscopio",
+    "Japanese": "\u6642\u9593 \u52a0\u901f\u5ea6 \u89d2\u901f\u5ea6 \u52a0\u901f\u5ea6\u8a08 \u89d2\u901f\u5ea6",
+}
+
+
+def phyphox_in(language: str, separator: str = ",", decimal: str = ".") -> dict[str, str]:
+    time, force, rate, *files = LANGUAGES[language].split()
+    columns = (
+        {time + " (s)": TIME_S} | axes(f"{force} % (m/s^2)", FORCE),
+        {time + " (s)": TIME_S} | axes(f"{rate} % (rad/s)", RATE),
+    )
+    return {f"{name}.csv": table_text(c, separator, decimal) for name, c in zip(files, columns, strict=True)}
+
+
 # Name, files and the sensors that must come back; one file is given by itself, several as a folder and as a zip.
 CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     "Physics Toolbox": (lambda: {"walk.csv": physics_toolbox_text(WALK)}, BOTH),
@@ -176,6 +194,23 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
                 "old_accelerometer.csv": table_text({"t": TIME_S[:99]} | axes("%", FORCE[:99])),
             }
         ),
+        BOTH,
+    ),
+    **{f"phyphox, {language}": (lambda word=language: phyphox_in(word), BOTH) for language in LANGUAGES},
+    "phyphox, decimal comma": (lambda: phyphox_in("French", ";", ","), BOTH),
+    "Physics Toolbox, capitals": (
+        lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
+        BOTH,
+    ),
+    "units in a line of their own": (
+        lambda: {
+            "walk.csv": "T;AccX;AccY;AccZ;GyrX;GyrY;GyrZ\nms;m/s^2;m/s^2;m/s^2;\u00b0/s;\u00b0/s;\u00b0/s\n"
+            + table_text({"": 1000 * TIME_S} | axes("%", FORCE) | axes("r%", np.degrees(RATE)), ";").split("\n", 1)[1]
+        },
+        BOTH,
+    ),
+    "letters in a file that is called after one of its sensors": (
+        lambda: {"gyro_walk.csv": table_text(columns_of("time", "a%", "w%"))},
         BOTH,
     ),
     "Sensor Logger in one table": (
@@ -365,6 +400,25 @@ def test_dates_are_read_however_they_are_written(tmp_path: Path, style: str) -> 
     np.testing.assert_allclose(time_s, TIME_S, atol=1e-6)
 
 
+def test_a_clock_of_twelve_hours_goes_on_at_noon(tmp_path: Path) -> None:
+    at = [np.datetime64("2024-02-27T11:59:58.000000", "us") + np.timedelta64(round(t * 1e6), "us") for t in TIME_S]
+    clock = [stamp.astype(object).strftime("%I:%M:%S.%f %p") for stamp in at]
+    assert {text[-2:] for text in clock} == {"AM", "PM"}
+    np.testing.assert_allclose(read_text(tmp_path, {"time": clock} | axes("gF%", FORCE_G)), TIME_S, atol=1e-6)
+
+
+def test_acceleration_without_gravity_is_told_by_its_values_in_any_language(tmp_path: Path) -> None:
+    files = phyphox_in("French")
+    linear = {"Temps (s)": TIME_S} | axes("Acc\u00e9l\u00e9ration lin\u00e9aire % (m/s^2)", FORCE - GRAVITY)
+    name = "Acc\u00e9l\u00e9ration lin\u00e9aire.csv"
+    assert_same_streams(
+        read(write_folder(tmp_path / "both", files | {name: table_text(linear)})), WALK, BOTH, time_s=1e-6, rtol=1e-9
+    )
+    only = write_folder(tmp_path / "only", {"Gyroscope.csv": files["Gyroscope.csv"], name: table_text(linear)})
+    assert "lacks gravity" in refusal(only)
+    assert "'Acceleration with g' in phyphox" in refusal(only)
+
+
 def test_two_walks_in_one_zip_are_two(tmp_path: Path) -> None:
     first, second = phyphox_files(WALK), phyphox_files(on_one_clock(a_walk(50.0, seed=8)))
     files = {f"a/{k}": v for k, v in first.items()} | {f"b/{k}": v for k, v in second.items()}
@@ -380,6 +434,7 @@ def test_two_tables_that_are_whole_are_two_and_one_walk_in_several_files_is_one(
     text = physics_toolbox_text(WALK)
     write_folder(tmp_path / "two", {"walk_1.csv": text, "walk_2.csv": text})
     assert len(recordings_in(tmp_path / "two")) == 2
+    assert "holds 2 recordings (walk_1.csv, walk_2.csv)" in refusal(tmp_path / "two")
     path = write_zip(tmp_path / "two.zip", {"walk_1.csv": text, "walk_2.csv": text})
     assert recordings_in(path) == [path / "walk_1.csv", path / "walk_2.csv"]
     assert_same_streams(read(path / "walk_2.csv"), WALK, BOTH, time_s=1e-6, rtol=1e-9)

@@ -210,6 +210,8 @@ def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorP
     assert sum(c.share for c in track.clusters[0]) == pytest.approx(0.5, abs=0.01)  # few particles for many places
     assert share[-1] > 0.95 and errors_m(track, WALK)[-1] < 2.0
     assert np.all(errors_m(track, WALK)[share > 0.95] < 3.0)
+    # it does not begin at the zero of the plan, where nobody put it
+    assert np.linalg.norm(track.position_m[0] - track.start_position_m) == pytest.approx(track.step_length_m[0])
 
 
 def test_a_walk_that_did_not_begin_where_it_was_said_to_is_lost_and_doubted(plan: pdr.FloorPlan) -> None:

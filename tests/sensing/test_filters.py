@@ -3,7 +3,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from pdr_filter.sensing.filters import butterworth, filtered, low_pass_kernel, phase_delay_s, with_unit_gain
+from pdr_filter.sensing.filters import (
+    butterworth,
+    filtered,
+    low_pass_kernel,
+    phase_delay_s,
+    running_sums,
+    with_unit_gain,
+)
 
 
 def test_a_constant_passes_from_its_first_sample_on() -> None:
@@ -31,3 +38,12 @@ def test_a_kernel_has_unit_gain_at_rest_or_at_its_frequency() -> None:
     offset_s = (np.arange(25) - 12) / 100
     scaled = with_unit_gain(kernel, 2.0, 100.0)
     assert (scaled * np.cos(2 * np.pi * 2.0 * offset_s)).sum() == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("n", [1, 2, 7, 8, 176])
+def test_running_sums_are_those_of_a_box_and_have_the_same_bits_in_any_piece(n: int) -> None:
+    rows = np.random.default_rng(n).normal(size=(2, 400))
+    sums = running_sums(rows, n)
+    box = [np.convolve(row, np.ones(n), mode="valid") for row in rows]
+    np.testing.assert_allclose(sums, box, atol=1e-12)
+    np.testing.assert_array_equal(running_sums(rows[:, 37 : 37 + n + 20], n), sums[:, 37:58])

@@ -3,19 +3,17 @@
 from __future__ import annotations
 
 import argparse
-import os
 from collections.abc import Callable
 from pathlib import Path
 
+from tests.data_folder import DATA
 from tests.studies.report import Study
-
-_DATA = Path(os.environ.get("PDR_DATA") or Path(__file__).resolve().parents[3] / "shared" / "data")
 
 
 def run(study: Callable[[Path], Study]) -> None:
     """Print the page of a study; with --out also write it, with CSV tables and SVG figures."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("data", type=Path, nargs="?", default=_DATA, help="folder of the data sets, one folder each")
+    parser.add_argument("data", type=Path, nargs="?", default=DATA, help="folder of the data sets, one folder each")
     parser.add_argument("--out", type=Path, help="write the page, CSV tables and SVG figures here")
     arguments = parser.parse_args()
     if not arguments.data.is_dir():

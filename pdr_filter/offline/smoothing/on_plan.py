@@ -21,7 +21,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.maps.clusters import moments
 from pdr_filter.maps.moves import EAST, NORTH, OFFSET, SCALE, backwards
 from pdr_filter.maps.particles import ParticleFilter, ParticleState
-from pdr_filter.recording_run import collected, outputs
+from pdr_filter.recording_run import a_step_before, collected, outputs
 from pdr_filter.tracks import Track
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
 
@@ -120,7 +120,7 @@ def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...])
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         clusters=tuple((row.cluster,) for row in rows),
-        start_position_m=read_only(position[0] - length[0] * np.array([np.sin(heading[0]), np.cos(heading[0])])),
+        start_position_m=read_only(a_step_before(position[0], length[0], heading[0])),
         frame="plan",
         origin=online.plan.origin,
     )

@@ -23,7 +23,6 @@ from pdr_filter.values import FloatArray, check_numbers, replace, wrap_angle
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _IDENTITY = np.eye(4)
 _RIGHT_ANGLE = 0.5 * math.pi
-_OF_HEADING = np.array([1.0, 0.0, 1.0, 0.0])  # a heading along an axis is axis and drift
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,18 +158,20 @@ class Corridors:
 
     def _see(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
         """State after a step of a straight part, whose leg is in a new direction or goes on."""
-        gain = state.cov @ _OF_HEADING
-        spread = gain @ _OF_HEADING
-        away = heading_rad - state.mean @ _OF_HEADING
+        # a heading along an axis is axis and drift
+        gain = state.cov[:, _DRIFT] + state.cov[:, _AXIS]
+        spread = gain[:, _DRIFT] + gain[:, _AXIS]
+        away = heading_rad - (state.mean[:, _DRIFT] + state.mean[:, _AXIS])
         away = away - _RIGHT_ANGLE * np.round(away / _RIGHT_ANGLE)
         variance = spread + self.step_std_rad**2
         log_in = self._log_likelihood(away, variance)
         log_any = np.logaddexp(log_in, self._log_outlier)
         inlier = np.exp(log_in - log_any)
-        shift = gain * (away / variance)[:, None]
-        mean = state.mean + inlier[:, None] * shift
-        doubt = (inlier * (1.0 - inlier))[:, None, None] * shift[:, :, None] * shift[:, None, :]
-        taken = (inlier / variance)[:, None, None] * gain[:, :, None] * gain[:, None, :]
+        shift = away / variance
+        mean = state.mean + gain * (inlier * shift)[:, None]
+        # what is learnt is taken, and the doubt whether it is an outlier is added
+        added = inlier * ((1.0 - inlier) * shift * shift - 1.0 / variance)
+        cov = state.cov + gain[:, :, None] * (added[:, None] * gain)[:, None, :]
         log_odds = state.log_odds
         if is_new:
             of_leg = np.logaddexp(self._log_likelihood(away, spread + self.leg_std_rad**2), self._log_outlier)
@@ -182,7 +183,7 @@ class Corridors:
         return replace(
             state,
             mean=mean,
-            cov=state.cov - taken + doubt,
+            cov=cov,
             log_weight=log_weight - _log_sum(log_weight),
             log_odds=log_odds,
         )

@@ -54,7 +54,8 @@ class Offset:
     @property
     def shown_var_rad2(self) -> float:
         """Its variance; that of a uniform angle at most."""
-        return min(float(OF_AXIS @ self.cov @ OF_AXIS), UNKNOWN_VAR_RAD2)
+        (offset_var, covariance, _), (_, frame_var, _), _ = self.cov.tolist()
+        return min(offset_var + 2.0 * covariance + frame_var, UNKNOWN_VAR_RAD2)
 
     def wandered(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
         """After a while: the phone was turned a little against the body, and strides are off by something else.

@@ -320,13 +320,13 @@ class WalkingHeading:
         if change_std_rad > 0 or step.heading_unknown_s > 0:
             state = self._without_axes(state)
         corridors = self.corridors.step(state.corridors, step.time_s, state.walking_rad)
-        state = replace(state, corridors=corridors, of_bias_rad=float(samples[_ERROR, -1]))
+        of_bias_rad, of_bias_var = samples[_ERROR:, -1].tolist()
+        state = replace(state, corridors=corridors, of_bias_rad=of_bias_rad)
         error_rad, error_var = self._error(state)
         # axes show the walking heading itself, biases only that of the device
-        var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + float(samples[_ERROR_VAR, -1])
+        var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + of_bias_var
         reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
-        step = replace(_with_shown(state, step), on_axes=math.isfinite(error_var))
-        return replace(state, reported=reported), step
+        return replace(state, reported=reported), _with_shown(state, step, on_axes=math.isfinite(error_var))
 
     def _with_loss(
         self, state: WalkingHeadingState, step: Step, samples: FloatArray | None
@@ -482,9 +482,10 @@ class WalkingHeading:
         return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
 
 
-def _with_shown(state: WalkingHeadingState, step: Step) -> Step:
+def _with_shown(state: WalkingHeadingState, step: Step, on_axes: bool = False) -> Step:
     return replace(
         step,
+        on_axes=on_axes,
         shown_offset_rad=state.shown.shown_rad,
         shown_offset_std_rad=math.sqrt(state.shown.shown_var_rad2),
         direction_trust=state.trust,

@@ -20,6 +20,7 @@ section IV.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 
@@ -27,7 +28,7 @@ import numpy as np
 
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
-from pdr_filter.sensing.filters import low_pass_kernel, with_unit_gain
+from pdr_filter.sensing.filters import low_pass_kernel, running_sums, with_unit_gain
 from pdr_filter.sensing.steps.detector import ContextBlock, ResponseState, ResponseStepDetector
 from pdr_filter.sensing.steps.step_log import specific_force_magnitude
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, read_only, replace
@@ -148,28 +149,27 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         """|f| less gravity, (1, N)."""
         return state, specific_force_magnitude(block.specific_force_mps2)[None] - STANDARD_GRAVITY_MPS2
 
-    # Every value below is a dot product of the kernel's length, so cutting the signal elsewhere changes no bit.
+    # Every value below is a sum over the samples around in a fixed order: cutting the signal elsewhere changes no bit.
 
     def _response(self, line: FloatArray) -> FloatArray:
-        rms = self._rms(line[0], self._power_low_pass)
+        rms, *of_sine = self._rms(line[0], (self._power_low_pass, *self._derivatives))
         frequency_hz = np.clip(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0], _BANK_HZ[-1])
-        frequency_hz = np.maximum(frequency_hz, self._sine_hz(line[0]))
+        frequency_hz = np.maximum(frequency_hz, self._sine_hz(*of_sine))
         return np.stack([self._transform(line[0], frequency_hz), rms, frequency_hz])
 
-    @cached_property
-    def _box(self) -> FloatArray:
-        n = round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
-        return np.full(n, 1.0 / n)
+    @property
+    def _n_around(self) -> int:
+        """Samples that R is taken over."""
+        return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
-    def _rms(self, line: FloatArray, kernel: FloatArray) -> FloatArray:
-        """Standard deviation of the filtered signal around each sample that has enough samples around it."""
-        smooth = np.asarray(np.convolve(line, kernel, mode="valid"), dtype=float)
-        mean = np.convolve(smooth, self._box, mode="valid")
-        return np.sqrt(np.maximum(np.convolve(smooth * smooth, self._box, mode="valid") - mean * mean, 0.0))
+    def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
+        """Standard deviations (K, N) of the filtered signal around each sample that has enough samples around it."""
+        smooth = np.stack([np.convolve(line, kernel, mode="valid") for kernel in kernels])
+        mean, square = running_sums(np.stack([smooth, smooth * smooth]), self._n_around) / self._n_around
+        return np.sqrt(np.maximum(square - mean * mean, 0.0))
 
-    def _sine_hz(self, line: FloatArray) -> FloatArray:
-        """What the hat's frequency is at least; 0 where |f| is no single sine."""
-        position, speed, acceleration = (self._rms(line, kernel) for kernel in self._derivatives)
+    def _sine_hz(self, position: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:
+        """What the hat's frequency is at least, by the rms of |f| and its derivatives; 0 where |f| is no sine."""
         position, speed = np.maximum(position, 1e-9), np.maximum(speed, 1e-9)
         frequency_hz = speed / (2 * np.pi * position)
         is_sine = acceleration / (2 * np.pi * speed) < self.sine_ratio * frequency_hz

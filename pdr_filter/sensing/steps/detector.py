@@ -131,6 +131,10 @@ class StepDetector(ABC, Generic[S]):
         return replace(state, line=line[:, signals.shape[1] :].copy()), steps
 
 
+# Samples whose response is made at once: what is needed for it fits into a cache.
+_SAMPLES_AT_ONCE = 2000
+
+
 @dataclass(frozen=True, eq=False)
 class ResponseState(DetectorState):
     """Its last signals, and the last values of the response."""
@@ -168,7 +172,11 @@ class ResponseStepDetector(StepDetector[R]):
         return (self._delay_samples + 1) / self.rate_hz
 
     def _detect(self, state: R, line: FloatArray, first: int) -> tuple[R, list[tuple[int, Step]]]:
-        response = np.concatenate([state.response, self._response(line)], axis=1)
+        width = self._n_line + _SAMPLES_AT_ONCE
+        pieces = [
+            self._response(line[:, i : i + width]) for i in range(0, line.shape[1] - self._n_line, _SAMPLES_AT_ONCE)
+        ]
+        response = np.concatenate([state.response, *pieces], axis=1)
         is_peak = local_maxima(response[0]) & (response[0, 1:-1] >= self._min_response)
         numbers, spans = list[int](), list[StepSpan]()
         for i in np.flatnonzero(is_peak).tolist():

@@ -1,0 +1,95 @@
+"""Which format a path holds, by its content."""
+
+from __future__ import annotations
+
+from pathlib import Path, PurePosixPath
+
+from pdr_filter.io import core_motion, get_sensor_data, indoor_location, limits, phyphox, ros_bag, sensor_logger
+from pdr_filter.io.any_table import TEXTS, is_of_sensors
+from pdr_filter.io.archive import Members, open_members
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.matlab import is_matlab
+from pdr_filter.io.ronin import SIGNATURE
+from pdr_filter.io.spreadsheet import is_spreadsheet
+
+
+def detect(path: Path) -> str:
+    """The format of a file or folder, by its content; the project's own if nothing else fits, which then explains."""
+    try:
+        with open_members(path) as members:
+            return _detect_among(members) if members.is_container else _detect_alone(members)
+    except RecordingError:
+        if not path.exists() and not any(parent.is_file() for parent in path.parents):
+            return "own"
+        raise
+
+
+def _detect_among(members: Members) -> str:
+    """The format of a zip or a folder."""
+    by_name = {PurePosixPath(name).name: name for name in members.names}
+    if is_spreadsheet(members):
+        return "table"
+    if "accelerometer.csv" in by_name:
+        found = detect_file(members, by_name["accelerometer.csv"])  # an experiment of phyphox may be called so, too
+        if found in ("phyphox", "sensor_logger") or (found == "table" and "meta.json" not in by_name):
+            return found
+        return "own"
+    if "data.hdf5" in by_name and members.path.is_dir():
+        return "ronin"
+    if ros_bag.is_bag(members):
+        return "ros_bag"
+    texts = [name for name in members.names if name.lower().endswith((*TEXTS, ".json", ".sqlite", ".db"))]
+    found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
+    of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
+    # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
+    return (
+        of_apps[0]
+        if of_apps and not (of_apps == ["phyphox"] and "table" in found)
+        else ("table" if "table" in found else "own")
+    )
+
+
+def _detect_alone(members: Members) -> str:
+    """The format of one file."""
+    path, name = members.path, members.names[0]
+    found = detect_file(members, name)
+    if name == "accelerometer.csv" and not found:
+        return "own"  # which asks for the folder
+    if mapping_beside(path).is_file() and mapping_beside(path) != path:
+        return found if found in ("get_sensor_data", "ronin") else "generic_csv"
+    head = members.head(name)
+    if found == "sensor_logger" and head.lstrip()[:1] not in (b"[", b"{") and not head.startswith(b"SQLite"):
+        return "table"  # one sensor of it
+    if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t")):
+        return "table"  # which says what it saw
+    return found or "own"
+
+
+def detect_file(members: Members, name: str) -> str:
+    """The format that the first bytes of a file show; empty if none."""
+    head = members.head(name)
+    begin = head.lstrip()[:1]
+    if head.startswith(SIGNATURE):
+        return "ronin"
+    if is_matlab(head) or is_spreadsheet(members, name):
+        return "table"
+    if ros_bag.looks_like(head):
+        return "ros_bag"
+    if sensor_logger.looks_like_export(head):
+        return "sensor_logger"
+    if begin in (b"[", b"{"):
+        return ""
+    if indoor_location.looks_like(head):
+        return "indoor_location"
+    if get_sensor_data.looks_like(head):
+        return "get_sensor_data"
+    line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
+    if phyphox.looks_like(line):
+        return "phyphox"
+    if sensor_logger.looks_like(line):
+        return "sensor_logger"
+    if core_motion.looks_like(line):
+        return "core_motion"
+    is_own = line.startswith("time_s,")
+    return "table" if not is_own and name.lower().endswith(TEXTS) and is_of_sensors(members, name) else ""
