@@ -665,7 +665,7 @@ def test_a_stop_says_what_is_done_and_what_is_left(walk: Path, tmp_path: Path, m
 def test_a_report_is_one_page_beside_the_other_files(walk: Path, tmp_path: Path) -> None:
     assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
     [page] = tmp_path.glob("*.html")
-    assert "<canvas" in page.read_text(encoding="utf-8")
+    assert "leaflet" in page.read_text(encoding="utf-8")
 
 
 # --- Wi-Fi -----------------------------------------------------------------------------------------------------------
