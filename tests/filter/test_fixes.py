@@ -559,6 +559,12 @@ def test_a_place_under_an_open_turn_has_the_mean_and_covariance_over_all_turns()
     world = turn.world(place)
     np.testing.assert_allclose(world.position_m, mean, atol=1e-12)
     np.testing.assert_allclose(world.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
+    # for a picture: under the most probable turn, with mean squares about that
+    best, drawn = int(np.argmax(turn.prob)), turn.most_probable().world(place)
+    away = np.array(means) - means[best]
+    cov = np.tensordot(turn.prob, np.array(covs), 1) + (turn.prob[:, None] * away).T @ away
+    np.testing.assert_allclose(drawn.position_m, means[best], atol=1e-12)
+    np.testing.assert_allclose(drawn.cov_m2, cov + turn.centre_var_m2 * np.eye(2), atol=1e-10)
 
 
 def test_a_settled_turn_takes_the_ellipse_of_a_place_with_it_and_adds_its_own_errors() -> None:
