@@ -13,6 +13,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.table import finite
 from pdr_filter.io.units import wrong_angular_rate, wrong_rate, wrong_specific_force
 from pdr_filter.values import BoolArray, FloatArray, Samples
+from pdr_filter.values.quaternions import rotation_matrix
 
 
 def checked_streams(
@@ -69,8 +70,7 @@ def up_cosine(accelerometer: Samples, attitude: Samples) -> float:
     at_s, quaternion = attitude.time_s[known][order], attitude.values[known][order]
     index = np.minimum(np.searchsorted(at_s, accelerometer.time_s), len(at_s) - 1)
     near = np.abs(at_s[index] - accelerometer.time_s) < 0.3
-    w, x, y, z = quaternion[index].T
-    up_sensor = np.column_stack([2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)])
+    up_sensor = rotation_matrix(quaternion[index])[:, 2]
     with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         force = accelerometer.values
         cosine = (force * up_sensor).sum(axis=1) / np.sqrt(np.square(force).sum(axis=1))
