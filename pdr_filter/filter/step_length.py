@@ -51,11 +51,11 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     The jacobian of a linear model is the same for every theta and has the shape (p,). Sums go along the last axis only,
     so that the bits of one theta do not depend on those beside it.
     """
-    if _is_smooth(model):
-        return model.length_m(step, theta), model.jacobian(step, theta)
     if _is_linear(model):
         r = model.regressors(step)
         return np.add.reduce(theta * r, axis=-1), r
+    if _is_smooth(model):
+        return model.length_m(step, theta), model.jacobian(step, theta)
     raise TypeError(f"{type(model).__name__} has neither regressors nor length_m and jacobian")
 
 
@@ -316,7 +316,7 @@ class StepLengthFit:
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
-        length, parameter_var = _predict(self.model, step, self.theta, self.theta_cov)
+        length, parameter_var = np.maximum(_moments(self.model, step, self.theta, self.theta_cov), 0.0)
         return float(length), float(parameter_var) + self.residual_std_m**2
 
 
@@ -352,23 +352,23 @@ class StepLengths:
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
-        length, parameter_var = np.empty((2, len(self.fits)))
+        moments = np.empty((2, len(self.fits)))
         for model, index, theta, cov in self._groups:
-            length[index], parameter_var[index] = _predict(model, step, theta, cov)
+            moments[0, index], moments[1, index] = _moments(model, step, theta, cov)
+        length, parameter_var = np.maximum(moments, 0.0)
         return length, parameter_var
 
 
-def _predict(
+def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (...,) and its variance (...,) due to the parameters, both not negative.
+    """Length (...,) and its variance (...,) due to the parameters, for theta (..., p) and theta_cov (..., p, p).
 
-    For theta (..., p) and theta_cov (..., p, p).
+    The length may be negative, and the variance by its rounding, where the covariance was estimated.
     """
     length, jacobian = length_and_jacobian(model, step, theta)
     products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
-    # a covariance that was estimated may miss zero by its rounding
-    return np.maximum(length, 0.0), np.maximum(np.add.reduce(products, axis=(-2, -1)), 0.0)
+    return length, np.add.reduce(products.reshape(*products.shape[:-2], -1), axis=-1)
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
