@@ -62,15 +62,15 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
     v_0j = sum_i mu_i|j v_i. What is summed in each mode over steps and mixed before each is, weighted with the mode
     probabilities, the sum that a smoother would make of them, exactly: E[sum_k l_k(mode at k) | all evidence so far].
     """
-    predicted = np.matmul(mode_prob, transition_prob)
-    return np.divide(np.matmul(mode_prob * values, transition_prob), predicted, where=predicted > 0, out=values.copy())
+    predicted = mode_prob.dot(transition_prob)
+    return np.divide((mode_prob * values).dot(transition_prob), predicted, where=predicted > 0, out=values.copy())
 
 
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Probabilities mu_i|j (..., j, i) of the last mode given the next one, and predicted ones c_j (..., M)."""
     joint = transition_prob * mode_prob[..., :, None]
     predicted = joint.sum(axis=-2)
-    if (predicted > 0).all():
+    if predicted.min() > 0:
         return (joint / predicted[..., None, :]).swapaxes(-1, -2), predicted
     reachable = (predicted > 0)[..., None, :]
     weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(joint.shape[-1]))
