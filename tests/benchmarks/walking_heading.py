@@ -276,8 +276,6 @@ def agreement(tables: Tables, data: Path, stage: WalkingHeading) -> None:
                     screen = np.arctan2(np.cross(state.axis, state.up)[2], state.axis[2])
                     direction = float(np.arctan2(right, forward) - screen)
                     found.append((kind, len(walk.steps), np.array(state.up), direction))
-                        (kind, len(walk.steps), np.array(state.up), float(np.arctan2(right, forward) - screen))
-                    )
         _, _, up, direction = max((f for f in found if f[0] == "wlk"), key=lambda f: f[1])
         for kind, _, other_up, other in found:
             if other is not direction and up @ other_up > 0.8:
