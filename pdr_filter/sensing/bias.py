@@ -464,7 +464,7 @@ def _uniform_log_density(width: float) -> float:
 
 
 def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
-    return angle_rad - period_rad * np.round(angle_rad / period_rad)
+    return angle_rad - period_rad * np.rint(angle_rad / period_rad)
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:

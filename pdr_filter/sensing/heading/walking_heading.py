@@ -234,7 +234,9 @@ class WalkingHeading:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
             reported = state.reported.after_loss(float(self.drift.unmeasured_rad2(gap_s)))
             state = replace(state, start_s=float(block.time_s[0]), reported=reported)
-        new = np.empty((_N_ROWS, len(block.time_s)))
+        n_old, n_new = state.signals.shape[1], len(block.time_s)
+        signals = np.empty((_N_ROWS, n_old + n_new))
+        signals[:, :n_old], new = state.signals, signals[:, n_old:]
         new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
         new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
         new[_VERTICAL], new[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
@@ -243,8 +245,7 @@ class WalkingHeading:
             new[_ERROR], new[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
         else:
             new[_ERROR], new[_ERROR_VAR] = 0.0, 0.0
-        signals = np.concatenate([state.signals, new], axis=1)
-        state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
+        state = replace(state, n_samples=n_before + n_new, signals=signals)
         at = [known - n_before for known, _ in steps]
         state, result = self._annotated(
             state, steps, contexts.context[at].tolist(), contexts.carrying_mode[at].tolist()
