@@ -118,6 +118,11 @@ class TrackRows:
         """Longitude of each step, shape (K,); ValueError if the track has no `origin`."""
         return self.latitude_longitude_deg(self.position_m)[1]
 
+    @property
+    def altitude_m(self) -> FloatArray | None:
+        """Altitude of each step, shape (K,), as `origin` counts; None if it says none."""
+        return None if self.origin is None or self.origin.height_m is None else self.origin.height_m + self.height_m
+
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (...) of positions (..., 2) in its frame; ValueError if it has no `origin`."""
         if self.origin is None:
