@@ -367,9 +367,12 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
 def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
     if stream is None:
         return np.full((len(at_s), 3), np.nan)
-    good = np.isfinite(stream.time_s) & np.isfinite(stream.values).all(axis=1)
-    time_s, first = np.unique(stream.time_s[good], return_index=True)
-    return at_times(time_s, stream.values[good][first], at_s, max_gap_s)
+    time_s, values = stream.time_s, stream.values
+    if not (np.isfinite(values).all() and (time_s[1:] > time_s[:-1]).all() and np.isfinite(time_s[-1:]).all()):
+        good = np.isfinite(time_s) & np.isfinite(values).all(axis=1)
+        time_s, first = np.unique(time_s[good], return_index=True)
+        values = values[good][first]
+    return at_times(time_s, values, at_s, max_gap_s)
 
 
 def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
