@@ -129,6 +129,16 @@ def test_an_altitude_of_zero_or_nan_is_none(walk: Recording, altitude_m: float, 
 # --- files ------------------------------------------------------------------------------------------------------------
 
 
+def test_the_summary_of_a_walk_that_climbed_has_height_and_storey_of_its_end(track: pdr.Track) -> None:
+    summary = track.summary()
+    assert summary["end_height_m"] == pytest.approx(track.height_m[-1], abs=1e-3)
+    assert summary["end_height_std_m"] == pytest.approx(track.height_std_m[-1], abs=1e-3)
+    assert summary["end_floor"] == track.floor[-1]
+    none = np.zeros(track.n_steps)
+    level = replace(track, height_m=none, floor=none.astype(np.int64), floor_passages=())
+    assert not {"end_height_m", "end_height_std_m", "end_floor"} & level.summary().keys()
+
+
 def test_files_have_the_altitude_where_it_is_known(track: pdr.Track, tmp_path: Path) -> None:
     assert track.altitude_m is not None
     feature = json.loads(track.to_geojson(tmp_path / "a.geojson").read_text())["features"][0]
