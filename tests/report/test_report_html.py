@@ -76,10 +76,10 @@ def test_the_page_has_every_part(page: str) -> None:
     assert Seen(page).titles[1:] == [
         "Where not to trust it",
         "Way",
-        "Height",
+        "Height (m)",
         "Contexts over time",
-        "Walking speed",
-        "Step lengths",
+        "Walking speed (m/s)",
+        "Step lengths (m)",
         "Heading",
         "How it was read",
     ]

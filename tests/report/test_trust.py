@@ -4,6 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import windows_of
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
@@ -151,3 +152,19 @@ def test_a_recording_without_a_single_sample_that_can_be_used_begins_at_zero_and
     nothing = Recording("empty", Samples(np.arange(300) / 100, np.full((300, 3), np.nan)))
     track = pdr.track(nothing)
     assert (track.start_time_s, track.duration_s, track.n_steps) == (0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize(("n", "end"), [(1, "to 5 s"), (2, "and from 12 to 17 s"), (12, "and 4 times more")])
+def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: str) -> None:
+    time_s = np.arange(144.0)
+    windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (144, 1)))
+    strange = (time_s % 12 < 6) & (time_s < 12 * n)
+    doubted = replace(track, windows=replace(windows, unknown_share=strange.astype(float)))
+    [told] = doubts(doubted)
+    assert told.startswith("From 0 to 5 s")
+    assert told.split(" the motion is unlike")[0].endswith(end)
+
+
+def test_a_note_that_ends_with_a_full_stop_gets_no_second_one(track: Track) -> None:
+    told = replace(track, notes=("read as it was.", "one more")).report()
+    assert told.endswith("- Read as it was.\n- One more.")
