@@ -192,3 +192,12 @@ def test_a_short_movement_without_steps_is_no_ride(track: Track, lasting_s: int,
     context = np.where(np.arange(60) < lasting_s, WALKING, STATIONARY)
     moved = replace(track, windows=windows_of(later_s, np.eye(len(CONTEXTS))[context]))
     assert sum("as in a vehicle" in told for told in doubts(moved)) == n_told
+
+
+@pytest.mark.parametrize(("height_m", "std_m", "is_level"), [(0.8, 0.1, True), (1.2, 0.1, False), (1.2, 0.7, True)])
+def test_a_metre_and_two_deviations_say_that_somebody_left_the_storey(
+    track: Track, height_m: float, std_m: float, is_level: bool
+) -> None:
+    none = np.zeros(track.n_steps)
+    high = replace(track, height_m=none - height_m, height_std_m=none + std_m, floor=none.astype(int))
+    assert high.is_level is is_level
