@@ -8,6 +8,7 @@ made on stairs.
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
@@ -28,11 +29,12 @@ from pdr_filter.filter.floors import (
     with_level,
 )
 from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.turn import scatter
 from pdr_filter.filter.vertical import AIR, CLIMBED, DOWN, DRIFT, JUMP, LIFT, N_MODES, SLOPED, UP
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
-from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, replace
+from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, Origin, PositionFix, replace
 
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
 LONGEST_RIDE_S = 120.0
@@ -57,6 +59,36 @@ _NOTABLE_AIR_M = 40.0
 _M_PER_HPA = 8.3
 _STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "upstairs", "downstairs"))
 _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
+
+
+@dataclass(frozen=True, eq=False)
+class Altitude:
+    """What fixes say of the altitude of the start."""
+
+    altitude_m: float = np.nan
+    var_m2: float = np.inf
+    last_s: float = -np.inf  # of the last fix
+
+    def of(self, origin: Origin) -> Origin:
+        """An origin with this altitude, as far as it is known."""
+        if math.isinf(self.var_m2):
+            return origin
+        return dataclasses.replace(origin, height_m=self.altitude_m, height_std_m=math.sqrt(self.var_m2))
+
+    def with_fix(self, fix: PositionFix, height_m: float, height_var_m2: float) -> Altitude:
+        """With a fix of an altitude, where the height above the start is known.
+
+        One that is not as expected counts less, as with Student's t (`turn.scatter`).
+        """
+        assert fix.altitude_m is not None and fix.altitude_std_m is not None
+        var = fix.repetition(self.last_s) * fix.altitude_std_m**2 + height_var_m2
+        altitude_m = fix.altitude_m - height_m
+        if math.isinf(self.var_m2):
+            return Altitude(altitude_m, var, fix.time_s)
+        innovation_m = altitude_m - self.altitude_m
+        var *= scatter(innovation_m**2 / (self.var_m2 + var), 1)
+        gain = self.var_m2 / (self.var_m2 + var)
+        return Altitude(self.altitude_m + gain * innovation_m, (1.0 - gain) * self.var_m2, fix.time_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,6 +134,7 @@ class HeightState:
     n_steps: int = 0
     step_s: float = np.nan  # of the last step
     stairs_unknown_share: float = 0.0  # of the last window
+    start_altitude: Altitude = field(default_factory=lambda: Altitude())
 
 
 def initial_height() -> HeightState:
@@ -166,6 +199,16 @@ def on_step(
     known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var)
     state = replace(state, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, known, passages + known.floors.passages
+
+
+def with_fix(state: HeightState, fix: PositionFix) -> HeightState:
+    """State with the storey and the altitude of a fix, as far as it has them."""
+    if fix.floor is not None:
+        state = with_floor(state, fix.floor)
+    if fix.altitude_m is None:
+        return state
+    altitude = state.start_altitude.with_fix(fix, state.known.height_m, state.known.height_var_m2)
+    return replace(state, start_altitude=altitude)
 
 
 def with_floor(state: HeightState, floor: int) -> HeightState:
