@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows
+from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
 
 _STATIONARY = CONTEXTS.index("stationary")
 # Shorter doubts are ordinary: a turn, a door.
 _MIN_DOUBT_S = 5.0
 # So long a movement without a step is no walk: people take one every two seconds.
 _MIN_RIDE_S = 20.0
+# Stretches of one kind whose times are said.
+_MAX_TIMES = 8
 # Two modes that are as probable as each other count as doubt.
 _DOUBTFUL_MODES = 1.9
 
@@ -64,7 +66,8 @@ def doubts(track: TrackRows) -> list[str]:
         ]
     rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if rejected:
-        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
+        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
+        times += ", ..." if len(rejected) > _MAX_TIMES else ""
         found.append(
             f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
             f"at {times} s."
@@ -89,9 +92,14 @@ def report(track: TrackRows) -> str:
         fit = "about 2 for positions that fit" if track.origin is None else "below 2 where locations fit"
         mean = f"mean squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
-    problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
+    problems = [*doubts(track), *map(sentence, track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
     return "\n".join(lines)
+
+
+def sentence(note: str) -> str:
+    """A note as a sentence."""
+    return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
 
 
 def end(track: TrackRows) -> str:
@@ -120,7 +128,14 @@ def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
 
 
 def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
-    return [f"From {a:.0f} to {b:.0f} s {words}" for a, b in stretches]
+    """One sentence of all stretches, the first of them with their times."""
+    if not stretches:
+        return []
+    times = [f"from {a:.0f} to {b:.0f} s" for a, b in stretches[:_MAX_TIMES]]
+    if len(stretches) > _MAX_TIMES:
+        times.append(how_many(len(stretches) - _MAX_TIMES, "time", "times") + " more")
+    every = " and ".join([", ".join(times[:-1]), times[-1]] if len(times) > 1 else times)
+    return [f"{every[:1].upper()}{every[1:]} {words}"]
 
 
 def _names(track: TrackRows, start_s: float, end_s: float) -> str:
