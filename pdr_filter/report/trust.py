@@ -51,8 +51,8 @@ def doubts(track: TrackRows) -> list[str]:
         )
         found += _said(
             _long(track.time_s, track.is_quick_and_soft),
-            "steps are as quick as running and as soft as walking, as on the spot: their lengths and directions are "
-            "worse than the covariance says.",
+            "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they "
+            "lead, is unsure.",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
