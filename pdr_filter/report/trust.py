@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
 
 _STATIONARY = CONTEXTS.index("stationary")
+# A head looks around, and a bag dangles.
+_LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
 # Shorter doubts are ordinary: a turn, a door.
 _MIN_DOUBT_S = 5.0
 # So long a movement without a step is no walk: people take one every two seconds.
@@ -53,8 +55,13 @@ def doubts(track: TrackRows) -> list[str]:
         )
         found += _said(
             _long(track.time_s, track.is_quick_and_soft),
-            "steps are as quick as running and as soft as walking, as on the spot: their lengths and directions are "
-            "worse than the covariance says.",
+            "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they "
+            "lead, is unsure.",
+        )
+        found += _said(
+            _long(windows.time_s, is_loose(track)),
+            "the phone is held as at the ear, or dangles as in a bag: if it turns against the body without a tilt, the "
+            "track turns with it.",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
@@ -106,6 +113,15 @@ def end(track: TrackRows) -> str:
     """Where a track with steps ends, and how sure that is."""
     east_m, north_m = track.position_m[-1]
     return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
+
+
+def is_loose(track: TrackRows) -> BoolArray:
+    """Windows (W,) in which the phone may turn against the body, and nothing shows it."""
+    windows = track.windows
+    if not len(windows):
+        return np.zeros(0, dtype=bool)
+    moves = windows.context_prob[:, _STATIONARY] < 0.5
+    return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 
 def _has_step(track: TrackRows) -> BoolArray:

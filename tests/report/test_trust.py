@@ -11,7 +11,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report.trust import doubts
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, PositionFix, Samples, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, PositionFix, Samples, read_only
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 
@@ -88,6 +88,18 @@ def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, 
             replace(track, windows=replace(track.windows, **{field: read_only(((time_s > 10) & (time_s < 20)) * 1.0)}))
         )[0]
     )
+
+
+@pytest.mark.parametrize("mode", ["calling", "bag"])
+def test_a_phone_at_the_ear_or_in_a_bag_is_said_to_turn_unseen_and_one_that_lies_still_is_not(
+    track: Track, mode: str
+) -> None:
+    prob = np.tile(np.where(np.array(CARRYING_MODES) == mode, 0.9, 0.025), (len(track.windows), 1))
+    loose = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
+    assert any("turns against the body" in sentence for sentence in doubts(loose))
+    rests = np.tile(np.where(np.array(CONTEXTS) == "stationary", 0.9, 0.02), (len(track.windows), 1))
+    still = replace(loose, windows=replace(loose.windows, context_prob=read_only(rests)))
+    assert not any("turns against the body" in sentence for sentence in doubts(still))
 
 
 def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> None:
