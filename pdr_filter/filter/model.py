@@ -95,11 +95,6 @@ class PedestrianModel:
         """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
         return [CONTEXTS.index(m.context) for m in self.modes]
 
-    @property
-    def residual_var_m2(self) -> FloatArray:
-        """Variance of the length of a step of each mode about its model, (M,)."""
-        return self._lengths.residual_var_m2
-
     @cached_property
     def evidence(self) -> ModeEvidence:
         """What windows say for the modes."""
@@ -131,8 +126,17 @@ class PedestrianModel:
         Modes that move nobody have length zero.
         """
         length_m, parameter_var_m2 = self._lengths.moments(step)
-        parameter_var_m2 = self.moves * parameter_var_m2
-        return self.moves * length_m, self.residual_var_m2 + parameter_var_m2, np.sqrt(parameter_var_m2)
+        length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
+        return length_m, self.own_var_m2(step, length_m) + parameter_var_m2, np.sqrt(parameter_var_m2)
+
+    def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
+        """Variance (M,) of a single step about the lengths (M,) of the modes.
+
+        One that is too quick for walking and too soft for running may be anything from a step on the spot to twice as
+        long as a model says: L^2 / 3.
+        """
+        var_m2 = self._lengths.residual_var_m2
+        return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
         """The modes' own heading offset, averaged as vectors."""

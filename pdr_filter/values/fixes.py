@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.origin import Origin, check_place
@@ -16,8 +18,11 @@ from pdr_filter.values.uncertainty import RADIUS_68
 
 # Two fixes of one moment.
 _SAME_S = 0.01
-# A standard deviation beyond this says nothing, and its square must stay a number.
-_MAX_STD = 1e100
+# What is further from its zero is in no frame of this Earth, grids with the number of their zone in front included; its
+# square must leave enough digits to walk in.
+_MAX_M = 1e9
+# A standard deviation beyond this says nothing. Products of four of them, and of their inverses, must stay numbers.
+_MIN_STD, _MAX_STD = 1e-12, 1e12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,11 +50,14 @@ class PositionFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor", "altitude_m", "altitude_std_m")
         _take_arrays(self, "position_m", "cov_m2")
-        if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
-            raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
+        if self.position_m.shape != (2,) or not (np.abs(self.position_m) <= _MAX_M).all():
+            raise ValueError(f"position_m must be (east, north) in m, up to {_MAX_M:g}, got {self.position_m}")
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
-        if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
-            raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
+        if not (symmetric and np.isfinite(self.cov_m2).all() and _are_variances(np.linalg.eigvalsh(self.cov_m2))):
+            raise ValueError(
+                "cov_m2 must be a symmetric positive definite (2, 2) array in m2, of standard deviations from "
+                f"{_MIN_STD:g} to {_MAX_STD:g} m, got {self.cov_m2}"
+            )
         if not 0 <= self.correlation_s < np.inf:
             raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
         if self.floor is not None:
@@ -105,9 +113,9 @@ class PositionFix:
                 f"std_m={std_m} and accuracy_m={accuracy_m}"
             )
         name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
-        if value is None or not 0 < value < _MAX_STD:
-            raise ValueError(f"{name} must be positive, got {value}; leave out a fix whose place is not known")
-        each_m = value if accuracy_m is None else value / RADIUS_68
+        if not (isinstance(value, Real) and _MIN_STD <= value <= _MAX_STD):
+            raise ValueError(f"{name} must be positive, got {value!r}; leave out a fix whose place is not known")
+        each_m = float(value) if accuracy_m is None else float(value) / RADIUS_68
         position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
         return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
 
@@ -130,7 +138,7 @@ class HeadingFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
         _check_times(self.time_s, self.received_time_s)
-        if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < _MAX_STD):
+        if not (np.isfinite(self.walking_heading_rad) and _MIN_STD <= self.std_rad <= _MAX_STD):
             raise ValueError(
                 f"walking_heading_rad must be finite and std_rad positive, got {self.walking_heading_rad} and "
                 f"{self.std_rad}"
@@ -156,7 +164,7 @@ class SpeedFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
-        if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < _MAX_STD):
+        if not (0 < self.speed_mps < np.inf and _MIN_STD <= self.std_mps <= _MAX_STD):
             raise ValueError(
                 f"speed_mps and std_mps must be positive, got {self.speed_mps} and {self.std_mps}; somebody who stands "
                 "is a Standstill"
@@ -185,6 +193,10 @@ class Standstill:
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
+
+
+def _are_variances(values: NDArray[Any]) -> bool:
+    return bool(((values >= _MIN_STD**2) & (values <= _MAX_STD**2)).all())
 
 
 _MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
