@@ -246,7 +246,7 @@ class BounceStepLength:
 
     - where A, over two steps because left and right differ in a pocket, is below its usual value B, as when people stop
       or shuffle, (A / B)^(1/4);
-    - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.9)^2);
+    - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.2)^2);
     - a step from rest, which begins with the feet together, is half a step;
     - beyond 2.4 steps a second, where a step was found twice, it is the speed that stays: 2.4 / f.
 
@@ -257,7 +257,8 @@ class BounceStepLength:
     max_amplitude_mps2: float = 3.0  # a larger one is the give of a soft arm, not the body's
     min_amplitude_mps2: float = 0.3
     max_frequency_hz: float = 2.4  # 144 steps a minute: the quickest walking
-    turn_scale_radps: float = 2.9
+    # 2.0 to 2.15 are best whichever of the sites of `_BOUNCE_K` is left out; up to 2.3 there is no difference.
+    turn_scale_radps: float = 2.2
     max_turn_rate_radps: float = 1.5  # half a turn in two seconds: quicker ones are of the hand
     n_params: int = 1
 
