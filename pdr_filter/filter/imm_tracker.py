@@ -75,7 +75,7 @@ class ImmTracker:
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
-        since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2
+        since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2(step)
         ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
-from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
 from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
 
@@ -96,11 +96,6 @@ class PedestrianModel:
         """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
         return [CONTEXTS.index(m.context) for m in self.modes]
 
-    @property
-    def residual_var_m2(self) -> FloatArray:
-        """Variance of the length of a step of each mode about its model, (M,)."""
-        return self._lengths.residual_var_m2
-
     @cached_property
     def evidence(self) -> ModeEvidence:
         """What windows say for the modes."""
@@ -126,6 +121,11 @@ class PedestrianModel:
         """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
+    def residual_var_m2(self, step: Step) -> FloatArray:
+        """Variance of the length of a step of each mode about its model, (M,)."""
+        own = self._lengths.residual_var_m2
+        return own + PAUSE_STD_M**2 * self.moves if step.from_rest else own
+
     def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
         """Lengths, their variances, and the standard deviations due to the parameters alone, (M,) each.
 
@@ -133,7 +133,7 @@ class PedestrianModel:
         """
         length_m, parameter_var_m2 = self._lengths.moments(step)
         parameter_var_m2 = self.moves * parameter_var_m2
-        return self.moves * length_m, self.residual_var_m2 + parameter_var_m2, np.sqrt(parameter_var_m2)
+        return self.moves * length_m, self.residual_var_m2(step) + parameter_var_m2, np.sqrt(parameter_var_m2)
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
         """The modes' own heading offset, averaged as vectors."""

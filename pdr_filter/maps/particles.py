@@ -188,7 +188,7 @@ class ParticleFilter:
         z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
         mode = np.searchsorted(prob, rng.random(n), side="right")
         log_weight = turned(x, step, known, model, since_s, mode, z[0])
-        scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + np.sqrt(model.residual_var_m2)[mode] * z[1])
+        scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + np.sqrt(model.residual_var_m2(step))[mode] * z[1])
         own = model.directions
         psi = step.device_heading_rad + x[:, OFFSET]
         psi += own.heading_offset_rad[mode] + np.sqrt(own.heading_var_rad2)[mode] * z[2]
