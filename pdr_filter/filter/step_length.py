@@ -414,7 +414,7 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-# Of the log step scale of people left out together with their site: 6.7 % with the heights that are known, 8.8 %
+# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.4 %
 # without (docs/benchmarks.md). Those are few people at few sites, and strangers elsewhere were off by up to
 # 20 %: rounded up, more so for those of whom nothing is known.
 _SCALE_STD_OF_KNOWN_HEIGHT, _SCALE_STD = 0.07, 0.10
