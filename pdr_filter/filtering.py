@@ -180,10 +180,13 @@ def add_location(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
+    altitude_m: FloatArray | None = None,
 ) -> State:
     """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
     time_s = time_s + state.clock_offset_s
-    locations, fixes = position_fixes(state.locations, time_s, latitude_deg, longitude_deg, accuracy_m)
+    locations, fixes = position_fixes(
+        state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
+    )
     return add_fixes(config, replace(state, locations=locations), fixes)
 
 
@@ -368,7 +371,9 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             if isinstance(fix, GridFix) and particles is not state.particles:
                 outcome = "used"
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix | GridFix) and fix.floor is not None and outcome != "rejected":
+    if isinstance(fix, PositionFix) and outcome != "rejected":
+        state = replace(state, height=height.with_fix(state.height, fix))
+    if isinstance(fix, GridFix) and fix.floor is not None and outcome != "rejected":
         state = replace(state, height=height.with_floor(state.height, fix.floor))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
