@@ -371,10 +371,8 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             if isinstance(fix, GridFix) and particles is not state.particles:
                 outcome = "used"
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix) and outcome != "rejected":
+    if isinstance(fix, PositionFix | GridFix) and outcome != "rejected":
         state = replace(state, height=height.with_fix(state.height, fix))
-    if isinstance(fix, GridFix) and fix.floor is not None and outcome != "rejected":
-        state = replace(state, height=height.with_floor(state.height, fix.floor))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
         state,
