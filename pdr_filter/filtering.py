@@ -284,6 +284,8 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
     """State whose height knows the pressure up to a time whose steps are known, but for the first of a bout."""
+    if state.n_climbs_used == len(state.climbs):
+        return state
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
         known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
@@ -307,7 +309,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
     known = state.height
     for update in updates:
         if update.is_final:
-            up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
+            up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
             known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
             state = _with_passages(config, state, passages, output)
         else:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -40,7 +41,13 @@ def default(subject: Subject | None = None) -> Config:
 
     Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
     """
-    height_m = subject.height_m if subject else None
+    return replace(_for_height(subject.height_m if subject else None), notes=height_notes(subject))
+
+
+# Coefficients that stages derive once are then those of all recordings of a height: a millisecond of each.
+@lru_cache(maxsize=16, typed=True)
+def _for_height(height_m: float | None) -> Config:
+    """The default but for its notes."""
     drift = HeadingDrift()
     return Config(
         name="default",
@@ -58,7 +65,6 @@ def default(subject: Subject | None = None) -> Config:
                 noise=MotionNoise(heading_drift=drift, log_scale_std=scale_std(height_m)),
             )
         ),
-        notes=height_notes(subject),
     )
 
 

@@ -180,7 +180,7 @@ def on_step(
 
     With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs.
     """
-    elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if np.isfinite(state.step_s) else 0.5
+    elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     state = replace(state, step_s=step_s)
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
@@ -306,7 +306,7 @@ def _climbed(
         climbed_m=climbed_m,
         height_m=known.height_m + rise_m,
         height_var_m2=known.height_var_m2 + climbed_var + unseen_var,
-        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob @ cov[:, CLIMBED, CLIMBED]), 0.0))),
+        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob.dot(cov[:, CLIMBED, CLIMBED])), 0.0))),
     )
 
 

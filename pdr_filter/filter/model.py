@@ -86,10 +86,9 @@ class PedestrianModel:
         return self.step_log_odds_stationary * self.stands
 
     @cached_property
-    def on_stairs(self) -> tuple[FloatArray, FloatArray]:
-        """1 for the modes that climb stairs, and for those that go down, (M,) each."""
-        up, down = (np.array([float(m.context == c) for m in self.modes]) for c in ("upstairs", "downstairs"))
-        return up, down
+    def on_stairs(self) -> FloatArray:
+        """1 for the modes that climb stairs, and for those that go down, (2, M)."""
+        return np.array([[float(m.context == c) for m in self.modes] for c in ("upstairs", "downstairs")])
 
     @cached_property
     def context_index(self) -> list[int]:
@@ -137,7 +136,7 @@ class PedestrianModel:
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
         """The modes' own heading offset, averaged as vectors."""
-        sine, cosine = (mode_prob @ self._offset_vectors).tolist()
+        sine, cosine = mode_prob.dot(self._offset_vectors).tolist()
         return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:

@@ -12,7 +12,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Step, check_numbers, read_only
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, read_only
 
 
 class _Parameters(Protocol):
@@ -51,11 +51,11 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     The jacobian of a linear model is the same for every theta and has the shape (p,). Sums go along the last axis only,
     so that the bits of one theta do not depend on those beside it.
     """
-    if _is_smooth(model):
-        return model.length_m(step, theta), model.jacobian(step, theta)
     if _is_linear(model):
         r = model.regressors(step)
         return np.add.reduce(theta * r, axis=-1), r
+    if _is_smooth(model):
+        return model.length_m(step, theta), model.jacobian(step, theta)
     raise TypeError(f"{type(model).__name__} has neither regressors nor length_m and jacobian")
 
 
@@ -316,29 +316,33 @@ class StepLengthFit:
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
-        length, parameter_var = _predict(self.model, step, self.theta, self.theta_cov)
+        length, parameter_var = np.maximum(_moments(self.model, step, self.theta, self.theta_cov), 0.0)
         return float(length), float(parameter_var) + self.residual_std_m**2
 
 
 @dataclass(frozen=True, eq=False)
 class StepLengths:
-    """Lengths of one step under several fits at once: the same bits as each `StepLengthFit.predict`."""
+    """Lengths of one step under several fits at once: but for rounding those of each `StepLengthFit.predict`."""
 
     fits: tuple[StepLengthFit, ...]
 
     @cached_property
-    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]]:
-        """For each distinct model: which fits use it, their theta (m, p) and covariance (m, p, p)."""
-        models: list[StepLengthModel] = []
-        for fit in self.fits:
-            if fit.model not in models:
-                models.append(fit.model)
-        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]] = []
-        for model in models:
-            index = np.array([i for i, fit in enumerate(self.fits) if fit.model == model])
-            own = [self.fits[i] for i in index]
-            groups.append((model, index, np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])))
-        return groups
+    def _linear(self) -> tuple[LinearStepLengthModel, ...]:
+        return tuple(dict.fromkeys(fit.model for fit in self.fits if _is_linear(fit.model)))
+
+    @cached_property
+    def _of_terms(self) -> FloatArray:
+        """Coefficients (2, M, T) of lengths and variances, both linear in the regressors r and the products r r'."""
+        starts, n_terms = dict[StepLengthModel, int](), 0
+        for model in self._linear:
+            starts[model], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
+        coefficients = np.zeros((2, len(self.fits), n_terms))
+        for (of_length, of_var), fit in zip(coefficients.swapaxes(0, 1), self.fits, strict=True):
+            if _is_linear(fit.model):
+                start, p = starts[fit.model], fit.model.n_params
+                of_length[start : start + p] = fit.theta
+                of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
+        return coefficients
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
@@ -352,23 +356,32 @@ class StepLengths:
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
-        length, parameter_var = np.empty((2, len(self.fits)))
-        for model, index, theta, cov in self._groups:
-            length[index], parameter_var[index] = _predict(model, step, theta, cov)
+        terms: list[float] = []
+        for model in self._linear:
+            r = model.regressors(step).tolist()
+            terms += r
+            terms += [a * b for a in r for b in r]
+        moments = self._of_terms.dot(np.array(terms))
+        for i, fit in self._smooth:
+            moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
+        length, parameter_var = np.maximum(moments, 0.0)
         return length, parameter_var
 
+    @cached_property
+    def _smooth(self) -> list[tuple[int, StepLengthFit]]:
+        return [(i, fit) for i, fit in enumerate(self.fits) if not _is_linear(fit.model)]
 
-def _predict(
+
+def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (...,) and its variance (...,) due to the parameters, both not negative.
+    """Length (...,) and its variance (...,) due to the parameters, for theta (..., p) and theta_cov (..., p, p).
 
-    For theta (..., p) and theta_cov (..., p, p).
+    The length may be negative, and the variance by its rounding, where the covariance was estimated.
     """
     length, jacobian = length_and_jacobian(model, step, theta)
     products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
-    # a covariance that was estimated may miss zero by its rounding
-    return np.maximum(length, 0.0), np.maximum(np.add.reduce(products, axis=(-2, -1)), 0.0)
+    return length, np.add.reduce(products.reshape(*products.shape[:-2], -1), axis=-1)
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:

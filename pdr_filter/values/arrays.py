@@ -42,7 +42,11 @@ def median(values: FloatArray) -> float:
 
 def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
     """Return a read-only contiguous float64 copy of `as_floats`."""
-    array = np.array(as_floats(values, name), order="C")
+    return frozen(np.array(as_floats(values, name), order="C"))
+
+
+def frozen(array: FloatArray) -> FloatArray:
+    """The array itself, read-only from now on: for one that was just made."""
     array.flags.writeable = False
     return array
 

@@ -274,11 +274,12 @@ def random_fit(model: StepLengthModel, rng: np.random.Generator) -> StepLengthFi
 
 @settings(max_examples=50)
 @given(step=steps, seed=st.integers(0, 10_000))
-def test_fits_at_once_give_the_bits_of_each_alone(step: Step, seed: int) -> None:
+def test_fits_at_once_give_what_each_alone_gives(step: Step, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fits = tuple(random_fit(MODELS[i], rng) for i in rng.integers(0, len(MODELS), rng.integers(1, 12)))
     length, variance = StepLengths(fits).predict(step)
-    assert [fit.predict(step) for fit in fits] == list(zip(length, variance, strict=True))
+    alone = np.array([fit.predict(step) for fit in fits])
+    np.testing.assert_allclose(np.stack([length, variance], axis=1), alone, rtol=1e-9, atol=1e-9)
 
 
 @every_model
