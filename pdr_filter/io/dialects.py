@@ -43,7 +43,12 @@ DIALECTS = (
     Dialect(
         "AndroSensor", r"ACCELEROMETER X \(m/s|\bACCEX\b|LINEAR ACCELERATION X \(m/s", "ACCELEROMETER in AndroSensor"
     ),
-    Dialect("HyperIMU", r"HyperIMU", "Accelerometer in HyperIMU", period_ms=r"Sampling Time:\s*(\d+(?:\.\d+)?)\s*ms"),
+    Dialect(
+        "HyperIMU",
+        r"HyperIMU",
+        "Accelerometer in HyperIMU",
+        period_ms=r"Sampling ?(?:Time|Rate):\s*(\d+(?:\.\d+)?)\s*ms",
+    ),
     Dialect(
         "SensorLog",
         r"accelerometerAcceleration|motionUserAcceleration|accelerometerTimestamp_since|\bloggingTime\b",

@@ -13,9 +13,10 @@ from pdr_filter.io.columns import ACCELERATION, GRAVITY
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.json_tables import SUFFIXES
 from pdr_filter.io.several import parts_of, recordings_among
 
-_TEXTS = {".csv", ".txt", ".tsv", ".json"}
+_TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
 
 

@@ -85,7 +85,18 @@ def guess(
     for quantity in (RATE, FIELD, *SCALARS, "location"):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
-            near = max(fitting, key=lambda s: (s.group.preference, s.data is forces[0].data, len(s.values)))
+            near = max(
+                fitting,
+                key=lambda s: (_is_of_earth(s), s.group.preference, s.data is forces[0].data, len(s.values)),
+            )
+            if quantity == "location" and near.data is forces[0].data and _common_s(near, forces[0]) <= 0:
+                # A clock that began elsewhere: what counts is when the rows of the table have another place.
+                near = _stream(
+                    replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit),
+                    near.data,
+                    None,
+                    rate_hz,
+                )
             chosen.append(_with_unit(near, np.asarray(force), time_s, result))
     left_out = sorted({s.data.sheet.name for s in streams} - {s.data.sheet.name for s in chosen})
     if left_out:
@@ -251,6 +262,12 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
+
+
+def _is_of_earth(s: _Stream) -> bool:
+    """Whether a field can be that of the Earth, which one with the phone's own magnets in it seldom is."""
+    low, high = limits.MAGNETIC_FIELD_RANGE_UT
+    return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:

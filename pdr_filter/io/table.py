@@ -134,8 +134,10 @@ def decode(content: bytes, where: str, first_line: int = 1) -> str:
 
 def text_rows(content: bytes, where: str) -> list[list[str]]:
     """The rows of a small table of text that are not empty."""
+    text = decode(content.replace(b"\x00", b""), where)
+    separator = find_separator(text.partition("\n")[0])
     try:
-        return [row for row in csv.reader(io.StringIO(decode(content.replace(b"\x00", b""), where))) if row]
+        return [row for row in csv.reader(io.StringIO(text), delimiter=separator) if row]
     except csv.Error as error:
         raise RecordingError(f"{where}: not CSV text ({error}); export it again") from error
 

@@ -141,6 +141,29 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     "AndroSensor, short names": (lambda: {"data.csv": androsensor_short()}, BOTH),
     "HyperIMU": (lambda: {"HIMU.csv": hyperimu("MPL", True)}, BOTH),
     "HyperIMU, no times": (lambda: {"HIMU.csv": hyperimu("LSM6DSO", False)}, BOTH),
+    "HyperIMU, no times, the chip behind the word": (
+        lambda: {
+            "HIMU.csv": "@ HyperIMU - ianovir\n@ Date:Thu May 21 15:07:17 GMT+02:00 2020, Sampling Rate:20ms\n\n"
+            + table_text(axes("lsm6ds3_accelerometer.%", FORCE) | axes("gyroscope_lsm6ds3_c.%", RATE)).replace(
+                "\n", "\n\n", 1
+            )
+        },
+        BOTH,
+    ),
+    "Physics Toolbox, minutes and seconds": (
+        lambda: {
+            "w.csv": table_text(
+                {"tiempo": [d[15:] for d in wall_clock(TIME_S)]} | axes("gF%", FORCE_G) | axes("w%", RATE)
+            )
+        },
+        BOTH,
+    ),
+    "durations of MATLAB": (
+        lambda: {
+            "w.csv": table_text({"Time": [f"{t:.6f} sec" for t in TIME_S]} | axes("Acc_%", FORCE) | axes("Gyr_%", RATE))
+        },
+        BOTH,
+    ),
     "SensorLog": (lambda: {"2020-03-09_my_iPhone.csv": sensorlog()}, BOTH),
     "SensorLog, semicolon": (lambda: {"stream.csv": sensorlog(";", ",")}, BOTH),
     "SensorLog, motion only": (lambda: {"stream.csv": sensorlog(raw=False)}, BOTH),
@@ -323,6 +346,18 @@ def test_what_a_spreadsheet_claims_cannot_end_this_process(tmp_path: Path) -> No
         read(path)
     except ValueError as error:
         assert "walk.xlsx" in str(error)
+
+
+@pytest.mark.parametrize("style", ["{m:02d}:{s:04.1f}", "18:{m:02d}", "18:{m:02d}:{s:02.0f}", "8/12/2022 18:{m:02d}"])
+def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_path: Path, style: str) -> None:
+    times = [style.format(m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
+    (tmp_path / "walk.csv").write_text(table_text({"time": times} | axes("gF%", FORCE_G) | axes("w%", RATE)))
+    assert "the times were rounded, as a spreadsheet does" in refusal(tmp_path / "walk.csv")
+
+
+def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S + 0.01} | axes("gF%", FORCE_G), ",", ","))
+    assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
 
 
 def test_the_sign_that_nothing_shows_is_noted_and_can_be_said(tmp_path: Path) -> None:
