@@ -6,6 +6,7 @@ import codecs
 import gzip
 import io
 import json
+import re
 import struct
 import tomllib
 import zipfile
@@ -39,6 +40,7 @@ _OTHERS = {
     b"<html": "a web page; download the file itself, signed in if need be",
     b"version https://git-lfs": "a pointer to a file in git LFS; get the file itself with git lfs pull",
 }
+_ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
 _TAR_AT, _TAR = 257, b"ustar"
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -246,8 +248,9 @@ def _refuse_others(path: Path, head: bytes) -> None:
 
 
 def zips_among(names: Sequence[str]) -> list[str]:
-    """The names, if all are those of zips, which spreadsheets are, too."""
-    return [*names] if all(name.lower().endswith((".zip", ".xlsx")) for name in names) else []
+    """Those of zips, which spreadsheets are, too, if nothing else is there but what nobody would read as samples."""
+    others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
+    return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
 
 
 def outside(path: Path) -> tuple[Path, str]:

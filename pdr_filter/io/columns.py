@@ -49,6 +49,7 @@ OF_UNIT = {
     **{"ut": FIELD, "hpa": "barometer"},
 }
 _AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
+_BARE = re.compile(r"([xyz])(?:axis|value)?|values?([xyz])")
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 # Behind an axis, as in `ax_g` and `gyro_z_dps`.
@@ -150,8 +151,8 @@ def column_of(place: int, name: str) -> Column:
     unit = _UNIT_OF_WORD.get(unit, unit)
     words = name[: unit_found.start()] if unit_found else name
     stem = letters(words)
-    if stem in ("x", "y", "z"):
-        return Column(place, name, "", stem, unit)
+    if bare := _BARE.fullmatch(stem):
+        return Column(place, name, "", bare[1] or bare[2], unit)
     for axis, rest in ((stem[-1:], stem[:-1]), (stem[:1], stem[1:])):  # the axis behind the word, or before it
         if axis in ("x", "y", "z"):
             quantity, preference = quantity_of_stem(rest)
@@ -176,7 +177,7 @@ def is_time(name: str) -> bool:
     """Whether a name is one of a time."""
     bare = _UNIT.sub("", name)
     stem = letters(bare)
-    is_word = stem in _TIME_WORDS or bare.strip().lower() in _TIME_WORDS
+    is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
     return is_word or stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
 
 

@@ -56,6 +56,13 @@ DIALECTS = (
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
     ),
+    Dialect(  # of Apple, by whatever app
+        "CoreMotion",
+        r"\buserAcceleration[._ ]?x\b",
+        "gravity beside userAcceleration",
+        units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
+        sign=-1,
+    ),
     Dialect(
         "MATLAB Mobile",
         r"(Acceleration|AngularVelocity|MagneticField)_?Timestamp|MATLAB Mobile",

@@ -213,7 +213,7 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
         values = [text for r in rows for text in r if text]
         share = sum(map(_is_value, values)) / max(len(values), 1)
-        has_comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
+        has_comma = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
         at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
         header = split[at] if at is not None else []
         if separator == "," and len(header) > 1 and n == 2 * len(header) and all(map(_WHOLE.fullmatch, row)):
@@ -225,9 +225,19 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
             at, header = None, []
         if at and header and all(map(is_unit, filter(None, header))) and len(split[at - 1]) == len(header):
             header = [f"{name} ({unit})" if unit else name for name, unit in zip(split[at - 1], header, strict=True)]
+        elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
+            header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
         return _Found(separator, "," if has_comma else ".", first, row, at, header, (round(share, 2), n))
     return None
+
+
+def _merged(names: list[str]) -> list[str]:
+    """Names over columns, each also over those without one behind it, as merged cells are written."""
+    found: list[str] = []
+    for name in names:
+        found.append(name or (found[-1] if found else ""))
+    return found
 
 
 def _split(line: str, separator: str) -> list[str]:

@@ -209,6 +209,8 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
 
 def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
     text = decode(block, where, line)
+    if layout.decimal == layout.separator:  # in quotation marks, which only a look at each row tells
+        return _parse_rows(text, layout, where, notes, line, block.endswith(b"\n"))
     if layout.decimal != ".":
         text = text.replace(layout.decimal, ".")
     # A last line without line feed may be cut off in the middle of a number: only row by row it is looked at closely.
@@ -236,6 +238,8 @@ def _parse_rows(text: str, layout: Layout, where: str, notes: list[str], line: i
     texts: list[list[str]] = []
     n_timeless = n_long = 0
     for at, row, is_last in _rows(text, layout.separator, where, line):
+        if layout.decimal == layout.separator:
+            row = [field.replace(layout.decimal, ".") for field in row]
         if not is_whole and is_last and not _is_complete(row, layout):
             notes.append(f"{where}: the last line is cut off and was left out")
             break
@@ -294,6 +298,10 @@ def _is_complete(row: list[str], layout: Layout) -> bool:
 def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingError:
     """What is wrong with the i-th picked field."""
     name = layout.names[i] if i < len(layout.names) else str(layout.picked[i] + 1)
+    if row[layout.picked[i]].strip() == name:
+        return RecordingError(
+            f"{where}: the header is there again, so two recordings are one behind the other; cut the file there"
+        )
     return RecordingError(
         f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; "
         f"use {layout.decimal!r} as decimal point and leave unknown values empty"

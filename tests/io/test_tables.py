@@ -225,6 +225,68 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
         BOTH,
     ),
+    "ROS, as text": (
+        lambda: {
+            "imu.csv": table_text(
+                {"%time": [str(1_787_923_304_123_456_789 + round(t * 1e9)) for t in TIME_S]}
+                | axes("field.orientation.%", 0 * FORCE)
+                | axes("field.angular_velocity.%", RATE)
+                | axes("field.linear_acceleration.%", FORCE)
+            )
+        },
+        BOTH,
+    ),
+    "CoreMotion of any app": (
+        lambda: {
+            "motion.csv": table_text(
+                {"timestamp": 1000 + TIME_S}
+                | axes("userAcceleration_%", (GRAVITY - FORCE) / STANDARD_GRAVITY_MPS2)
+                | axes("gravity_%", -GRAVITY / STANDARD_GRAVITY_MPS2)
+                | axes("rotationRate_%", RATE)
+            )
+        },
+        BOTH,
+    ),
+    "Spanish AndroSensor": (
+        lambda: {
+            "s.csv": "sep=;\n"
+            + table_text(
+                axes("ACELER\u00d3METRO % (m/s\u00b2)", FORCE)
+                | axes("ACELERACI\u00d3N LINEAL % (m/s\u00b2)", FORCE - GRAVITY)
+                | axes("GIROSCOPIO % (rad/s)", RATE)
+                | {"Tiempo desde el inicio en ms ": TIME_S * 1000},
+                ";",
+                ",",
+            )
+        },
+        BOTH,
+    ),
+    "axes called axes": (
+        lambda: {
+            "Accelerometer.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (m/s^2)", FORCE)),
+            "Gyroscope.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (deg/s)", np.degrees(RATE))),
+        },
+        BOTH,
+    ),
+    "axes called values": (lambda: {"w.csv": table_text({"time": TIME_S} | axes("%_value", FORCE))}, "accelerometer"),
+    "names of sensors in merged cells above the axes": (
+        lambda: {
+            "walk.csv": "Accelerometer,,,,Gyroscope,,,\nTime,X,Y,Z,Time,X,Y,Z\n"
+            + table_text({"a": TIME_S} | axes("f%", FORCE) | {"b": TIME_S} | axes("r%", RATE)).split("\n", 1)[1]
+        },
+        BOTH,
+    ),
+    "decimal commas in quotation marks": (
+        lambda: {
+            "walk.csv": table_text(
+                {
+                    name: [f'"{value!r}"'.replace(".", ",") for value in column.tolist()]
+                    for name, column in ({"time": TIME_S} | axes("acc%", FORCE)).items()
+                }
+            )
+        },
+        "accelerometer",
+    ),
     "units in a line of their own": (
         lambda: {
             "walk.csv": "T;AccX;AccY;AccZ;GyrX;GyrY;GyrZ\nms;m/s^2;m/s^2;m/s^2;\u00b0/s;\u00b0/s;\u00b0/s\n"
@@ -358,6 +420,20 @@ def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_pat
 def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S + 0.01} | axes("gF%", FORCE_G), ",", ","))
     assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
+
+
+def test_a_header_that_is_there_again_is_two_recordings(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(2 * table_text(columns_of("time", "acc%", "gyro%")))
+    assert f"line {len(TIME_S) + 2}: the header is there again" in refusal(tmp_path / "walk.csv").replace(
+        ", column", ""
+    )
+
+
+@pytest.mark.parametrize("up_s", [5.0, 172.0, 1_500.0, 172_029.0])
+def test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate(tmp_path: Path, up_s: float) -> None:
+    times = [str(round((up_s + t) * 1e9)) for t in TIME_S]
+    at_s = read_text(tmp_path, {"event.timestamp": times} | axes("acc_%", FORCE))
+    np.testing.assert_allclose(at_s, TIME_S, atol=1e-8)
 
 
 def test_the_sign_that_nothing_shows_is_noted_and_can_be_said(tmp_path: Path) -> None:

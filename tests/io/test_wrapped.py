@@ -102,8 +102,9 @@ def zip_of(files: dict[str, bytes]) -> bytes:
 
 def test_a_zip_in_a_zip_is_read_and_of_several_the_one_that_is_named(tmp_path: Path) -> None:
     inner = write_zip(tmp_path / "inner.zip", FILES).read_bytes()
-    (tmp_path / "one.zip").write_bytes(zip_of({"phyphox 2026.zip": inner}))
-    assert_walk(read(tmp_path / "one.zip"))
+    for others in ({}, {"README.txt": b"Walked on Monday, 2 times\n", "photo.jpg": b"\xff\xd8"}):
+        (tmp_path / "one.zip").write_bytes(zip_of({"phyphox 2026.zip": inner, **others}))
+        assert_walk(read(tmp_path / "one.zip"))
     (tmp_path / "two.zip").write_bytes(zip_of({"a.zip": inner, "b.zip": inner}))
     assert "holds 2 recordings (a.zip, b.zip)" in refusal(tmp_path / "two.zip")
     assert recordings_in(tmp_path / "two.zip") == [tmp_path / "two.zip" / name for name in ("a.zip", "b.zip")]
