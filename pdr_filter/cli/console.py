@@ -62,6 +62,13 @@ def say_replaced(paths: Sequence[Path]) -> None:
         stderr().print(f"replaced, as they were there before: {escape(', '.join(map(str, paths)))}")
 
 
+def say_without_truth(names: Sequence[str]) -> None:
+    """Name the recordings that nothing can be held against."""
+    if names:
+        words = "no true positions or waypoints in the file, so there is no error of"
+        stderr().print(f"{words} {escape(', '.join(names))}")
+
+
 def say_written(folder: Path | None) -> None:
     """Where files were written, if any were."""
     if folder is not None:

@@ -356,10 +356,19 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
 
 
-def test_compare_without_the_truth_or_with_no_such_recipe_says_what_to_do(walk: Path, tmp_path: Path) -> None:
-    recording = replace(pdr.read(walk), truth=Truth())
-    without = run("compare", write_recording(recording, tmp_path / "w.zip"), "--truth")
-    assert (without.exit_code, "leave out --truth" in one_line(without.stderr)) == (2, True)
+def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tmp_path: Path) -> None:
+    bare = write_recording(replace(pdr.read(walk), name="bare", truth=Truth()), tmp_path / "w.zip")
+    alone = run("compare", bare, "--truth")
+    assert (alone.exit_code, "off the truth" in alone.stdout) == (0, False)
+    assert "no true positions or waypoints in the file, so there is no error of bare" in one_line(alone.stderr)
+    both = run("compare", walk, bare, "--truth", "--json")
+    known, unknown = map(json.loads, both.stdout.splitlines())
+    assert both.exit_code == 0
+    assert all("rmse_m" in row for row in known["tracks"])
+    assert not any("rmse_m" in row for row in unknown["tracks"])
+
+
+def test_compare_with_no_such_recipe_says_which_there_are(walk: Path) -> None:
     unknown = run("compare", walk, "--recipe", "none")
     assert (unknown.exit_code, "there are default" in one_line(unknown.stderr)) == (2, True)
 
