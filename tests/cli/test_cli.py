@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -414,6 +415,35 @@ def test_demo_prints_the_summary_and_writes_four_files(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "simulated" in result.stdout
     assert {p.suffix for p in tmp_path.iterdir()} == {".html", ".png", ".geojson", ".csv"}
+
+
+def test_demo_without_a_folder_writes_nothing_into_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, walk: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("demo", walk)
+    assert result.exit_code == 0
+    assert not list(tmp_path.iterdir())
+    (page,) = (Path(word) for word in result.stdout.split() if word.endswith(".html"))
+    assert page.is_file()
+    shutil.rmtree(page.parent)
+
+
+def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: Path, walk: Path) -> None:
+    plan = tmp_path / "plan.geojson"
+    wall = {"type": "LineString", "coordinates": [[0, 0], [10, 0], [10, 8], [0, 8], [0, 0]]}
+    feature = {"type": "Feature", "properties": {"type": "wall"}, "geometry": wall}
+    plan.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    for command in (
+        ["calibrate", walk, "--out", tmp_path / "c.json"],
+        ["smooth", walk, "--out", tmp_path / "s"],
+        ["plan", plan, "--out", tmp_path / "p"],
+        ["simulate", "--out", tmp_path / "w.zip"],
+    ):
+        first, second = run(*command), run(*command)
+        assert (first.exit_code, second.exit_code) == (0, 0), first.stderr
+        assert "replaced, as they were there before" not in first.stderr
+        assert "replaced, as they were there before" in second.stderr
 
 
 def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:
