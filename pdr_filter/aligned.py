@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, cast
@@ -11,6 +12,7 @@ import numpy as np
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import walked_var_m2
 from pdr_filter.filter.frame import Frame
+from pdr_filter.filter.height import HeightState
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.tracker import Passage
 from pdr_filter.filter.turn import PairedPoint, agreed_turn, align, centre_weights
@@ -65,8 +67,8 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
         return
     report, known = last.sensing.conditioner.report, last.tracker.pedestrian
     locations, fixes = _even_fixes(recording.location, report.first_time_s, report.last_time_s)
+    finals = [update for update in whole.updates if update.is_final]
     if fixes:
-        finals = [update for update in whole.updates if update.is_final]
         way = _Way.of(report.first_time_s, finals, whole.passages)
         pairs = tuple(_paired(way, fix) for fix in fixes)
         frame = _frame(pairs, known.n_final)
@@ -79,15 +81,28 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
             whole.updates[:] = _with_own_errors(finals, way, agreeing)
     tracker = replace(cast(Any, last.tracker), pedestrian=known)
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
-    yield replace(last, tracker=tracker, locations=locations, n_rejected_fixes=n_rejected), whole
+    height = _with_altitudes(last.height, fixes, finals)
+    yield replace(last, tracker=tracker, height=height, locations=locations, n_rejected_fixes=n_rejected), whole
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:
     """Fixes of the time of the samples, at even intervals."""
     inside = (location.time_s >= first_s) & (location.time_s <= last_s)
-    latitude_deg, longitude_deg, _, accuracy_m = location.values[inside].T
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[inside].T
     interval_s = max(INTERVAL_S, (last_s - first_s) / MAX_LOCATIONS) if inside.any() else INTERVAL_S
-    return position_fixes(LocationState(), location.time_s[inside], latitude_deg, longitude_deg, accuracy_m, interval_s)
+    where = latitude_deg, longitude_deg, accuracy_m
+    return position_fixes(LocationState(), location.time_s[inside], *where, interval_s, altitude_m)
+
+
+def _with_altitudes(state: HeightState, fixes: Sequence[PositionFix], finals: Sequence[StepUpdate]) -> HeightState:
+    """State that knows the altitude of the start from fixes and the heights of the steps."""
+    altitude = state.start_altitude
+    for fix in fixes:
+        before = bisect_right(finals, fix.time_s, key=lambda update: update.step.time_s)
+        height_m, std_m = (finals[before - 1].height_m, finals[before - 1].height_std_m) if before else (0.0, 0.0)
+        if fix.altitude_m is not None:
+            altitude = altitude.with_fix(fix, height_m, std_m**2)
+    return replace(state, start_altitude=altitude)
 
 
 def _paired(way: _Way, fix: PositionFix) -> PairedPoint:

@@ -179,10 +179,13 @@ def add_location(
     latitude_deg: FloatArray,
     longitude_deg: FloatArray,
     accuracy_m: FloatArray,
+    altitude_m: FloatArray | None = None,
 ) -> State:
     """State with locations of a phone, (N,) each, some of which become fixes in metres from the first of them."""
     time_s = time_s + state.clock_offset_s
-    locations, fixes = position_fixes(state.locations, time_s, latitude_deg, longitude_deg, accuracy_m)
+    locations, fixes = position_fixes(
+        state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
+    )
     return add_fixes(config, replace(state, locations=locations), fixes)
 
 
@@ -365,8 +368,8 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix) and fix.floor is not None and outcome != "rejected":
-        state = replace(state, height=height.with_floor(state.height, fix.floor))
+    if isinstance(fix, PositionFix) and outcome != "rejected":
+        state = replace(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(
         state,

@@ -179,14 +179,19 @@ class OnlineFilter:
         return output.updates
 
     def push_location(
-        self, time_s: ArrayLike, latitude_deg: ArrayLike, longitude_deg: ArrayLike, accuracy_m: ArrayLike
+        self,
+        time_s: ArrayLike,
+        latitude_deg: ArrayLike,
+        longitude_deg: ArrayLike,
+        accuracy_m: ArrayLike,
+        altitude_m: ArrayLike | None = None,
     ) -> list[StepUpdate]:
         """Take locations of the phone, (N,) or single numbers, as they come: they place and turn the track.
 
         For a configuration in the world frame, `config.in_world_frame()`, or `config.with_magnetic_north(...)` with the
         magnetometer's north until they have; ValueError otherwise. East and north are
         metres from the first location that can be used, `origin`. `accuracy_m` is the radius that holds 68 %, as phones
-        report it.
+        report it. Altitudes show that of the start, the height of `origin`; NaN and 0 are none.
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further locations")
@@ -205,14 +210,13 @@ class OnlineFilter:
             "latitude_deg": latitude_deg,
             "longitude_deg": longitude_deg,
             "accuracy_m": accuracy_m,
+            "altitude_m": np.full(np.shape(time_s), np.nan) if altitude_m is None else altitude_m,
         }
-        time, latitude, longitude, accuracy = (np.atleast_1d(as_floats(v, name)) for name, v in columns.items())
-        if not time.shape == latitude.shape == longitude.shape == accuracy.shape == (len(time),):
-            raise ValueError(
-                "time_s, latitude_deg, longitude_deg and accuracy_m must have one number for each location, got shapes "
-                f"{time.shape}, {latitude.shape}, {longitude.shape} and {accuracy.shape}"
-            )
-        self.state = add_location(self.config, self.state, time, latitude, longitude, accuracy)
+        rows = {name: np.atleast_1d(as_floats(values, name)) for name, values in columns.items()}
+        if any(row.shape != (len(rows["time_s"]),) for row in rows.values()):
+            shapes = ", ".join(f"{name} {row.shape}" for name, row in rows.items())
+            raise ValueError(f"locations must have one number of each for each location, got shapes {shapes}")
+        self.state = add_location(self.config, self.state, *rows.values())
         return []
 
     def finish(self) -> list[StepUpdate]:
@@ -283,7 +287,9 @@ class OnlineFilter:
         if self.config.on_plan is not None:
             return None if self.on_plan is None else self.config.on_plan.plan.origin
         frame, place = self.state.tracker.pedestrian.frame, self.state.locations.origin
-        return frame.origin(place) if place is not None and frame.is_known else None
+        if place is None or not frame.is_known:
+            return None
+        return self.state.height.start_altitude.of(frame.origin(place))
 
     @property
     def notes(self) -> tuple[str, ...]:

@@ -188,8 +188,9 @@ def outputs(
         )
     state = add_fixes(config, replace(init(config), climbs=_climbs(config, recording)), fixes)
     if with_location and recording.location is not None:
-        latitude_deg, longitude_deg, _, accuracy_m = recording.location.values.T
-        state = add_location(config, state, recording.location.time_s, latitude_deg, longitude_deg, accuracy_m)
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = recording.location.values.T
+        where = latitude_deg, longitude_deg, accuracy_m, altitude_m
+        state = add_location(config, state, recording.location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
         state, output = step(config, state, part)
         yield state, output
@@ -213,7 +214,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     origin = state.locations.origin if frame.is_known else None
     if origin is not None:
         frame = frame.drawn()
-        origin = frame.origin(origin)
+        origin = state.height.start_altitude.of(frame.origin(origin))
     updates = [u.in_frame(frame) for u in whole.updates if u.is_final]
     track = _track(recording.name, config, updates, _windows(whole.windows))
     is_on_plan = any(update.on_plan is not None for update in updates)

@@ -138,6 +138,21 @@ def sensed(sensing: Sensing, blocks: Sequence[ImuBlock]) -> list[tuple[float, Ev
     return [*events, *sensing.finish(state)]
 
 
+def bumps(time_s: np.ndarray, contacts_s: np.ndarray, amplitude_mps2: float, frequency_hz: float) -> np.ndarray:
+    """|f| with one bump of zero mean at each contact."""
+    u = (time_s[:, None] - contacts_s) * frequency_hz / 0.225
+    return STANDARD_GRAVITY_MPS2 + amplitude_mps2 * ((1 - u**2) * np.exp(-(u**2) / 2)).sum(axis=1)
+
+
+def walk_of_bumps(
+    frequency_hz: float, amplitude_mps2: float, n: int = 20, rate_hz: float = 100.0
+) -> tuple[np.ndarray, ...]:
+    """Contacts and |f| at the middles of the samples: 3 s of rest, n steps, 3 s of rest."""
+    contacts_s = 3.0 + np.arange(n) / frequency_hz
+    time_s = (np.arange(int((contacts_s[-1] + 3.0) * rate_hz)) + 0.5) / rate_hz
+    return contacts_s, bumps(time_s, contacts_s, amplitude_mps2, frequency_hz)
+
+
 def steps_of(recording: Recording) -> list[Step]:
     sensing = Sensing(steps=WaveletStepDetector())
     return [e for _, e in sensed(sensing, [merge_streams(recording)]) if isinstance(e, Step)]

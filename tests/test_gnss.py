@@ -319,15 +319,15 @@ def test_an_app_gets_the_same_bits_however_samples_and_locations_arrive(walk: Re
     assert online.origin is None
     for block in cut_randomly(pdr.merge_streams(walk), seed):
         until = int(np.searchsorted(location.time_s, block.time_s[-1])) if len(block.time_s) else sent
-        latitude_deg, longitude_deg, _, accuracy_m = location.values[sent:until].T
-        online.push_location(location.time_s[sent:until], latitude_deg, longitude_deg, accuracy_m)
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:until].T
+        online.push_location(location.time_s[sent:until], latitude_deg, longitude_deg, accuracy_m, altitude_m)
         sent = until
         updates += online.push(
             block.time_s, block.specific_force_mps2, block.angular_rate_radps, block.magnetic_field_ut
         )
         online = pdr.OnlineFilter.load(online.save())
-    latitude_deg, longitude_deg, _, accuracy_m = location.values[sent:].T
-    online.push_location(location.time_s[sent:], latitude_deg, longitude_deg, accuracy_m)
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values[sent:].T
+    online.push_location(location.time_s[sent:], latitude_deg, longitude_deg, accuracy_m, altitude_m)
     updates += online.finish()
     frame = online.state.tracker.pedestrian.frame
     told = [u.position_m if u.of_start is None else frame.world(u.of_start).position_m for u in updates]
@@ -425,7 +425,7 @@ def test_an_app_that_pushes_what_cannot_be_used_is_told_the_remedy() -> None:
     with pytest.raises(ValueError, match=r"in_world_frame\(\)"):
         pdr.OnlineFilter().push_location(0.0, 48.0, 11.0, 5.0)
     online = pdr.OnlineFilter(recipes.default().in_world_frame())
-    with pytest.raises(ValueError, match=r"one number for each location, got shapes \(2,\), \(1,\)"):
+    with pytest.raises(ValueError, match=r"got shapes time_s \(2,\), latitude_deg \(1,\)"):
         online.push_location([0.0, 1.0], 48.0, 11.0, 5.0)
     online.finish()
     with pytest.raises(ValueError, match="is finished"):

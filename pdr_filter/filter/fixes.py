@@ -26,7 +26,7 @@ from pdr_filter.filter.pedestrian import (
     shared_cov,
     with_open_turn,
 )
-from pdr_filter.filter.turn import PairedPoint, align
+from pdr_filter.filter.turn import PairedPoint, align, n_free, scatter
 from pdr_filter.values import (
     Fix,
     FixOutcome,
@@ -83,7 +83,12 @@ def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix)
 def _on_position(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> _Result:
-    """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is."""
+    """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is.
+
+    What is known after it is Student's t, as the turn is (`turn`): where the first fixes are not as the track expects,
+    track and fixes are less sure than they say (M. Roth, E. Ozkan and F. Gustafsson, "A Student's t filter for heavy
+    tailed process and measurement noise", ICASSP 2013), with a degree of freedom more for each error.
+    """
     since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
     z, H, own_cov = _without_error_of_last(state, fix, then_m)
     # what was walked since is known as well as a person's step length is
@@ -95,8 +100,9 @@ def _on_position(
     if outcome == "used":
         last = fix if fix.correlation_s > 0 else state.last_fix
         has_gap = state.gap_since_fix and last is state.last_fix
-        rest = {"doubt": Doubt(), "last_fix": last, "gap_since_fix": has_gap}
-        after = replace(after, shared_m=np.zeros_like(state.shared_m), **rest)
+        rest = {"doubt": Doubt(), "last_fix": last, "gap_since_fix": has_gap, "n_fix_errors": state.n_fix_errors + 2}
+        cov = scatter(nis, 2, state.n_fix_errors) * after.cov
+        after = replace(after, cov=cov, shared_m=np.zeros_like(state.shared_m), **rest)
     return after, outcome, nis
 
 
@@ -246,7 +252,7 @@ def _on_first_positions(
     alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
-    state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment))
+    state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment), n_fix_errors=n_free(agreeing))
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), agreeing)
     return state, "turned", nis
 

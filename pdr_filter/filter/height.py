@@ -1,27 +1,21 @@
 """Height beside the track: what barometer, steps and contexts say of it.
 
-The state of each mode is [climbed, its rate, sloped, air]: metres climbed on stairs, lifts and escalators, how fast,
-metres that level ground and slopes led up, and what the air added to the height that the pressure shows, weather and
-draughts. The barometer measures climbed + sloped + air. Height is climbed + sloped; storeys are of climbed alone
-(`floors`), so that neither a hill nor the weather of a day leads to another one.
-
-Seven modes explain a second: level ground, where nothing moves but the air; a slope, on which steps lead up or down
-little by little; stairs up and down, a riser a step; a lift, or an escalator, that moves somebody who makes no steps,
-at a rate that lasts; a jump of the air, a door or a fan, all at once; and a drift of the air about somebody who sits,
-as in the cabin of an aeroplane. They are mixed as those of the track are (`imm`), once for each second of the
-barometer. Without a barometer a step climbs a riser as probably as the track's own modes say that it was made on
-stairs.
+With a barometer each of its seconds is explained by seven modes of moving up and down (`vertical`). Height is what was
+climbed and sloped; storeys are of what was climbed alone (`floors`), so that neither a hill nor the weather of a day
+leads to another one. Without a barometer a step climbs a riser as probably as the track's own modes say that it was
+made on stairs.
 """
 
 from __future__ import annotations
 
+import dataclasses
 import math
 from dataclasses import dataclass, field
 
 import numpy as np
 
 from pdr_filter.classifiers.model import to_be_told_apart
-from pdr_filter.filter import imm
+from pdr_filter.filter import imm, vertical
 from pdr_filter.filter.floors import (
     LEVEL_STD_M,
     Climbing,
@@ -35,53 +29,20 @@ from pdr_filter.filter.floors import (
     with_level,
 )
 from pdr_filter.filter.model import PedestrianModel
+from pdr_filter.filter.turn import scatter
+from pdr_filter.filter.vertical import AIR, CLIMBED, DOWN, DRIFT, JUMP, LIFT, N_MODES, SLOPED, UP
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
-from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, read_only, replace
+from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, Origin, PositionFix, replace
 
-CLIMBED, RATE, SLOPED, AIR = range(4)
-LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)
-N_MODES, N_STATES = 7, 4
-
-# The mean pressure of a second differs from that of the seconds around it by 0.12 m, and by 0.025 m a root second more
-# the further they are (ipin21, one storey in two minutes).
-DRAUGHT_STD_M, AIR_WALK_M = 0.12, 0.025
-# A door, a fan: 5 to 50 Pa.
-JUMP_STD_M = 1.5
-# The cabin of an aeroplane on its way changes by a hPa a minute, 0.14 m/s: half of what an escalator climbs.
-DRIFT_M = 0.12
-# Ramps of 6 % are the steepest for wheels (DIN 18040), 0.08 m/s at 1.3 m/s.
-SLOPE_MPS = 0.08
-# Risers of one staircase are alike, and mostly within a centimetre of 0.17 m (`barometric`); a step is known a second
-# after its contact, so that the steps of a second are wrong by one.
-STAIRS_STD_M = 0.12
-# Lifts start and stop with 0.5 to 1 m/s2 (ISO 8100-34 calls more uncomfortable).
-LIFT_ACCELERATION_MPS2 = 0.7
-# Escalators climb with 0.25 to 0.4 m/s, lifts faster: what moves more slowly than this is air.
-LEAST_RIDE_MPS = 0.2
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
 LONGEST_RIDE_S = 120.0
 # The air of a vehicle is calm again when the barometer has been below this rate, a half of a ride's, for some time.
 CALM_MPS, CALM_S = 0.1, 10.0
 
-# Mean stays in seconds: flights and level stretches of the terrain labels (`modes`), rides and slopes by judgement.
-_STAYS_S = {LEVEL: 15.0, SLOPE: 20.0, UP: 6.6, DOWN: 5.8, LIFT: 15.0, JUMP: 1.1, DRIFT: 60.0}
-# Where they lead to.
-_NEXT = {
-    LEVEL: {SLOPE: 0.35, UP: 0.25, DOWN: 0.25, LIFT: 0.09, JUMP: 0.05, DRIFT: 0.01},
-    SLOPE: {LEVEL: 0.7, UP: 0.1, DOWN: 0.1, LIFT: 0.05, JUMP: 0.05},
-    UP: {LEVEL: 0.9, SLOPE: 0.05, DOWN: 0.02, JUMP: 0.03},
-    DOWN: {LEVEL: 0.9, SLOPE: 0.05, UP: 0.02, JUMP: 0.03},
-    LIFT: {LEVEL: 0.95, JUMP: 0.05},
-    JUMP: {LEVEL: 0.8, SLOPE: 0.1, UP: 0.03, DOWN: 0.03, LIFT: 0.03, DRIFT: 0.01},
-    DRIFT: {LEVEL: 0.9, LIFT: 0.05, JUMP: 0.05},
-}
-# A step every 0.55 s on stairs: seldom none in a second, but steps after a pause are known late.
-_NO_STEP_ON_STAIRS = math.log(0.2)
 # A stay that does not fit its level is on another one: 99 % of those that do, chi-square of one.
 _LEVEL_GATE = 6.6
-LONGEST_STEP_S = 10.0
 # What is climbed without a barometer is wrong for a flight as a whole: a dozen steps.
 _FLIGHT_STEPS = 12
 _RISER_STD_M = 0.01
@@ -93,49 +54,41 @@ _UNSEEN_STAIRS_M = 0.14
 PRESSURE_AGE_S = 4.0
 # The first steps of a bout wait for the gate for so long: until then a second of the barometer may get more of them.
 LATE_S = 6.0
-_UNKNOWN_M2 = 1e8
 # From which on it is worth saying that the air changed: 5 hPa, more than the weather of some hours.
 _NOTABLE_AIR_M = 40.0
 _M_PER_HPA = 8.3
-
-
-def _transitions() -> FloatArray:
-    rows = np.zeros((N_MODES, N_MODES))
-    for mode, stay_s in _STAYS_S.items():
-        rows[mode, mode] = 1.0 - 1.0 / stay_s
-        for after, share in _NEXT[mode].items():
-            rows[mode, after] = share / stay_s
-    return read_only(rows)
-
-
-_TRANSITIONS = _transitions()
-_PRESSURE = read_only(np.array([1.0, 0.0, 1.0, 1.0]))  # what the states add up to
-_CLIMBED = read_only(np.eye(N_STATES)[CLIMBED])
-
-
-def _entries(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatArray:
-    array = np.zeros(shape)
-    for index, value in at.items():
-        array[index] = value
-    return read_only(array)
-
-
-# Of each mode: which states last (a rate in a lift only), what a step climbs, the variances of each prediction, and
-# those that grow with its time, where nobody makes steps and where somebody does.
-_LASTS = _entries(
-    {(m, s, s): 1.0 for m in range(N_MODES) for s in range(N_STATES) if s != RATE or m == LIFT},
-    (N_MODES, N_STATES, N_STATES),
-)
-_RISEN = _entries({(UP, CLIMBED): RISER_M, (DOWN, CLIMBED): -RISER_M}, (N_MODES, N_STATES))
-_AT_ONCE = {(m, CLIMBED, CLIMBED): STAIRS_STD_M**2 for m in (UP, DOWN)} | {(JUMP, AIR, AIR): JUMP_STD_M**2}
-_BY_TIME = {(m, AIR, AIR): AIR_WALK_M**2 + (m == DRIFT) * DRIFT_M**2 for m in range(N_MODES)}
-_NOISE = _entries(_AT_ONCE, (N_MODES, N_STATES, N_STATES))
-_WALK = tuple(
-    _entries(more, (N_MODES, N_STATES, N_STATES))
-    for more in (_BY_TIME, _BY_TIME | {(SLOPE, SLOPED, SLOPED): SLOPE_MPS**2})
-)
 _STANDING, _UPSTAIRS, _DOWNSTAIRS = (CONTEXTS.index(c) for c in ("stationary", "upstairs", "downstairs"))
 _ON_FOOT = [CONTEXTS.index(c) for c in ("walking", "running", "sideways")]
+
+
+@dataclass(frozen=True, eq=False)
+class Altitude:
+    """What fixes say of the altitude of the start."""
+
+    altitude_m: float = np.nan
+    var_m2: float = np.inf
+    last_s: float = -np.inf  # of the last fix
+
+    def of(self, origin: Origin) -> Origin:
+        """An origin with this altitude, as far as it is known."""
+        if math.isinf(self.var_m2):
+            return origin
+        return dataclasses.replace(origin, height_m=self.altitude_m, height_std_m=math.sqrt(self.var_m2))
+
+    def with_fix(self, fix: PositionFix, height_m: float, height_var_m2: float) -> Altitude:
+        """With a fix of an altitude, where the height above the start is known.
+
+        One that is not as expected counts less, as with Student's t (`turn.scatter`).
+        """
+        assert fix.altitude_m is not None and fix.altitude_std_m is not None
+        var = fix.repetition(self.last_s) * fix.altitude_std_m**2 + height_var_m2
+        altitude_m = fix.altitude_m - height_m
+        if math.isinf(self.var_m2):
+            return Altitude(altitude_m, var, fix.time_s)
+        innovation_m = altitude_m - self.altitude_m
+        var *= scatter(innovation_m**2 / (self.var_m2 + var), 1)
+        gain = self.var_m2 / (self.var_m2 + var)
+        return Altitude(self.altitude_m + gain * innovation_m, (1.0 - gain) * self.var_m2, fix.time_s)
 
 
 @dataclass(frozen=True, eq=False)
@@ -181,12 +134,12 @@ class HeightState:
     n_steps: int = 0
     step_s: float = np.nan  # of the last step
     stairs_unknown_share: float = 0.0  # of the last window
+    start_altitude: Altitude = field(default_factory=lambda: Altitude())
 
 
 def initial_height() -> HeightState:
     """State at the start, whose height is zero."""
-    cov = np.diag([0.0, 0.0, 0.0, _UNKNOWN_M2])
-    return HeightState(Known(np.zeros((N_MODES, N_STATES)), np.tile(cov, (N_MODES, 1, 1)), np.eye(N_MODES)[LEVEL]))
+    return HeightState(Known(*vertical.initial()))
 
 
 def on_window(state: HeightState, window: WindowContext, model: PedestrianModel) -> HeightState:
@@ -248,6 +201,16 @@ def on_step(
     return state, known, passages + known.floors.passages
 
 
+def with_fix(state: HeightState, fix: PositionFix) -> HeightState:
+    """State with the storey and the altitude of a fix, as far as it has them."""
+    if fix.floor is not None:
+        state = with_floor(state, fix.floor)
+    if fix.altitude_m is None:
+        return state
+    altitude = state.start_altitude.with_fix(fix, state.known.height_m, state.known.height_var_m2)
+    return replace(state, start_altitude=altitude)
+
+
 def with_floor(state: HeightState, floor: int) -> HeightState:
     """State that is known to be on a storey of this number now."""
 
@@ -286,16 +249,11 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     elapsed_s = climb.time_s - known.pressure_s
     if not elapsed_s > 0:  # the first, or a clock that was set back
         elapsed_s = 1.0
-    mean, cov, prob = imm.mix(known.mean, known.cov, known.prob, _TRANSITIONS)
-    mean, cov = _predict(mean, cov, elapsed_s, n_steps)
-    variance = DRAUGHT_STD_M**2 + climb.height_std_m**2
-    mean, cov, log_likelihood = _measured(mean, cov, _PRESSURE, climb.height_m, variance)
-    log_likelihood = log_likelihood + second.log_evidence
-    log_likelihood[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
-    log_likelihood[LIFT] += _log_prob_rides(float(mean[LIFT, RATE]), float(cov[LIFT, RATE, RATE]))
-    if n_steps == 0:
-        log_likelihood[UP : DOWN + 1] += _NO_STEP_ON_STAIRS
-    prob = imm.update_mode_prob(prob, log_likelihood)
+    log_evidence = second.log_evidence.copy()
+    log_evidence[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
+    mean, cov, prob = vertical.after_second(
+        known.mean, known.cov, known.prob, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
+    )
     x, P = imm.combine(mean, cov, prob)
     rides = float(prob[LIFT])
     ride = (known.ride or (climb.time_s, known.climbed_m)) if rides > 0.5 else None
@@ -308,7 +266,7 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
         if (level.climbed_m - x[CLIMBED]) ** 2 < _LEVEL_GATE * (P[CLIMBED, CLIMBED] + variance):
-            mean, cov, _ = _measured(mean, cov, _CLIMBED, level.climbed_m, variance)
+            mean, cov = vertical.at_level(mean, cov, level.climbed_m, variance)
             x, P = imm.combine(mean, cov, prob)  # pyright: ignore[reportConstantRedefinition]
             level = Level(level.floor, float(x[CLIMBED]), _climbed_std(P))
         way = with_level(way, level)
@@ -352,52 +310,18 @@ def _climbed(
     )
 
 
-def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
-    """Mixed estimates led on by a time: x = F x + n c, P = F P F' + Q."""
-    # after a gap all heights that a lift may have come to are alike
-    lifted_s = min(elapsed_s, LONGEST_STEP_S)
-    F, Q = _LASTS.copy(), _NOISE + elapsed_s * _WALK[n_steps > 0]
-    F[LIFT, CLIMBED, RATE] = lifted_s
-    to_climbed, to_rate = 0.5 * LIFT_ACCELERATION_MPS2 * lifted_s**2, LIFT_ACCELERATION_MPS2 * lifted_s
-    Q[LIFT, CLIMBED, CLIMBED] = to_climbed**2
-    Q[LIFT, CLIMBED, RATE] = Q[LIFT, RATE, CLIMBED] = to_climbed * to_rate
-    Q[LIFT, RATE, RATE] = to_rate**2
-    mean = (F @ mean[:, :, None])[:, :, 0] + n_steps * _RISEN
-    return mean, F @ cov @ F.swapaxes(1, 2) + Q
-
-
-def _measured(
-    mean: FloatArray, cov: FloatArray, h: FloatArray, value: float, variance: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Updated means, covariances and log likelihoods (7,) of a number h x: `imm.update` without its matrices."""
-    innovation = value - mean @ h
-    Ph = cov @ h
-    S = Ph @ h + variance
-    K = Ph / S[:, None]
-    log_likelihood = -0.5 * (innovation**2 / S + np.log(S))
-    return mean + K * innovation[:, None], cov - K[:, :, None] * Ph[:, None, :], log_likelihood
-
-
-def _log_prob_rides(rate_mps: float, var: float) -> float:
-    """Log probability that a rate is that of a lift or an escalator, up or down."""
-    scale = math.sqrt(2.0 * max(var, 1e-12))
-    slower = math.erf((LEAST_RIDE_MPS - rate_mps) / scale) - math.erf((-LEAST_RIDE_MPS - rate_mps) / scale)
-    return math.log(max(1.0 - 0.5 * slower, 1e-6))
-
-
 def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before_m: float) -> Known:
     """What is known when a ride was none: the height is that before it, and nothing of the air."""
-    x[CLIMBED], x[RATE] = before_m, 0.0
-    P[[RATE, AIR], :] = 0.0
-    P[:, [RATE, AIR]] = 0.0
-    P[AIR, AIR] = _UNKNOWN_M2
+    then, then_cov = vertical.with_air_unknown(x, P)
+    then[CLIMBED] = before_m
+    mean, cov, prob = vertical.alike(then, then_cov)
     floor = known.floors.climbing.from_floor
     return replace(
         known,
-        mean=np.tile(x, (N_MODES, 1)),
-        cov=np.tile(P, (N_MODES, 1, 1)),
-        prob=np.eye(N_MODES)[LEVEL],
-        **_sum(x, P),
+        mean=mean,
+        cov=cov,
+        prob=prob,
+        **_sum(then, then_cov),
         pressure_s=now_s,
         ride=None,
         calm_in_s=CALM_S,

@@ -103,6 +103,7 @@ class PedestrianState:
     doubt: Doubt  # position fixes that the track does not explain
     last_fix: PositionFix | None  # the last used one whose error the next one has a part of
     gap_since_fix: bool  # whether nobody knows where that has led since
+    n_fix_errors: int  # of position fixes that were as large as the fixes say, one an axis
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
 
@@ -126,6 +127,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         doubt=Doubt(),
         last_fix=None,
         gap_since_fix=False,
+        n_fix_errors=0,
         standstills=(),
         n_final=0,
     )

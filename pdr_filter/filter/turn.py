@@ -46,8 +46,8 @@ _DISAGREE_PROB = 1e-3
 _APART = 10.0
 
 
-# Degrees of freedom of Student's t, as which the errors of fixes that settle a turn are distributed together: they are
-# few, and nobody knows whether they are as good as they say. Of points tapped on a plan, said to be good to 0.5 m, the
+# Degrees of freedom of Student's t, as which the errors of fixes are distributed together: they are few, and nobody
+# knows whether they are as good as they say. Of points tapped on a plan, said to be good to 0.5 m, the
 # ellipses of 50 % and 95 % after the first fifth of a walk held 49 and 85 % with normal errors, and 54 and 89 % with
 # these, on the storeys B1 and F1 of ms_indoor, where the number was chosen of 2, 4, 8; on the others 37 and 85, 46 and
 # 90 %.
@@ -253,10 +253,10 @@ def _open_turn(fit: _Fit) -> OpenTurn:
     """
     of_pairs, power = fit.squares - fit.of_north, 0.5 * (_FREE + 2 * len(fit.pairs) - 2)
     least = float(of_pairs.min())
-    too_small = max(_n_free(fit.pairs) - least, 0.0)  # errors are not smaller than they are said to be
+    too_small = max(n_free(fit.pairs) - least, 0.0)  # errors are not smaller than they are said to be
     prob = _normalised_exp(-0.5 * fit.of_north - power * np.log(_FREE + too_small + of_pairs))
     normal_prob = _normalised_exp(-0.5 * fit.squares)
-    return OpenTurn(prob, normal_prob, *_centres(fit), _scatter(fit.pairs, least) * fit.shift_var_m2)
+    return OpenTurn(prob, normal_prob, *_centres(fit), scatter(least, n_free(fit.pairs)) * fit.shift_var_m2)
 
 
 def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
@@ -264,14 +264,17 @@ def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
     return fit.of_each @ fit.track, fit.of_each @ np.array([p.world_m for p in fit.pairs])
 
 
-def _n_free(pairs: Sequence[PairedPoint]) -> int:
+def n_free(pairs: Sequence[PairedPoint]) -> int:
     """How many of the errors shift and turn leave free."""
     return max(2 * len(pairs) - 3, 0)
 
 
-def _scatter(pairs: Sequence[PairedPoint], squares: float) -> float:
-    """By how much the variances of the errors are larger than they are said to be, by their least squares."""
-    return max((_FREE + squares) / (_FREE + _n_free(pairs)), 1.0)
+def scatter(squares: float, n_errors: int, n_before: int = 0) -> float:
+    """By how much the variances of some errors are larger than they are said to be, by their squares; one at least.
+
+    `n_before` errors were as large as they are said to be.
+    """
+    return max((_FREE + n_before + squares) / (_FREE + n_before + n_errors), 1.0)
 
 
 def _normalised_exp(log_prob: FloatArray) -> FloatArray:
@@ -292,18 +295,18 @@ def align(
     turn = _open_turn(fit).with_compass(compass)
     if not turn.is_narrow:
         return None
-    angle_rad, information, scatter = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0, 1.0
+    angle_rad, information, too_sure = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0, 1.0
     for _ in range(5):
         back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
         slope = np.stack([-back[:, 1], back[:, 0]], axis=1)
         of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
         left = back - fit.track
-        scatter = _scatter(pairs, float((fit.projected @ left * left).sum()))
-        of_fixes = fit.projected @ slope / scatter
+        too_sure = scatter(float((fit.projected @ left * left).sum()), n_free(pairs))
+        of_fixes = fit.projected @ slope / too_sure
         information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
         pull = float((of_fixes * left).sum()) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
-    return Alignment(angle_rad, 1.0 / information, *_centres(fit), scatter * fit.shift_var_m2, n_steps)
+    return Alignment(angle_rad, 1.0 / information, *_centres(fit), too_sure * fit.shift_var_m2, n_steps)
 
 
 def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:

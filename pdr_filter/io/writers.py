@@ -27,7 +27,8 @@ _NOT_ON_EARTH = "local, not on Earth"
 def write_csv(track: TrackRows, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
     """Write one line for each step under a header with units, and return the path; only the header if no step.
 
-    A track with an origin, its own or the one given, has columns of latitude and longitude.
+    A track with an origin, its own or the one given, has columns of latitude and longitude, and of the altitude where
+    the origin has one.
     """
     columns = _columns(track if origin is None else track.placed(origin))
     text = io.StringIO()
@@ -84,6 +85,8 @@ def _columns(track: TrackRows) -> dict[str, FloatArray]:
     place: dict[str, FloatArray] = {}
     if track.origin is not None:
         place = {"latitude_deg": track.latitude_deg, "longitude_deg": track.longitude_deg}
+    if track.altitude_m is not None:
+        place["altitude_m"] = track.altitude_m
     return {
         "time_s": track.time_s,
         "east_m": track.position_m[:, 0],
@@ -114,8 +117,9 @@ def write_geojson(track: TrackRows, path: str | Path, origin: Origin | tuple[flo
     track in the frame of its fixes. One that its recording's locations placed has an origin of its own. Properties for
     each vertex: `coordTimes` (seconds of the recording) and `covariance_m2` ([ee, en, nn]).
 
-    A track that left the height of its start has that height as third coordinate, in metres above the start and not
-    above the ellipsoid, which the property `height` says, and `floor` for each vertex.
+    The third coordinate is the altitude where the origin has one. Otherwise a track that left the height of its start
+    has its height there, in metres above the start and not above the ellipsoid. The property `height` says which, and
+    `floor` is the storey of each vertex.
     """
     placed = track if origin is None else track.placed(origin)
     return _write_geojson(placed, path, track.name, placed.about_frame)
@@ -140,11 +144,13 @@ def _write_geojson(track: TrackRows, path: str | Path, name: str, about: str, fr
     vertices = _vertices(track)
     covariance = np.vstack([np.zeros((1, 3)), track.position_cov_m2.reshape(-1, 4)[:, [0, 1, 3]]])
     heights: dict[str, Any] = {}
-    if not track.is_level:
-        above_m = np.round(np.concatenate([[0.0], track.height_m]), 3).tolist()
+    start_m = None if track.origin is None else track.origin.height_m
+    if start_m is not None or not track.is_level:
+        above_m = np.round((start_m or 0.0) + np.concatenate([[0.0], track.height_m]), 3).tolist()
         vertices = [[*vertex, height_m] for vertex, height_m in zip(vertices, above_m, strict=True)]
         floors = [*track.floor[:1].tolist(), *track.floor.tolist()]
-        heights = {"height": "metres above the start of the walk", "floor": floors}
+        what = "metres above the start of the walk" if start_m is None else "altitude in metres, as its locations count"
+        heights = {"height": what, "floor": floors}
     line = {"type": "LineString", "coordinates": vertices}
     feature = {
         "type": "Feature",
@@ -171,8 +177,8 @@ def write_gpx(
 ) -> Path:
     """Write a GPX 1.1 track from the start of the walk through all steps, and return the path.
 
-    `origin` is that of `write_geojson`, and time zero of the recording is the unix time
-    `epoch_s` (`Recording.epoch_s`, where it is known); with 0 the walk is in January 1970.
+    `origin` is that of `write_geojson`; points have an elevation where it has a height. Time zero of the recording is
+    the unix time `epoch_s` (`Recording.epoch_s`, where it is known); with 0 the walk is in January 1970.
     """
     times_s = _vertex_times(track)
     if not (np.isfinite(epoch_s) and epoch_s + times_s.min() >= 0 and epoch_s + times_s.max() <= limits.MAX_EPOCH_S):
@@ -185,8 +191,12 @@ def write_gpx(
     _add(line, "name", track.name)
     _add(line, "desc", _description(placed))
     segment = ElementTree.SubElement(line, "trkseg")
-    for (lon, lat), time_s in zip(_vertices(placed), times_s, strict=True):
+    start_m = None if placed.origin is None else placed.origin.height_m
+    heights_m = np.concatenate([[0.0], track.height_m])
+    for (lon, lat), time_s, height_m in zip(_vertices(placed), times_s, heights_m, strict=True):
         point = ElementTree.SubElement(segment, "trkpt", lat=f"{lat:.9f}", lon=f"{lon:.9f}")
+        if start_m is not None:
+            _add(point, "ele", f"{start_m + height_m:.2f}")
         at = datetime.fromtimestamp(0, UTC) + timedelta(seconds=epoch_s + float(time_s))
         _add(point, "time", at.strftime("%Y-%m-%dT%H:%M:%S.%f")[:-3] + "Z")
     return _write_xml(path, root)

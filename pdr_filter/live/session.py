@@ -328,8 +328,8 @@ def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: Flo
         return online.push_pressure(time_s, values[:, 0])
     if online.config.model.frame.is_joined:  # locations that began later than the track are on record only
         return []
-    latitude_deg, longitude_deg, _, accuracy_m = values.T
-    return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m)
+    latitude_deg, longitude_deg, altitude_m, accuracy_m = values.T
+    return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
 
 
 def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any, Literal
@@ -13,6 +14,8 @@ from pdr_filter.values.origin import Origin, check_place
 from pdr_filter.values.plain import as_plain
 from pdr_filter.values.uncertainty import RADIUS_68
 
+# Two fixes of one moment.
+_SAME_S = 0.01
 # A standard deviation beyond this says nothing, and its square must stay a number.
 _MAX_STD = 1e100
 
@@ -36,9 +39,11 @@ class PositionFix:
     received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
     correlation_s: float = 0.0  # T: errors of two such fixes a time t apart are alike by exp(-t / T); 0: not at all
     floor: int | None = None  # number of the storey
+    altitude_m: float | None = None  # above the ellipsoid or the sea, as who fixed it counts; with its std
+    altitude_std_m: float | None = None
 
     def __post_init__(self) -> None:
-        _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor")
+        _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor", "altitude_m", "altitude_std_m")
         _take_arrays(self, "position_m", "cov_m2")
         if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
             raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
@@ -51,12 +56,30 @@ class PositionFix:
             if not (np.isfinite(self.floor) and self.floor == np.round(self.floor)):
                 raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
             object.__setattr__(self, "floor", int(self.floor))
+        if (self.altitude_m is None) != (self.altitude_std_m is None):
+            raise ValueError(
+                f"altitude_m and altitude_std_m belong together, got {self.altitude_m} and {self.altitude_std_m}"
+            )
+        if self.altitude_m is not None and not math.isfinite(self.altitude_m):
+            raise ValueError(f"altitude_m must be finite, got {self.altitude_m}; leave it out if it is not known")
+        if self.altitude_std_m is not None and not 0 < self.altitude_std_m < _MAX_STD:
+            raise ValueError(f"altitude_std_m must be positive, got {self.altitude_std_m}")
         _check_times(self.time_s, self.received_time_s)
 
     @property
     def var_m2(self) -> float:
         """Variance of one axis, the mean of both."""
         return 0.5 * float(np.trace(self.cov_m2))
+
+    def repetition(self, last_s: float) -> float:
+        """By how much the variance must be multiplied for this fix and one before it to count as independent.
+
+        Of correlated fixes at intervals t the mean is (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of
+        independent ones, r = exp(-t / T): any number of them in a time T is one witness. One where none was before.
+        """
+        if self.correlation_s == 0 or math.isinf(last_s):
+            return 1.0
+        return 1.0 / math.tanh(max(abs(self.time_s - last_s), _SAME_S) / (2.0 * self.correlation_s))
 
     @classmethod
     def from_lat_lon(
@@ -164,7 +187,7 @@ class Standstill:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
 
 
-_MAY_BE_UNKNOWN = ("received_time_s", "floor")
+_MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
 
 
 def _take_numbers(fix: object, *names: str) -> None:

@@ -48,10 +48,12 @@ class Origin:
 
     latitude_deg: float
     longitude_deg: float
-    height_m: float | None = None  # above the ellipsoid, where it is known
+    # Where heights are zero; from locations as the phone counts, above the ellipsoid (Android) or the sea (iOS).
+    height_m: float | None = None
     turn_rad: float | None = None  # of the frame of the start, clockwise; None if not known
     turn_std_rad: float | None = None  # None if nobody said it
     position_std_m: float | None = None  # of the shift along each axis; None if nobody said it
+    height_std_m: float | None = None  # None if nobody said it
 
     def __post_init__(self) -> None:
         check_place("origin", self.latitude_deg, self.longitude_deg)
@@ -59,7 +61,7 @@ class Origin:
             value = getattr(self, name)
             if value is not None and not isfinite(value):
                 raise ValueError(f"{name} of an origin must be finite, got {value}; leave it out if it is not known")
-        for name in ("turn_std_rad", "position_std_m"):
+        for name in ("turn_std_rad", "position_std_m", "height_std_m"):
             value = getattr(self, name)
             if value is not None and not 0 <= value < np.inf:
                 raise ValueError(f"{name} of an origin must be 0 or more, got {value}; leave it out if it is not known")

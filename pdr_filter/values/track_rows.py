@@ -118,6 +118,11 @@ class TrackRows:
         """Longitude of each step, shape (K,); ValueError if the track has no `origin`."""
         return self.latitude_longitude_deg(self.position_m)[1]
 
+    @property
+    def altitude_m(self) -> FloatArray | None:
+        """Altitude of each step, shape (K,), as `origin` counts; None if it says none."""
+        return None if self.origin is None or self.origin.height_m is None else self.origin.height_m + self.height_m
+
     def latitude_longitude_deg(self, position_m: FloatArray) -> tuple[FloatArray, FloatArray]:
         """Latitudes and longitudes (...) of positions (..., 2) in its frame; ValueError if it has no `origin`."""
         if self.origin is None:
@@ -274,6 +279,13 @@ class TrackRows:
                 "end_latitude_deg": round(float(latitude_deg), 7),
                 "end_longitude_deg": round(float(longitude_deg), 7),
             }
+        height: dict[str, float] = {}
+        if not self.is_level:
+            height = {
+                "end_height_m": round(float(self.height_m[-1]), 3),
+                "end_height_std_m": round(float(self.height_std_m[-1]), 3),
+                "end_floor": int(self.floor[-1]),
+            }
         return {
             "name": self.name,
             "n_steps": self.n_steps,
@@ -284,6 +296,7 @@ class TrackRows:
             "end_uncertainty_95_m": round(float(self.uncertainty_95_m[-1]), 3) if self.n_steps else None,
             "frame": self.frame,
             **place,
+            **height,
             "contexts": {name: round(seconds, 1) for name, seconds in self.context_seconds().items()},
             "moving_without_steps_s": round(self.seconds_without_steps, 1),
             "notes": list(self.notes),

@@ -42,6 +42,7 @@ from pdr_filter.filter.weighted_tracker import WeightedState, WeightedTracker
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray, PositionFix, Step
 from tests.benchmarks.common import Tables, options, recordings
+from tests.helpers import a_step as made_step
 
 EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
@@ -91,19 +92,9 @@ def a_step(
 ) -> Step:
     """A step with the features that the default's models need."""
     amplitude = 2.5 * np.exp(0.1 * rng.normal())
-    return Step(
-        time_s=time_s,
+    return replace(
+        made_step(time_s, heading_rad=heading_rad, duration_s=1 / frequency_hz),
         detected_time_s=time_s + latency_s,
-        duration_s=1 / frequency_hz,
-        frequency_hz=frequency_hz,
-        variance=4.0,
-        vertical_max_mps2=3.0,
-        vertical_min_mps2=-3.0,
-        magnitude_max_mps2=13.0,
-        magnitude_min_mps2=7.0,
-        mean_abs_mps2=1.5,
-        heading_change_rad=0.0,
-        device_heading_rad=heading_rad,
         vertical_amplitude_mps2=amplitude,
         usual_amplitude_mps2=2.5,
         from_rest=k == 0,

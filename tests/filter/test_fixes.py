@@ -237,14 +237,29 @@ def test_blocks_and_saving_change_no_bit_of_a_track_with_fixes_of_all_kinds(walk
 # --- fixes whose errors are alike -------------------------------------------------------------------------------------
 
 
-def somebody_who_stands(std_m: float) -> tuple[ImmTracker, ImmState]:
-    """In a known frame, so unsure of the position."""
+def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTracker, ImmState]:
+    """In a known frame, so unsure of the position, where so many errors of fixes were as large as the fixes say."""
     tracker = recipes.default().tracker
     assert isinstance(tracker, ImmTracker)
     state = tracker.init()
     cov = state.pedestrian.cov.copy()
     cov[:, :2, :2] = std_m**2 * np.eye(2)
-    return tracker, replace(state, pedestrian=replace(state.pedestrian, cov=cov))
+    return tracker, replace(state, pedestrian=replace(state.pedestrian, cov=cov, n_fix_errors=n_fix_errors))
+
+
+@pytest.mark.parametrize(("n_before", "east_m"), [(0, 9.0), (6, 9.0), (0, 2.0)])
+def test_a_fix_that_was_not_expected_leaves_a_track_less_sure_the_fewer_were_before(
+    n_before: int, east_m: float
+) -> None:
+    tracker, state = somebody_who_stands(3.0, n_before)
+    state, outcome, nis = tracker.on_fix(state, PositionFix(0.0, np.array([east_m, 0.0]), 7.0 * np.eye(2)))
+    assert outcome == "used"
+    assert nis == pytest.approx(east_m**2 / 16.0)
+    position_m, cov_m2 = present_position(state.pedestrian)
+    larger = max((4 + n_before + nis) / (4 + n_before + 2), 1.0)
+    np.testing.assert_allclose(position_m, [east_m * 9.0 / 16.0, 0.0])
+    np.testing.assert_allclose(cov_m2, larger * 63.0 / 16.0 * np.eye(2), atol=1e-12)
+    assert state.pedestrian.n_fix_errors == n_before + 2
 
 
 @pytest.mark.parametrize("std_m", [(5.0, 5.0, 5.0, 5.0), (4.0, 9.0, 3.0, 5.0)])

@@ -36,19 +36,6 @@ def browser(tmp_path_factory: pytest.TempPathFactory) -> Generator[Browser]:
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
-    return pdr.simulate.demo_walk()
-
-
-@pytest.fixture(scope="module")
-def track(recording: Recording) -> Track:
-    """On one storey, as most walks are."""
-    found = pdr.track(recording)
-    zeros = np.zeros(found.n_steps)
-    return replace(found, height_m=zeros, floor=zeros.astype(np.int64), floor_passages=())
-
-
-@pytest.fixture(scope="module")
 def page(track: Track, recording: Recording, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return write_report(track, tmp_path_factory.mktemp("report") / "page.html", recording)
 

@@ -31,19 +31,6 @@ ASSETS = Path(html.__file__).parent / "assets"
 
 
 @pytest.fixture(scope="module")
-def recording() -> Recording:
-    return pdr.simulate.demo_walk()
-
-
-@pytest.fixture(scope="module")
-def track(recording: Recording) -> Track:
-    """On one storey, as most walks are."""
-    found = pdr.track(recording)
-    zeros = np.zeros(found.n_steps)
-    return replace(found, height_m=zeros, floor=zeros.astype(np.int64), floor_passages=())
-
-
-@pytest.fixture(scope="module")
 def page(track: Track, recording: Recording) -> str:
     return html_report(track, recording)
 

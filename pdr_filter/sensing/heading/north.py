@@ -35,6 +35,8 @@ _MAX_LATENCY_S = 20.0
 _M, _B, _F = slice(0, 3), slice(3, 6), 6
 _DIAGONAL = np.diag_indices(_F)
 _OF_M = 1e-9  # next to nothing is known of m
+# North stays where it is in the attitude's frame: the regression is solved anew when there is a twentieth more.
+_MORE = 0.05
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,6 +49,9 @@ class MagneticNorthState:
     squares: FloatArray  # (7, 7) sum of [X f]' [X f], X = [1 R]
     variance_ut2: float  # of e on each axis
     used_s: float  # time of the last reading used
+    n_fresh: int = 0  # readings used since the regression was solved
+    north_rad: float = 0.0  # as it was solved
+    north_std_rad: float = math.inf
 
 
 @dataclass(frozen=True)
@@ -118,30 +123,29 @@ class MagneticNorth:
         """The same for steps that a gap or the end revealed."""
         result: list[tuple[int, Step]] = []
         for number, step in steps:
-            state, north_rad, std_rad = self._at_step(state, step)
-            result.append((number, replace(step, north_rad=north_rad, north_std_rad=std_rad)))
+            state = self._at_step(state, step)
+            result.append((number, replace(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad)))
         return state, result
 
-    def _at_step(self, state: MagneticNorthState, step: Step) -> tuple[MagneticNorthState, float, float]:
-        """State with the readings of a step, the heading of north in the attitude's frame, and its deviation."""
+    def _at_step(self, state: MagneticNorthState, step: Step) -> MagneticNorthState:
+        """State with the readings of a step."""
         if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
             state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
         before_s = max(step.time_s - step.duration_s, state.used_s)
         first, end = np.searchsorted(state.readings[:, _TIME], [before_s, step.time_s], side="right").tolist()
         if end > first:
             state = self._with_readings(state, state.readings[first:end])
-        if state.n == 0:
-            return state, 0.0, math.inf
-        return self._solved(state)
+        return self._solved(state) if state.n_fresh > _MORE * state.n else state
 
     def _with_readings(self, state: MagneticNorthState, readings: FloatArray) -> MagneticNorthState:
         used_s = float(readings[-1, _TIME])
         left = np.exp((readings[:, _TIME] - used_s) / self.memory_s)
         stay = math.exp((state.used_s - used_s) / self.memory_s)
         squares = stay * state.squares + (left @ readings[:, _SQUARES]).reshape(7, 7)
-        return replace(state, n=stay * state.n + float(left.sum()), squares=squares, used_s=used_s)
+        n, n_fresh = stay * state.n + float(left.sum()), state.n_fresh + len(readings)
+        return replace(state, n=n, squares=squares, used_s=used_s, n_fresh=n_fresh)
 
-    def _solved(self, state: MagneticNorthState) -> tuple[MagneticNorthState, float, float]:
+    def _solved(self, state: MagneticNorthState) -> MagneticNorthState:
         """The regression with the variance of e so far, from whose residuals follows that of the next one.
 
         n correlated readings are worth n / c of independent ones, c = (1 + r) / (1 - r), r = e^(-1 / correlation). With
@@ -159,14 +163,15 @@ class MagneticNorth:
         own = self.disturbance_readings * self.disturbance_ut**2
         # one of the independent readings went into m
         seen, share = max(state.n / c - 1.0, 0.0), max(left_ut2, 0.0) / (3.0 * c)
-        state = replace(state, variance_ut2=(own + share) / (self.disturbance_readings + seen))
+        variance_ut2 = (own + share) / (self.disturbance_readings + seen)
         east, north = float(x[0]), float(x[1])
         psi = math.atan2(east, north)
         cosine, sine = math.cos(psi), math.sin(psi)
         (ee, en), (_, nn) = P[:2, :2].tolist()
         across_ut2 = cosine**2 * ee - 2.0 * cosine * sine * en + sine**2 * nn
         var = across_ut2 / max(east * east + north * north, 1e-6) + self.declination_std_rad**2
-        return state, psi - self.declination_rad, math.sqrt(var)
+        north_rad, std_rad = psi - self.declination_rad, math.sqrt(var)
+        return replace(state, variance_ut2=variance_ut2, n_fresh=0, north_rad=north_rad, north_std_rad=std_rad)
 
 
 def _readings(samples: FloatArray, time_s: FloatArray) -> FloatArray:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import pywt
-from helpers import cut_uniform, flat_attitude, imu, sensed, uniform_block
+from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import butter, sosfilt
@@ -22,19 +22,6 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, Step
 
 # Steps a second with the amplitude of the bump that one step makes, m/s2: walking, then running.
 GAITS = [(1.2, 4.0), (1.5, 4.0), (1.8, 4.0), (2.2, 4.0), (2.7, 12.0), (3.2, 20.0)]
-
-
-def bumps(time_s: np.ndarray, contacts_s: np.ndarray, amplitude_mps2: float, frequency_hz: float) -> np.ndarray:
-    """|f| with one bump of zero mean at each contact."""
-    u = (time_s[:, None] - contacts_s) * frequency_hz / 0.225
-    return STANDARD_GRAVITY_MPS2 + amplitude_mps2 * ((1 - u**2) * np.exp(-(u**2) / 2)).sum(axis=1)
-
-
-def walk(frequency_hz: float, amplitude_mps2: float, n: int = 20, rate_hz: float = 100.0) -> tuple[np.ndarray, ...]:
-    """Contacts and |f| at the middles of the samples: 3 s of rest, n steps, 3 s of rest."""
-    contacts_s = 3.0 + np.arange(n) / frequency_hz
-    time_s = (np.arange(int((contacts_s[-1] + 3.0) * rate_hz)) + 0.5) / rate_hz
-    return contacts_s, bumps(time_s, contacts_s, amplitude_mps2, frequency_hz)
 
 
 def detect(
@@ -95,7 +82,7 @@ def test_the_kernel_gives_the_continuous_wavelet_transform(frequency_hz: float) 
 
 @pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
 def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, amplitude_mps2: float) -> None:
-    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     _, found = detect(WaveletStepDetector(), [uniform_block(magnitude)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.05)
     durations = np.array([s.duration_s for _, s in found])
@@ -122,7 +109,7 @@ def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
     frequency_hz: float, amplitude_mps2: float
 ) -> None:
     detector = WaveletStepDetector()
-    _, magnitude = walk(frequency_hz, amplitude_mps2)
+    _, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     block = uniform_block(magnitude)
     state, found = detect(detector, [block])
     delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
@@ -153,7 +140,7 @@ def test_rest_free_fall_and_a_slow_drift_have_no_steps(magnitude: np.ndarray) ->
 
 
 def test_heel_strike_and_push_off_are_one_step() -> None:
-    contacts_s, magnitude = walk(1.6, 4.0)
+    contacts_s, magnitude = walk_of_bumps(1.6, 4.0)
     time_s = (np.arange(len(magnitude)) + 0.5) / 100
     two_peaks = magnitude + bumps(time_s, contacts_s + 0.2, 2.0, 4.0) - STANDARD_GRAVITY_MPS2
     _, found = detect(WaveletStepDetector(), [uniform_block(two_peaks)])
@@ -190,7 +177,7 @@ def test_after_a_pause_a_new_bout_begins_with_a_step_of_typical_duration() -> No
 
 def test_the_statistics_of_a_step_are_those_of_the_samples_since_the_contact_before() -> None:
     rng = np.random.default_rng(3)
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     magnitude = magnitude + 0.2 * rng.normal(size=len(magnitude))
     n = len(magnitude)
     block = uniform_block(magnitude, rate=np.zeros((n, 3)))
@@ -222,7 +209,7 @@ def test_the_statistics_of_a_step_are_those_of_the_samples_since_the_contact_bef
 def test_at_the_end_the_last_steps_are_found_at_their_times(
     frequency_hz: float, amplitude_mps2: float, after_last_s: float
 ) -> None:
-    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     magnitude = magnitude[: int(100 * (contacts_s[-1] + after_last_s))]
     detector, block = WaveletStepDetector(), uniform_block(magnitude)
     state, found = detect(detector, [block])
@@ -248,7 +235,7 @@ def test_finishing_before_the_first_sample_finds_nothing() -> None:
 def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
     detector = WaveletStepDetector()
-    _, magnitude = walk(rng.uniform(1.2, 2.2), rng.uniform(4, 15))
+    _, magnitude = walk_of_bumps(rng.uniform(1.2, 2.2), rng.uniform(4, 15))
     magnitude = magnitude + rng.normal(size=len(magnitude))
     block = uniform_block(magnitude)
     state, whole = detect(detector, [block])
@@ -259,7 +246,7 @@ def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) 
 
 
 def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     early = detect(WaveletStepDetector(), [uniform_block(magnitude)])[1]
     late = detect(WaveletStepDetector(), [uniform_block(magnitude, start_s=1024.0)])[1]
     np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
@@ -267,7 +254,7 @@ def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
 
 def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
     detector = WaveletStepDetector()
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     first, second = cut_uniform(uniform_block(magnitude), [900])
     state, _ = detect(detector, [first])
     attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers import cut_uniform, flat_attitude, imu, sensed, uniform_block
+from helpers import bumps, cut_uniform, flat_attitude, imu, sensed, uniform_block, walk_of_bumps
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -26,19 +26,6 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step
 DETECTOR = AdaptiveStepDetector()
 # Steps a second with the amplitude of the bump that one step makes, m/s2: strolling, walking, then running.
 GAITS = [(0.5, 2.0), (0.8, 2.0), (1.1, 2.0), (1.5, 3.0), (1.8, 4.0), (2.2, 5.0), (2.7, 12.0), (3.5, 15.0), (4.5, 20.0)]
-
-
-def bumps(time_s: np.ndarray, contacts_s: np.ndarray, amplitude_mps2: float, frequency_hz: float) -> np.ndarray:
-    """|f| with one bump of zero mean at each contact."""
-    u = (time_s[:, None] - contacts_s) * frequency_hz / 0.225
-    return STANDARD_GRAVITY_MPS2 + amplitude_mps2 * ((1 - u**2) * np.exp(-(u**2) / 2)).sum(axis=1)
-
-
-def walk(frequency_hz: float, amplitude_mps2: float, n: int = 20, rate_hz: float = 100.0) -> tuple[np.ndarray, ...]:
-    """Contacts and |f| at the middles of the samples: 3 s of rest, n steps, 3 s of rest."""
-    contacts_s = 3.0 + np.arange(n) / frequency_hz
-    time_s = (np.arange(int((contacts_s[-1] + 3.0) * rate_hz)) + 0.5) / rate_hz
-    return contacts_s, bumps(time_s, contacts_s, amplitude_mps2, frequency_hz)
 
 
 def detect(
@@ -130,7 +117,7 @@ def test_soft_running_has_every_step_though_its_power_is_that_of_walking(uneven:
 
 @pytest.mark.parametrize(("frequency_hz", "amplitude_mps2"), GAITS)
 def test_every_bump_is_one_step_at_the_time_of_its_maximum(frequency_hz: float, amplitude_mps2: float) -> None:
-    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     _, found = detect([uniform_block(magnitude)])
     assert_one_step_at_each(contacts_s, times_s(found), 0.06)
 
@@ -162,7 +149,7 @@ def test_neither_the_sampling_rate_of_the_phone_nor_its_attitude_matters(
 
 @pytest.mark.parametrize("frequency_hz", [1.1, 1.6, 1.9])
 def test_heel_strike_and_push_off_are_one_step(frequency_hz: float) -> None:
-    contacts_s, magnitude = walk(frequency_hz, 4.0)
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, 4.0)
     time_s = (np.arange(len(magnitude)) + 0.5) / 100
     two_peaks = magnitude + bumps(time_s, contacts_s + 0.2, 2.0, 4.0) - STANDARD_GRAVITY_MPS2
     _, found = detect([uniform_block(two_peaks)])
@@ -214,7 +201,7 @@ def test_the_noise_of_a_phone_on_a_table_has_no_steps() -> None:
 def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
     frequency_hz: float, amplitude_mps2: float
 ) -> None:
-    _, magnitude = walk(frequency_hz, amplitude_mps2)
+    _, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     block = uniform_block(magnitude)
     state, found = detect([block])
     delays_s = np.array([s.detected_time_s - s.time_s for _, s in found])
@@ -229,7 +216,7 @@ def test_a_step_is_known_one_latency_after_its_contact_and_never_before(
 def test_at_the_end_the_last_steps_are_found_at_their_times(
     frequency_hz: float, amplitude_mps2: float, after_last_s: float
 ) -> None:
-    contacts_s, magnitude = walk(frequency_hz, amplitude_mps2)
+    contacts_s, magnitude = walk_of_bumps(frequency_hz, amplitude_mps2)
     block = uniform_block(magnitude[: int(100 * (contacts_s[-1] + after_last_s))])
     state, found = detect([block])
     last = DETECTOR.finish(state)
@@ -251,7 +238,7 @@ def test_finishing_before_the_first_sample_finds_nothing() -> None:
 @given(edges=st.lists(st.integers(0, 1500), max_size=80), seed=st.integers(0, 1000))
 def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) -> None:
     rng = np.random.default_rng(seed)
-    _, magnitude = walk(rng.uniform(0.8, 2.2), rng.uniform(2, 15))
+    _, magnitude = walk_of_bumps(rng.uniform(0.8, 2.2), rng.uniform(2, 15))
     block = uniform_block(magnitude + rng.normal(size=len(magnitude)))
     state, whole = detect([block])
     cut_state, pieces = detect(cut_uniform(block, edges))
@@ -262,7 +249,7 @@ def test_steps_do_not_depend_on_how_samples_arrive(edges: list[int], seed: int) 
 
 @pytest.mark.parametrize("at", [1, 500, 1033])
 def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     block = uniform_block(magnitude)
     first, second = cut_uniform(block, [at])
     state, found = detect([first])
@@ -273,14 +260,14 @@ def test_a_saved_and_loaded_state_goes_on_the_same(at: int) -> None:
 
 
 def test_a_shift_of_the_time_base_shifts_the_contacts() -> None:
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     early = detect([uniform_block(magnitude)])[1]
     late = detect([uniform_block(magnitude, start_s=1024.0)])[1]
     np.testing.assert_allclose(times_s(late), times_s(early) + 1024.0, atol=1e-9)
 
 
 def test_finishing_changes_nothing_for_a_filter_that_goes_on() -> None:
-    _, magnitude = walk(1.8, 4.0)
+    _, magnitude = walk_of_bumps(1.8, 4.0)
     first, second = cut_uniform(uniform_block(magnitude), [900])
     state, _ = detect([first])
     attitude, modes = flat_attitude(magnitude[900:]), unknown_contexts(len(second.time_s))

@@ -1,0 +1,25 @@
+"""What tests of reports share: the demo's walk and its track."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+from pdr_filter.io.recording import Recording
+from pdr_filter.tracks import Track
+
+
+@pytest.fixture(scope="session")
+def recording() -> Recording:
+    return pdr.simulate.demo_walk()
+
+
+@pytest.fixture(scope="session")
+def track(recording: Recording) -> Track:
+    """On one storey, as most walks are."""
+    found = pdr.track(recording)
+    zeros = np.zeros(found.n_steps)
+    return replace(found, height_m=zeros, floor=zeros.astype(np.int64), floor_passages=())
