@@ -20,6 +20,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
+LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -208,6 +209,8 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
 
 
 def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], line: int) -> NumberTable:
+    if (found := _by_arrow(block, layout)) is not None:
+        return found
     text = decode(block, where, line)
     if layout.decimal == layout.separator:  # in quotation marks, which only a look at each row tells
         return _parse_rows(text, layout, where, notes, line, block.endswith(b"\n"))
@@ -222,6 +225,47 @@ def _parse_block(block: bytes, layout: Layout, where: str, notes: list[str], lin
             if layout.whole is None:
                 return parse_lines(_filled(text, layout.separator).split("\n"), layout)
     return _parse_rows(text, layout, where, notes, line, is_whole)
+
+
+def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
+    """The rows of a large block by pyarrow, which has the same bits in a third of the time.
+
+    None if it is not installed, or if anything is odd: then the rows are looked at here.
+    """
+    is_plain = block.endswith(b"\n") and not layout.texts and layout.decimal != layout.separator
+    if len(block) < LARGE_BYTES or not is_plain or not block.isascii() or b'"' in block:
+        return None
+    try:
+        import pyarrow as pa
+        from pyarrow import csv as arrow_csv
+    except ImportError:
+        return None
+    columns = [*([] if layout.whole is None else [layout.whole]), *layout.picked]
+    names = [f"f{column}" for column in columns]
+    kinds = {name: pa.int64() if i == 0 and layout.whole is not None else pa.float64() for i, name in enumerate(names)}
+    if len(kinds) < len(names):
+        return None
+    try:
+        rows = arrow_csv.read_csv(
+            pa.BufferReader(block),
+            arrow_csv.ReadOptions(use_threads=False, autogenerate_column_names=True, block_size=len(block)),
+            arrow_csv.ParseOptions(delimiter=layout.separator, quote_char=False),
+            arrow_csv.ConvertOptions(
+                include_columns=names,
+                column_types=kinds,
+                null_values=["", "null", "None"],
+                decimal_point=layout.decimal,
+            ),
+        )
+    except (pa.ArrowException, KeyError):
+        return None
+    if layout.whole is not None and rows.column(0).null_count:
+        return None
+    values = np.empty((len(rows), len(layout.picked)))
+    for i in range(len(layout.picked)):
+        values[:, i] = rows.column(len(names) - len(layout.picked) + i).to_numpy()
+    whole = np.zeros(len(rows), np.int64) if layout.whole is None else rows.column(0).to_numpy().copy()
+    return NumberTable(whole, values)
 
 
 def _filled(text: str, separator: str) -> str:

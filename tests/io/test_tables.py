@@ -24,6 +24,7 @@ from app_files import (
     xlsx_files,
 )
 
+from pdr_filter.io import table as tables
 from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
@@ -619,3 +620,29 @@ def test_a_table_with_a_row_for_each_sample_of_any_sensor_is_one_for_each(
     # and by the mapping that was guessed
     again = read_mapped(tmp_path / "w.csv", found.guess.mapping)
     assert_same_streams(again, WALK, "accelerometer gyroscope", time_s=1e-6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        *("1,2,,4,5\n2,3,nan,4,5\n3,4,inf,5,6\n", "1,2,x,4,5\n", "1,2,1_0,4,5\n", "1,2, 3 ,4,5\n", "1,2,1e400,4,5\n"),
+        *("1.0,2,3,4,5\n", ",2,3,4,5\n2,2,3,4,5\n", "1,2,#N/A,4,5\n", "1,2,3,4,5\n\n2,3,4,5,6\n", "1,2,3,4\n"),
+        *("1,2,3,4,5,6\n1,2,3,4,5\n", "+1,2,+3,.5,5.\n", "1,2,None,null,5\n", "1,\u00e4,3,4,5\n", '"1",2,3,4,5\n'),
+        *("1,2,true,4,5\n", "9223372036854775807,2,3,4,5\n", "1787923304123456789,2,0.1,1e-300,123456.789012345678\n"),
+    ],
+)
+def test_the_library_for_large_tables_has_the_same_bits_and_refuses_the_same(
+    monkeypatch: pytest.MonkeyPatch, odd: str
+) -> None:
+    pytest.importorskip("pyarrow")
+
+    def parsed(least_bytes: int) -> object:
+        monkeypatch.setattr(tables, "LARGE_BYTES", least_bytes)
+        notes: list[str] = []
+        try:
+            found = tables.parse_blocks([odd.encode()], tables.Layout((2, 3, 4), 0), "walk.csv", notes)
+        except RecordingError as error:
+            return str(error)
+        return found.whole.tolist(), found.values.tobytes(), notes
+
+    assert parsed(1) == parsed(10**9)
