@@ -265,7 +265,7 @@ def _read_tables(members: Members) -> _Export:
             first = _first_times(table)
             decimal = "," if table.separator != "," and b"," in table.first_rows.split(b"\n", 1)[0] else "."
             rows = table.parse(places, export.notes, whole=time, decimal=decimal)
-            if first and len(rows) > 1 and 2 * len(np.unique(rows.whole)) < len(rows):
+            if first and 2 * np.count_nonzero(np.diff(rows.whole)) < len(rows) - 1:
                 export.sensors[sensor] = _by_elapsed(members, name, columns, decimal)
                 rounded.append(sensor)
                 continue
