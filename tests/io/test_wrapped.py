@@ -140,7 +140,7 @@ def test_what_is_given_in_place_of_a_recording_is_named(tmp_path: Path, content:
     assert words in refusal(tmp_path / "walk.csv")
 
 
-@pytest.mark.parametrize("name", ["walk.xls", "export/walk.h5"])
+@pytest.mark.parametrize("name", ["walk.xls", "export/walk.h5", "walk.csv.gz"])
 def test_a_file_that_is_read_alone_is_to_be_taken_out_of_a_zip(tmp_path: Path, name: str) -> None:
     assert f"unpack {name}, which is read alone" in refusal(write_zip(tmp_path / "w.zip", {name: b"PK"}))
 
