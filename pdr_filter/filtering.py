@@ -27,6 +27,7 @@ from pdr_filter.values import (
     FixResult,
     FloatArray,
     FloorPassage,
+    GridFix,
     ImuBlock,
     OnPlan,
     PositionFix,
@@ -369,8 +370,10 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
+            if isinstance(fix, GridFix) and particles is not state.particles:
+                outcome = "used"
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix) and outcome != "rejected":
+    if isinstance(fix, PositionFix | GridFix) and outcome != "rejected":
         state = replace(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(

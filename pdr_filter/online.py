@@ -241,7 +241,7 @@ class OnlineFilter:
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
-        check_fix(fix)
+        check_fix(fix, self.config.on_plan is not None)
         fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
         # after a gap of over a minute samples wait until those that follow confirm them

@@ -87,7 +87,7 @@ def track(
     weighting : {"imm", "wc", "hc"}, optional
         How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
         recipe's own if not given; that of the default recipe is "imm".
-    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
+    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
         What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
         track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, all
         of it, from the first position fix on (`Track.frame`).
@@ -136,9 +136,9 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
-    for fix in fixes:
-        check_fix(fix)
     config = on_plan(given_or_default(recording, config), plan, start)
+    for fix in fixes:
+        check_fix(fix, config.on_plan is not None)
     with_location = uses_location(recording, config, fixes, gnss)
     has_place = is_placed(origin, heading_rad, fixes, gnss)
     with_location = with_location and not has_place

@@ -5,7 +5,7 @@ from __future__ import annotations
 import ast
 from pathlib import Path
 
-from conftest import SLOW
+from tests.conftest import SLOW
 
 ROOT = Path(__file__).resolve().parents[1]
 

@@ -75,6 +75,7 @@ def calibrate(
             result = pdr.calibrate([pdr.read(file) for file in files], **options)
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
+        before = console.there(out, out.with_suffix(".npz"), figure)
         written = [result.save(out)]
         if figure is not None:
             result.plot(figure)
@@ -82,6 +83,7 @@ def calibrate(
     typer.echo(printable_lines(result.report()))
     for path in written:
         console.stderr().print(f"written: {escape(str(path))}")
+    console.say_replaced(before)
 
 
 def smooth(
@@ -115,14 +117,17 @@ def smooth(
     from pdr_filter.offline.smoothing.observations import fixes_of_file, loop_closures_of_file, waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
+    before: dict[Path, int] = {}
     with console.one_line_errors(), console.progress("smoothing"):
         recording = pdr.read(file, file_format)
         known = None if calibration is None else load_calibration(calibration)
         closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         known_places = [] if fixes is None else fixes_of_file(fixes, fix_std_m)
-        known_places += [] if radio is None else pdr.RadioMap.load(radio).fixes(recording)
         where = on_plan(plan, start)
+        if radio is not None:
+            mapped = pdr.RadioMap.load(radio)
+            known_places = [*known_places, *mapped.fixes(recording), *(mapped.grids(recording) if where else [])]
         origin, nothing_given = (
             None,
             start is None and fixes is None and loop_closures is None and radio is None and not wifi_loops,
@@ -135,6 +140,7 @@ def smooth(
         track = result.track if origin is None else result.track.placed(origin)
         if out is not None:
             name = file_name(track.name)
+            before = console.files_of(out, name)
             console.write_track(track, out, name)
             if origin is not None:
                 console.write_map(track, out / f"{name}.geojson")
@@ -144,3 +150,4 @@ def smooth(
         f"step scale {result.scale:.3f} ± {1.96 * result.scale_std:.3f} (95 %)"
     )
     console.say_written(out)
+    console.say_replaced(console.replaced_of(before))

@@ -17,6 +17,7 @@ from pdr_filter.io.texts import file_name
 if TYPE_CHECKING:
     from pdr_filter.io.recording import Recording
     from pdr_filter.tracks import Track
+    from pdr_filter.values import Table
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,10 @@ def compare(
     ] = None,
     truth: Annotated[
         bool,
-        typer.Option("--truth", help="Also how far off each is of the truth in the file, turned and shifted to fit."),
+        typer.Option(
+            "--truth",
+            help="Also how far off each is of the truth in the file, if it has one, turned and shifted to fit.",
+        ),
     ] = False,
     out: Annotated[Path | None, typer.Option(help="Folder for NAME.compare.html: all tracks on one page.")] = None,
     as_json: AsJson = False,
@@ -53,6 +57,7 @@ def compare(
     from pdr_filter.report.html import write_report
 
     written: set[str] = set()
+    without: list[str] = []  # recordings whose truth was asked for and is not there
     replaced: list[Path] = []
 
     def compare_one(file: Path, progress: Callable[[float], None]) -> Compared:
@@ -61,8 +66,11 @@ def compare(
             tracks = _recipe_tracks(recording, recipe, progress)
         else:
             tracks = pdr.evaluate.weighting_tracks(recording, progress=progress)
-        rmse_m = {name: _rmse_m(recording, track) for name, track in tracks.items()} if truth else {}
+        known = _known_places(recording) if truth else None
+        rmse_m = {} if known is None else {name: _rmse_m(known, track) for name, track in tracks.items()}
         found = Compared(recording, tracks, rmse_m)
+        if truth and known is None:
+            without.append(recording.name)
         if out is not None:
             named = [replace(track, name=f"{recording.name}, {name}") for name, track in tracks.items()]
             path = out / f"{console.unused(file_name(recording.name), written)}.compare.html"
@@ -81,6 +89,7 @@ def compare(
     if compared and not as_json:
         _print(compared)
         console.say_written(out)
+    console.say_without_truth(without)
     console.say_replaced(replaced)
     console.exit_if_failed(failed, len(files))
 
@@ -99,15 +108,17 @@ def _recipe_tracks(recording: Recording, names: Sequence[str], progress: Callabl
     return tracks
 
 
-def _rmse_m(recording: Recording, track: Track) -> float:
+def _known_places(recording: Recording) -> Table | None:
+    """The true positions, or the points that were passed; None if the file has neither."""
+    return recording.truth.position if recording.truth.position is not None else recording.truth.waypoints
+
+
+def _rmse_m(known: Table, track: Track) -> float:
     """Root of the mean squared distance to the truth, after the turn and the shift that fit best."""
     import numpy as np
 
     import pdr_filter as pdr
 
-    known = recording.truth.position if recording.truth.position is not None else recording.truth.waypoints
-    if known is None:
-        raise ValueError(f"{recording.name} has no true positions or waypoints: leave out --truth")
     reference_m = np.column_stack([known["east_m"], known["north_m"]])
     at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"])
     return pdr.evaluate.position_rmse_m(at_m, reference_m, "all")
@@ -134,7 +145,7 @@ def _print(compared: Sequence[Compared]) -> None:
                 console.in_m(end["end_east_m"]),
                 console.in_m(end["end_north_m"]),
                 "" if is_reference else console.in_m((apart_east_m**2 + apart_north_m**2) ** 0.5),
-                *([console.in_m(found.rmse_m[name])] if has_truth else []),
+                *([console.in_m(found.rmse_m[name]) if found.rmse_m else ""] if has_truth else []),
                 end_section=is_reference,
             )
     console.print_table(table)

@@ -56,10 +56,22 @@ def say_error(words: str) -> None:
     stderr().print(f"[bold red]error:[/] {escape(words)}")
 
 
+def there(*paths: Path | None) -> list[Path]:
+    """Those of the paths that are there before something is written to them."""
+    return [path for path in paths if path is not None and path.exists()]
+
+
 def say_replaced(paths: Sequence[Path]) -> None:
     """Name the files that were there before."""
     if paths:
         stderr().print(f"replaced, as they were there before: {escape(', '.join(map(str, paths)))}")
+
+
+def say_without_truth(names: Sequence[str]) -> None:
+    """Name the recordings that nothing can be held against."""
+    if names:
+        words = "no true positions or waypoints in the file, so there is no error of"
+        stderr().print(f"{words} {escape(', '.join(names))}")
 
 
 def say_written(folder: Path | None) -> None:
@@ -126,7 +138,10 @@ def each(
                 for reason in failed.values():
                     say_error(reason)
                 left = f"{escape(str(file))}" + (f" and {n} more" if (n := len(files) - i - 1) else "")
-                stderr().print(f"stopped: {len(results)} of {len(files)} done, whose files are whole; left: {left}")
+                stderr().print(
+                    f"stopped: {len(results)} of {len(files)} done, whose files are whole; to go on, give what is "
+                    f"left: {left}"
+                )
                 raise typer.Exit(STOPPED) from None
             except (ValueError, OSError) as error:
                 failed[file] = message(error)

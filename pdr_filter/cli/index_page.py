@@ -22,13 +22,15 @@ body {{ font: 15px/1.5 system-ui, sans-serif; margin: 2em auto; max-width: 70em;
   color: #222; background: #fff }}
 table {{ border-collapse: collapse }}
 td, th {{ padding: .4em .8em; text-align: right; border-bottom: 1px solid #8884; vertical-align: top }}
-td:first-child, th:first-child, td:last-child {{ text-align: left; overflow-wrap: anywhere }}
+td {{ white-space: nowrap }}
+td:first-child, th:first-child, td:last-child {{ text-align: left; overflow-wrap: anywhere; white-space: normal }}
 li {{ overflow-wrap: anywhere }}
 img {{ width: 12em; display: block }}
 @media (max-width: 50em) {{
   body {{ font-size: 12px }}
   td, th {{ padding: .3em .25em }}
-  td:first-child {{ min-width: 6em }}
+  td:first-child {{ min-width: 7.5em }}
+  td:nth-child(5), th:nth-child(5) {{ display: none }}
   img {{ width: 6em }}
 }}
 @media (prefers-color-scheme: dark) {{ body {{ color: #ddd; background: #16181c }} a {{ color: #8bf }} }}

@@ -26,13 +26,16 @@ def plan(
 
     with console.one_line_errors():
         read = pdr.FloorPlan.read(file)
-        if out is not None:
-            plot.plan(read, out / f"{file_name(read.name)}.png")
+        picture = None if out is None else out / f"{file_name(read.name)}.png"
+        before = console.there(picture)
+        if picture is not None:
+            plot.plan(read, picture)
     if as_json:
         console.print_json(read.summary())
     else:
         _print(read)
     console.say_written(out)
+    console.say_replaced(before)
 
 
 def _print(plan: FloorPlan) -> None:

@@ -24,6 +24,8 @@ def radio(
     with console.one_line_errors(), console.progress("fitting"):
         found = [path for file in files for path in (recordings_in(file) if file.is_dir() else [file])]
         fitted = pdr.RadioMap.fit(pdr.read(path, file_format) for path in found)
+        before = console.there(out, out.with_suffix(".npz"))
         written = fitted.save(out)
     typer.echo(f"{fitted!r} of {len(fitted.card['walks'])} walks in {len(found)} recordings")
     console.stderr().print(f"written: {escape(str(written))}")
+    console.say_replaced(before)

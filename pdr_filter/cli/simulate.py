@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import tempfile
 from collections.abc import Callable
 from enum import StrEnum
 from pathlib import Path
@@ -41,22 +42,25 @@ def simulate(
 
     with console.one_line_errors():
         walk = pdr.simulate.demo_walk(seed) if carrying_mode is None else _block_walk(carrying_mode.value, seed)
+        before = console.there(out)
         path = write_recording(walk, out)
     typer.echo(path)
+    console.say_replaced(before)
 
 
 def demo(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A recording; else a simulated walk.")] = None,
-    out: Annotated[Path, typer.Option(help="Folder for the files.")] = Path("demo_output"),
+    out: Annotated[Path | None, typer.Option(help="Folder for the files; a new temporary one if not given.")] = None,
     gnss: Gnss = None,
 ) -> None:
     """Track a walk, draw it and say what came out."""
     from pdr_filter.cli.demo import Demo, run_demo
 
     use, written = None if gnss is None else gnss.value, set[str]()
+    folder = Path(tempfile.mkdtemp(prefix="pdr_filter_demo_")) if out is None else out
 
     def run(one: Path | None, progress: Callable[[float], None]) -> Demo:
-        return run_demo(one, out, progress, use, written)
+        return run_demo(one, folder, progress, use, written)
 
     with console.one_line_errors():
         files = [] if file is None else console.recordings_of([file])

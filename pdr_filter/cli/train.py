@@ -29,9 +29,11 @@ def train(
 
     with console.one_line_errors(), console.progress("training") as show:
         found = None if sequences is None else recordings_in(sequences)
+        before = {path: path.stat().st_mtime_ns for path in out.glob("*") if path.is_file()}
         cards = train_models(data_dir, out, lambda what, fraction: show(fraction, what), found)
     for card in cards:
         typer.echo(out / card.get("file", f"{card['name']}.npz"))
         for what in ("transition_prob", "exponents"):
             if what in card:
                 console.stderr().print(f"{what}: {escape(card[what])}")
+    console.say_replaced(console.replaced_of(before))

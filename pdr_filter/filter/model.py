@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
-from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
 from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
 
@@ -136,6 +136,8 @@ class PedestrianModel:
         long as a model says: L^2 / 3.
         """
         var_m2 = self._lengths.residual_var_m2
+        if step.from_rest:
+            var_m2 = var_m2 + PAUSE_STD_M**2 * self.moves
         return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:

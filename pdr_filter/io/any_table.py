@@ -1,4 +1,4 @@
-"""Tables of any app: texts, alone or in a zip or folder, spreadsheets and MATLAB files, with or without a mapping."""
+"""Tables of any app, with or without a mapping: texts and JSON, alone or in a zip or folder, spreadsheets, MATLAB."""
 
 from __future__ import annotations
 
@@ -14,6 +14,7 @@ from pdr_filter.io.dialects import dialect_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
 from pdr_filter.io.guess import Guess, guess
+from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.io.mapping import Mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
 from pdr_filter.io.recording import Recording
@@ -44,10 +45,10 @@ def read_table(path: str | Path, platform: str | None = None) -> Recording:
 def read_guessed(path: Path, platform: str | None = None) -> Tables:
     """The recording with the mapping that it was read by, and the evidence for that."""
     with open_members(path) as members:
-        sheets = sheets_of(members)
+        parsed = Parsed(path, "")
+        sheets = sheets_of(members, notes=parsed.notes)
         where = sheets[0].where if len(sheets) == 1 else str(path)
         groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
-        parsed = Parsed(path, "")
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
         data = [SheetData(sheet, _places_of(groups, i), parsed.notes) for i, sheet in enumerate(sheets)]
@@ -68,7 +69,7 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
     """The recording in tables that a mapping describes."""
     parsed = Parsed(path, source)
     with open_members(path) as members:
-        sheets = sheets_of(members, mapping.separator or None)
+        sheets = sheets_of(members, mapping.separator or None, parsed.notes)
         if mapping.decimal:
             sheets = [replace(s, decimal=mapping.decimal) if isinstance(s, TextSheet) else s for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
@@ -85,7 +86,7 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
     return parsed.recording()
 
 
-def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]:
+def sheets_of(members: Members, separator: str | None = None, notes: list[str] | None = None) -> Sequence[Sheet]:
     """The tables among the files of a recording; RecordingError if there is none."""
     found: Sequence[Sheet]
     if is_spreadsheet(members):
@@ -94,11 +95,20 @@ def sheets_of(members: Members, separator: str | None = None) -> Sequence[Sheet]
         found = matlab_sheets(members, members.names[0])
     else:
         texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
-        whole = [sheet for name in texts if (sheet := text_sheet(members, name, separator)) is not None]
+        of_json = [name for name in texts if looks_like(members.head(name, 4096))]
+        whole = [
+            sheet
+            for name in texts
+            if name not in of_json and (sheet := text_sheet(members, name, separator)) is not None
+        ]
         found = [part for sheet in whole for part in _by_sensor(sheet)]
+        for name in of_json:
+            if not members.is_container or sensors_of(members, name):
+                found += json_sheets(members, name, notes)
+        for name in members.names if not found else ():
+            if name.lower().endswith(".mat") and is_matlab(members.head(name, 128)):
+                found += matlab_sheets(members, name)
     if not found:
-        if not members.is_container and members.head(members.names[0], 4096).lstrip()[:1] in (b"[", b"{"):
-            raise RecordingError(f"{members.path}: JSON of an app that is not known; export it as CSV")
         listed = ", ".join(members.names[:8])
         raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
     return found
@@ -115,7 +125,7 @@ def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:
 
 def _is_text(name: str, members: Members) -> bool:
     pure = PurePosixPath(name)
-    return not members.is_container or (pure.suffix.lower() in TEXTS and pure.parent.name != "meta")
+    return not members.is_container or (pure.suffix.lower() in (*TEXTS, *SUFFIXES) and pure.parent.name != "meta")
 
 
 def _places_of(groups: Sequence[Group], sheet: int) -> tuple[int, ...]:
@@ -150,6 +160,10 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 def sensors_of(members: Members, name: str) -> set[str]:
     """The sensors that the columns of a text name; none of one that is no table."""
     try:
+        head = members.head(name)
+        if looks_like(head):
+            sheets = json_fields(members, name)
+            return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
         sheet = text_sheet(members, name)
         return set() if sheet is None else {group.quantity for group in groups_of(sheet, 0)}
     except RecordingError:

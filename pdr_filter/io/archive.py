@@ -6,6 +6,7 @@ import codecs
 import gzip
 import io
 import json
+import re
 import struct
 import tomllib
 import zipfile
@@ -27,6 +28,20 @@ _ZIP_ERRORS = (zipfile.BadZipFile, zlib.error, struct.error, *_PYTHON_ERRORS)
 # Files that are recordings by themselves and are read in place, not out of a zip.
 IN_PLACE = (".hdf5", ".h5", ".mat", ".xlsx", ".xls", ".mcap", ".db3")
 _ZIP, _GZIP = b"PK", b"\x1f\x8b"
+# What is given in place of a recording, by its first bytes, and what to do.
+_OTHERS = {
+    b"7z\xbc\xaf": "a 7z archive; unpack it and give the folder",
+    b"Rar!": "a rar archive; unpack it and give the folder",
+    b"BZh": "a bz2 archive; unpack it and give what is in it",
+    b"\xfd7zXZ": "an xz archive; unpack it and give what is in it",
+    b"\x28\xb5\x2f\xfd": "a zstd archive; unpack it and give what is in it",
+    b"%PDF": "a PDF; export the samples as CSV",
+    b"<!doctype html": "a web page; download the file itself, signed in if need be",
+    b"<html": "a web page; download the file itself, signed in if need be",
+    b"version https://git-lfs": "a pointer to a file in git LFS; get the file itself with git lfs pull",
+}
+_ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
+_TAR_AT, _TAR = 257, b"ustar"
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 
@@ -95,6 +110,16 @@ class Members:
             if n_bytes > most:
                 raise RecordingError(f"{self.where(name)}: more than {most} bytes; cut the recording")
         return b"".join(parts)
+
+    def file(self, most: int) -> bytes:
+        """The bytes of the file as a whole: of a zip that of the zip, also where it is packed in another."""
+        if self._archive is None or self._archive.fp is None:
+            return self.whole(self.names[0], most)
+        self._archive.fp.seek(0)
+        content = self._archive.fp.read(most + 1)
+        if len(content) > most:
+            raise RecordingError(f"{self.path}: more than {most} bytes; cut the recording")
+        return content
 
     def parts(self, name: str) -> Iterator[bytes]:
         """The bytes of a member as they are, in parts."""
@@ -179,9 +204,11 @@ def open_members(path: Path) -> Generator[Members]:
                 if packed.head(packed.names[0], 2) == _ZIP:
                     file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
                 else:
+                    _refuse_others(path, packed.head(packed.names[0], 512))
                     yield Members(path, inside=inside, is_gzip=True)
                     return
             elif begin != _ZIP:
+                _refuse_others(path, begin + file.read(512))
                 yield Members(path, inside=inside)
                 return
             with _in_zip(file, path, inside) as members:
@@ -211,9 +238,19 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
             yield members
 
 
+def _refuse_others(path: Path, head: bytes) -> None:
+    """Say what a file is that is known and no recording."""
+    kind = next((words for begin, words in _OTHERS.items() if head.lower().lstrip().startswith(begin.lower())), "")
+    if head[_TAR_AT:].startswith(_TAR):
+        kind = "a tar archive; unpack it and give the folder"
+    if kind:
+        raise RecordingError(f"{path}: {kind}")
+
+
 def zips_among(names: Sequence[str]) -> list[str]:
-    """The names, if all are those of zips."""
-    return [*names] if all(name.lower().endswith(".zip") for name in names) else []
+    """Those of zips, which spreadsheets are, too, if nothing else is there but what nobody would read as samples."""
+    others = [name for name in names if not name.lower().endswith((".zip", ".xlsx"))]
+    return [] if any(_ABOUT.search(name) is None for name in others) else [n for n in names if n not in others]
 
 
 def outside(path: Path) -> tuple[Path, str]:

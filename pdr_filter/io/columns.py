@@ -49,6 +49,7 @@ OF_UNIT = {
     **{"ut": FIELD, "hpa": "barometer"},
 }
 _AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
+_BARE = re.compile(r"([xyz])(?:axis|value)?|values?([xyz])")
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
 # Behind an axis, as in `ax_g` and `gyro_z_dps`.
@@ -78,6 +79,10 @@ UNITS: dict[str, dict[str, float]] = {
 _LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME = re.compile(r"(time|timestamps?|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
+_TIME_WORDS = {  # in other languages
+    *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
+    *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
+}
 _TIME_UNIT_WORDS = {
     "s": r"s|sec|secs|seconds?|sincereboot",
     "ms": r"ms|msec|millis|milliseconds?",
@@ -146,8 +151,8 @@ def column_of(place: int, name: str) -> Column:
     unit = _UNIT_OF_WORD.get(unit, unit)
     words = name[: unit_found.start()] if unit_found else name
     stem = letters(words)
-    if stem in ("x", "y", "z"):
-        return Column(place, name, "", stem, unit)
+    if bare := _BARE.fullmatch(stem):
+        return Column(place, name, "", bare[1] or bare[2], unit)
     for axis, rest in ((stem[-1:], stem[:-1]), (stem[:1], stem[1:])):  # the axis behind the word, or before it
         if axis in ("x", "y", "z"):
             quantity, preference = quantity_of_stem(rest)
@@ -156,6 +161,12 @@ def column_of(place: int, name: str) -> Column:
                 return Column(place, name, quantity, axis, unit, rest, preference)
     quantity, preference = quantity_of_stem(stem)
     axis_found = _AXIS_ALONE.search(words)
+    if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
+        word = words[: axis_found.start()]
+        begins = [word[: gap.start()] for gap in re.finditer(r"[^A-Za-z]+", word)]
+        known = next((q for begin in reversed(begins) if (q := quantity_of_stem(letters(begin))[0])), "")
+        if known in VECTORS:
+            return Column(place, name, known, axis_found[1].lower(), unit, letters(word), 0)
     if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
         word = words[: axis_found.start()].lower()
         return Column(place, name, OF_UNIT[unit], axis_found[1].lower(), unit, word)
@@ -164,8 +175,10 @@ def column_of(place: int, name: str) -> Column:
 
 def is_time(name: str) -> bool:
     """Whether a name is one of a time."""
-    stem = letters(_UNIT.sub("", name))
-    return stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
+    bare = _UNIT.sub("", name)
+    stem = letters(bare)
+    is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
+    return is_word or stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
 
 
 def has_time_unit(name: str) -> bool:

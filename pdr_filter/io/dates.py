@@ -1,7 +1,8 @@
 """Dates and clock times in tables, as the apps write them, as whole nanoseconds.
 
 `16-Mar-2023 14:00:39.412`, `2022-12-08 18:23:02.8440`, `2018-08-06 15:01:06:525`, `2020-03-09T13:57:39,500+0100`,
-`18:23:02.844`. Only differences are used of those without a time zone: a clock on the wall has no place in the world.
+`18:23:02.844`, `23:02.844` as some apps and spreadsheets show minutes and seconds, `0.02 sec` as MATLAB writes
+durations. Only differences are used of those without a time zone: a clock on the wall has no place in the world.
 """
 
 from __future__ import annotations
@@ -14,22 +15,41 @@ from numpy.typing import NDArray
 
 from pdr_filter.values import IntArray
 
-_MONTHS = {"janfebmaraprmayjunjulaugsepoctnovdec"[3 * i : 3 * i + 3]: i + 1 for i in range(12)}
+# In English, German, Spanish, French, Italian, Portuguese and Dutch.
+_MONTHS = {
+    name: number
+    for number, names in enumerate(
+        (
+            *("jan ene gen", "feb fev", "mar mrz maa", "apr abr avr", "may mai mag mei", "jun giu"),
+            *("jul lug", "aug ago", "sep set", "oct okt out ott", "nov", "dec dez dic"),
+        ),
+        1,
+    )
+    for name in names.split()
+}
 _DATE = r"(\d{1,4})[-/. ]([A-Za-z]{3}|\d{1,2})[-/. ](\d{1,4})"
-_CLOCK = r"(\d{1,2})[:\-](\d{2})[:\-](\d{2})(?:[.:_,](\d{1,9}))?"
+# Spreadsheets leave the seconds away.
+_CLOCK = r"(\d{1,2})[:\-](\d{2})(?:[:\-](\d{2})(?:[.:_,](\d{1,9}))?)?"
 _HALF = r"[AaPp]\.?[Mm]\.?"  # of the day, after a clock of twelve hours
 _ZONE = rf"(?:\s?(Z|UTC|[+-]\d{{2}}:?\d{{2}}|{_HALF}))?"
 _WITH_DATE = re.compile(rf"{_DATE}[ T_]+{_CLOCK}{_ZONE}")
 _CLOCK_ONLY = re.compile(rf"()()()(\d{{1,2}}):(\d{{2}}):(\d{{2}})(?:[.:_,](\d{{1,9}}))?(?:\s?({_HALF}))?")
-_NS_OF_DAY = 86400 * 10**9
+_MINUTES = re.compile(r"()()()()(\d{1,2}):(\d{2})(?:[.,](\d{1,9}))?()")
+_SECONDS = re.compile(r"()()()()()(\d{1,9})(?:[.,](\d{1,9}))? ?(?:sec|s)()")
+_KINDS = (_WITH_DATE, _CLOCK_ONLY, _MINUTES, _SECONDS)
+_NS_OF_HOUR = 3600 * 10**9
+_NS_OF_DAY = 24 * _NS_OF_HOUR
 _WIDEST = 40  # signs of a date
 _MOST_DAYS = 32  # in a block of rows; each takes a look at all of them
 
 
 def is_date(text: str) -> bool:
     """Whether a field holds a date with a time of day, or a time of day."""
-    text = text.strip()
-    return (_WITH_DATE.fullmatch(text) or _CLOCK_ONLY.fullmatch(text)) is not None
+    return _found_in(text.strip()) is not None
+
+
+def _found_in(text: str) -> re.Match[str] | None:
+    return next((found for kind in _KINDS if (found := kind.fullmatch(text))), None)
 
 
 def has_zone(text: str) -> bool:
@@ -45,7 +65,7 @@ def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
     """
     # A comma before the parts of a second would be taken for the one between two fields.
     comma = b"" if separator == b"," else b","
-    patterns = (_compiled(_WITH_DATE, comma), _compiled(_CLOCK_ONLY, comma))
+    patterns = [_compiled(kind, comma) for kind in _KINDS]
     days: dict[tuple[bytes, bytes, bytes], int] = {}
 
     def nanoseconds(found: re.Match[bytes]) -> bytes:
@@ -53,10 +73,10 @@ def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
         key = (year, month, day)
         if key not in days:
             days[key] = _day_ns(*(text.decode() for text in key))
-        hours = int(hour)
+        hours = int(hour or 0)
         if zone and zone[:1] in b"AaPp":
             hours = hours % 12 + 12 * (zone[:1] in b"Pp")
-        ns = days[key] + ((hours * 60 + int(minute)) * 60 + int(second)) * 10**9
+        ns = days[key] + ((hours * 60 + int(minute or 0)) * 60 + int(second or 0)) * 10**9
         ns += int(part.ljust(9, b"0")) if part else 0
         return b"%d" % (ns - _zone_ns(zone) if zone else ns)
 
@@ -89,21 +109,21 @@ def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | 
         return None
     fields = signs[first[:, None] + np.arange(widths[0])]
     text = fields[0].tobytes().decode("latin-1")
-    found = _WITH_DATE.fullmatch(text) or _CLOCK_ONLY.fullmatch(text)
+    found = _found_in(text)
     if found is None or found[8]:
         return None
-    numbers = [_digits(fields, *found.span(group)) for group in (4, 5, 6, 7) if found[group] is not None]
+    nothing = np.zeros(n, dtype=np.int64)
+    numbers = [_digits(fields, *found.span(group)) if found[group] else nothing for group in (4, 5, 6, 7)]
     inside = np.zeros(len(text), dtype=bool)
     for group in range(1, 8):
         inside[slice(*found.span(group))] = True
     if any(number is None for number in numbers) or (fields[:, ~inside] != fields[0, ~inside]).any():
         return None
-    hour, minute, second, *part = (number for number in numbers if number is not None)
+    hour, minute, second, part = (number for number in numbers if number is not None)
     days = _days(fields[:, found.start(1) : found.end(3)], found)
     if days is None:
         return None
-    ns = days + ((hour * 60 + minute) * 60 + second) * 10**9
-    return ns + part[0] * 10 ** (9 - len(found[7])) if part else ns
+    return days + ((hour * 60 + minute) * 60 + second) * 10**9 + part * 10 ** (9 - len(found[7] or ""))
 
 
 def _digits(fields: NDArray[np.uint8], begin: int, end: int) -> IntArray | None:
@@ -136,15 +156,18 @@ def nanoseconds_of(text: str) -> int:
 
 
 def without_midnights(ns: IntArray) -> IntArray:
-    """Clock times that go on where the clock begins anew at midnight; dates as they are."""
+    """Clock times that go on where the clock begins anew at midnight, or at the full hour; dates as they are."""
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
         return ns
-    falls = np.diff(ns, prepend=ns[:1]) < -_NS_OF_DAY // 2
-    return ns + np.cumsum(falls) * _NS_OF_DAY
+    period = _NS_OF_HOUR if ns.max() < _NS_OF_HOUR else _NS_OF_DAY
+    falls = np.diff(ns, prepend=ns[:1]) < -period // 2
+    return ns + np.cumsum(falls) * period
 
 
 def _compiled(pattern: re.Pattern[str], comma: bytes) -> re.Pattern[bytes]:
-    return re.compile(pattern.pattern.encode().replace(b"[.:_,]", b"[.:_" + comma + b"]"))
+    """For any place in a row; a comma is one of the numbers only where no field ends with it."""
+    text = pattern.pattern.encode().replace(b"[.:_,]", b"[.:_" + comma + b"]").replace(b"[.,]", b"[." + comma + b"]")
+    return re.compile(rb"(?<![\d:.])" + text + rb"(?![\d:])")
 
 
 def _day_ns(first: str, middle: str, last: str) -> int:

@@ -4,7 +4,16 @@ from __future__ import annotations
 
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.io import core_motion, get_sensor_data, indoor_location, limits, phyphox, ros_bag, sensor_logger
+from pdr_filter.io import (
+    core_motion,
+    get_sensor_data,
+    indoor_location,
+    json_tables,
+    limits,
+    phyphox,
+    ros_bag,
+    sensor_logger,
+)
 from pdr_filter.io.any_table import TEXTS, is_of_sensors
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.errors import RecordingError
@@ -39,7 +48,11 @@ def _detect_among(members: Members) -> str:
         return "ronin"
     if ros_bag.is_bag(members):
         return "ros_bag"
-    texts = [name for name in members.names if name.lower().endswith((*TEXTS, ".json", ".sqlite", ".db"))]
+    texts = [
+        name
+        for name in members.names
+        if name.lower().endswith((*TEXTS, *json_tables.SUFFIXES, ".sqlite", ".db", ".mat"))
+    ]
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
     # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
@@ -69,7 +82,6 @@ def _detect_alone(members: Members) -> str:
 def detect_file(members: Members, name: str) -> str:
     """The format that the first bytes of a file show; empty if none."""
     head = members.head(name)
-    begin = head.lstrip()[:1]
     if head.startswith(SIGNATURE):
         return "ronin"
     if is_matlab(head) or is_spreadsheet(members, name):
@@ -78,8 +90,8 @@ def detect_file(members: Members, name: str) -> str:
         return "ros_bag"
     if sensor_logger.looks_like_export(head):
         return "sensor_logger"
-    if begin in (b"[", b"{"):
-        return ""
+    if json_tables.looks_like(head):
+        return "table" if is_of_sensors(members, name) else ""
     if indoor_location.looks_like(head):
         return "indoor_location"
     if get_sensor_data.looks_like(head):

@@ -43,11 +43,23 @@ DIALECTS = (
     Dialect(
         "AndroSensor", r"ACCELEROMETER X \(m/s|\bACCEX\b|LINEAR ACCELERATION X \(m/s", "ACCELEROMETER in AndroSensor"
     ),
-    Dialect("HyperIMU", r"HyperIMU", "Accelerometer in HyperIMU", period_ms=r"Sampling Time:\s*(\d+(?:\.\d+)?)\s*ms"),
+    Dialect(
+        "HyperIMU",
+        r"HyperIMU",
+        "Accelerometer in HyperIMU",
+        period_ms=r"Sampling ?(?:Time|Rate):\s*(\d+(?:\.\d+)?)\s*ms",
+    ),
     Dialect(
         "SensorLog",
         r"accelerometerAcceleration|motionUserAcceleration|accelerometerTimestamp_since|\bloggingTime\b",
         "Accelerometer in SensorLog",
+        units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
+        sign=-1,
+    ),
+    Dialect(  # of Apple, by whatever app
+        "CoreMotion",
+        r"\buserAcceleration[._ ]?x\b",
+        "gravity beside userAcceleration",
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
     ),

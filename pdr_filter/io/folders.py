@@ -9,13 +9,14 @@ from pathlib import Path
 from pdr_filter.io import limits
 from pdr_filter.io.any_table import sensors_of
 from pdr_filter.io.archive import IN_PLACE, Members
-from pdr_filter.io.columns import ACCELERATION, GRAVITY
+from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.json_tables import SUFFIXES
 from pdr_filter.io.several import parts_of, recordings_among
 
-_TEXTS = {".csv", ".txt", ".tsv", ".json"}
+_TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
 
 
@@ -88,7 +89,7 @@ def _is_known(path: Path) -> bool:
     try:
         found = detect(path)
         if found == "table":  # the table of a track has locations, too
-            return bool({ACCELERATION, GRAVITY} & sensors_of(Members(path), path.name))
+            return bool({ACCELERATION, LINEAR, GRAVITY} & sensors_of(Members(path), path.name))
         return found != "own" and (found != "generic_csv" or mapping_beside(path).is_file())
     except Exception:
         return True  # something is wrong with it, which its row will say

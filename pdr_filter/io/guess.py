@@ -32,8 +32,10 @@ _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
     **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
 }
-# Unix time now, in each unit, is above this; no clock that counts from the start of a phone gets there.
-_EPOCH_FROM = {"ns": 1e17, "us": 1e14, "ms": 1e11, "s": 5e8}
+# Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
+# that, but would then come less often than any sensor.
+_EPOCH_S = (1.1e9, 2.2e9)
+_SLOWEST_HZ = 0.1
 
 
 @dataclass
@@ -85,7 +87,18 @@ def guess(
     for quantity in (RATE, FIELD, *SCALARS, "location"):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
-            near = max(fitting, key=lambda s: (s.group.preference, s.data is forces[0].data, len(s.values)))
+            near = max(
+                fitting,
+                key=lambda s: (_is_of_earth(s), s.group.preference, s.data is forces[0].data, len(s.values)),
+            )
+            if quantity == "location" and near.data is forces[0].data and _common_s(near, forces[0]) <= 0:
+                # A clock that began elsewhere: what counts is when the rows of the table have another place.
+                near = _stream(
+                    replace(near.group, time=forces[0].group.time, time_unit=forces[0].time_unit),
+                    near.data,
+                    None,
+                    rate_hz,
+                )
             chosen.append(_with_unit(near, np.asarray(force), time_s, result))
     left_out = sorted({s.data.sheet.name for s in streams} - {s.data.sheet.name for s in chosen})
     if left_out:
@@ -149,11 +162,11 @@ def _time_unit(ticks: FloatArray) -> str:
     """The unit of times that nobody says: since 1970 by its size, else the one in which a phone delivers its rate."""
     ticks = ticks[~np.isnan(ticks)]
     median = float(np.median(ticks)) if len(ticks) else 0.0
-    for unit, least in _EPOCH_FROM.items():
-        if median > least:
-            return unit
     span = float(ticks.max() - ticks.min()) if len(ticks) else 0.0
     per_tick = (len(ticks) - 1) / span if span > 0 else 0.0
+    for unit, s in TIME_UNITS.items():
+        if _EPOCH_S[0] < median * s < _EPOCH_S[1] and per_tick >= _SLOWEST_HZ * s:
+            return unit
     low, high = limits.RATE_RANGE_HZ
     return next((unit for unit, s in TIME_UNITS.items() if low <= per_tick / s <= high), "s")
 
@@ -168,7 +181,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
             f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again"
         )
     of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
-    with_gravity = [s for s in of[ACCELERATION] if s.unit and _has_gravity(s)]
+    # What ROS calls linear acceleration has gravity in it.
+    with_gravity = [s for s in (of[ACCELERATION] or of[LINEAR]) if s.unit and _has_gravity(s)]
     rates = [s for s in streams if s.group.quantity == RATE]
     if with_gravity:
         best = max(with_gravity, key=lambda s: (s.group.preference, _overlap_s(s, rates), len(s.values)))
@@ -251,6 +265,12 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
+
+
+def _is_of_earth(s: _Stream) -> bool:
+    """Whether a field can be that of the Earth, which one with the phone's own magnets in it seldom is."""
+    low, high = limits.MAGNETIC_FIELD_RANGE_UT
+    return s.group.quantity != FIELD or low <= median_norm(s.values) * s.factor <= high
 
 
 def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Stream], result: Guess, where: str) -> int:

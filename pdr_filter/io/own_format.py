@@ -82,7 +82,7 @@ def _folder(members: Members) -> str:
     folders = [name.removesuffix(REQUIRED) for name in members.names if PurePosixPath(name).name == REQUIRED]
     if not folders:
         listed = ", ".join(members.names[:8]) + (f" and {n - 8} more" if (n := len(members.names)) > 8 else "")
-        whole = next((name for name in members.names if name.lower().endswith(IN_PLACE)), None)
+        whole = next((name for name in members.names if name.lower().endswith((*IN_PLACE, ".gz"))), None)
         remedy = "add that file" if whole is None else f"unpack {whole}, which is read alone"
         raise RecordingError(
             f"{path}: no recording, because it has no {REQUIRED} (found: {listed or 'nothing'}), nor a table of an "

@@ -9,7 +9,8 @@ gravity removed, and on iOS it and `Gravity` have the opposite sign, unless `sta
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Iterable
+import re
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path, PurePosixPath
@@ -26,7 +27,15 @@ from pdr_filter.io.sensor_logger_json import objects_by_sensor
 from pdr_filter.io.sensor_logger_other import database_tables, is_push, messages_of, push_tables
 from pdr_filter.io.sheet_data import interpolated
 from pdr_filter.io.sqlite_file import SQLITE
-from pdr_filter.io.table import NumberTable, TextTable, concatenated, header_fields, text_rows, whole_number
+from pdr_filter.io.table import (
+    NumberTable,
+    TextTable,
+    concatenated,
+    find_separator,
+    header_fields,
+    text_rows,
+    whole_number,
+)
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Samples
 
 COLUMNS: dict[str, tuple[str, ...]] = {
@@ -67,7 +76,7 @@ class _Export:
 
 def looks_like(header: str) -> bool:
     """Whether the header line of a CSV file is one of Sensor Logger."""
-    return {"time", "seconds_elapsed"} <= set(header_fields(header, ","))
+    return {"time", "seconds_elapsed"} <= set(header_fields(header, find_separator(header)))
 
 
 def looks_like_export(head: bytes) -> bool:
@@ -139,7 +148,8 @@ def read_sensor_logger(path: str | Path, platform: str | None = None) -> Recordi
     asked_hz = _requested_hz(export)
     parsed.requested_hz = {stream: asked_hz[sensor] for stream, sensor in taken.items() if sensor in asked_hz}
     parsed.clock = f"unix nanoseconds of the phone; time zero is {zero_ns} ns"
-    parsed.meta["epoch_ns"] = zero_ns
+    if zero_ns > limits.MAX_ELAPSED_S * 1e9:
+        parsed.meta["epoch_ns"] = zero_ns
     if export.annotations:
         parsed.meta["annotations"] = [
             {"time_s": (time_ns - zero_ns) * 1e-9, "text": text[: limits.MAX_TEXT_CHARS]}
@@ -234,33 +244,62 @@ def _requested_hz(export: _Export) -> dict[str, float]:
 def _read_tables(members: Members) -> _Export:
     """The tables of a zip or folder."""
     export = _Export()
-    by_stem: dict[str, str] = {}
-    for name in members.names:
-        pure = PurePosixPath(name)
-        if pure.suffix.lower() == ".csv":
-            stem = pure.stem.lower()
-            if stem in by_stem:
-                raise RecordingError(f"{members.path}: {pure.name} is there twice; make one zip of each recording")
-            by_stem[stem] = name
+    tables = [name for name in members.names if PurePosixPath(name).suffix.lower() == ".csv"]
     # The last line of these two needs no line feed, and an annotation file may have no bytes at all.
     metadata, annotations = (
-        text_rows(members.small(by_stem[stem]), members.where(by_stem[stem])) if stem in by_stem else []
-        for stem in ("metadata", "annotation")
+        text_rows(members.small(name), members.where(name)) if (name := _member(tables, stem, members)) else []
+        for stem in ("Metadata", "Annotation")
     )
     if len(metadata) >= 2:
         export.metadata = dict(zip([name.strip() for name in metadata[0]], metadata[1], strict=False))
     export.annotations = _annotations(annotations)
+    begun_ns: int | None = None  # of the tables whose times have all their digits
+    rounded: list[str] = []
     for sensor, columns in COLUMNS.items():
-        if (name := by_stem.get(sensor.lower())) is not None:
-            table = TextTable(members.blocks(name), members.where(name), lambda _: ",")
+        if name := _member(tables, sensor, members):
+            table = TextTable(members.blocks(name), members.where(name))
             if table.is_empty:
                 export.notes.append(f"{sensor}.csv: empty, left out")
                 continue
             time, *places = table.places(("time", *columns))
-            begun_ns = _begun_ns(_first_times(table))
-            rows = table.parse(places, export.notes, whole=time)
-            export.sensors[sensor] = _without_stale(rows, begun_ns, sensor, export.notes)
+            first = _first_times(table)
+            decimal = "," if table.separator != "," and b"," in table.first_rows.split(b"\n", 1)[0] else "."
+            rows = table.parse(places, export.notes, whole=time, decimal=decimal)
+            if first and 2 * np.count_nonzero(np.diff(rows.whole)) < len(rows) - 1:
+                export.sensors[sensor] = _by_elapsed(members, name, columns, decimal)
+                rounded.append(sensor)
+                continue
+            begun_ns = _begun_ns(first) or begun_ns
+            export.sensors[sensor] = _without_stale(rows, _begun_ns(first), sensor, export.notes)
+    for sensor in rounded:
+        export.notes.append(f"{sensor}.csv: its column time was rounded, so seconds_elapsed is taken")
+        rows = export.sensors[sensor]
+        export.sensors[sensor] = NumberTable(rows.whole + (begun_ns or 0), rows.values)
     return export
+
+
+def _member(names: Sequence[str], sensor: str, members: Members) -> str:
+    """The file of a sensor, also with something before or behind its name, as `walk_Gravity (1).csv`; "" if none."""
+    stems = {name: PurePosixPath(name).stem.lower() for name in names}
+    exact = [name for name, stem in stems.items() if stem == sensor.lower()]
+    near = [name for name, stem in stems.items() if re.search(rf"(?<![a-z]){sensor.lower()}(?![a-z])", stem)]
+    found = exact or near
+    if len(found) > 1:
+        raise RecordingError(
+            f"{members.path}: {PurePosixPath(found[1]).name} is there twice; make one zip of each recording"
+            if exact
+            else f"{members.path}: {' and '.join(found[:2])} are both {sensor}; keep one of them"
+        )
+    return found[0] if found else ""
+
+
+def _by_elapsed(members: Members, name: str, columns: tuple[str, ...], decimal: str) -> NumberTable:
+    """The rows of a table at the seconds since the recording began, which all sensors count alike."""
+    table = TextTable(members.blocks(name), members.where(name))
+    found = table.parse(table.places(("seconds_elapsed", *columns)), [], decimal=decimal).values
+    known = np.isfinite(found[:, 0]) & (np.abs(found[:, 0]) < limits.MAX_ELAPSED_S)
+    whole = np.round(found[known, 0] * 1e9).astype(np.int64)
+    return NumberTable(whole, found[known, 1:])
 
 
 def _read_json(members: Members, name: str) -> _Export:
@@ -296,7 +335,7 @@ def _first_times(table: TextTable) -> list[tuple[str, str]]:
         return []
     time, elapsed = table.places(("time", "seconds_elapsed"))
     lines = table.first_rows[: limits.HEAD_BYTES].decode("utf-8", "replace").split("\n")[: limits.HEAD_ROWS]
-    rows = [line.split(",") for line in lines]
+    rows = [line.split(table.separator) for line in lines]
     return [(row[time], row[elapsed]) for row in rows if len(row) > max(time, elapsed)]
 
 
@@ -305,7 +344,7 @@ def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:
     starts: list[int] = []
     for time, elapsed in times:
         with contextlib.suppress(ValueError):
-            at_ns, after_s = whole_number(time), float(elapsed)
+            at_ns, after_s = whole_number(time), float(elapsed.replace(",", "."))
             if at_ns is not None and abs(after_s) < limits.MAX_ELAPSED_S:
                 starts.append(at_ns - round(after_s * 1e9))
     return sorted(starts)[len(starts) // 2] if starts else None

@@ -64,7 +64,7 @@ class Objects:
                 time_ns = np.array([time for time in known if time is not None], dtype=np.int64)
             values = np.empty((len(rows), len(columns)))
             for i, key in enumerate(columns):
-                values[:, i] = _floats([row.get(key) for row in rows])
+                values[:, i] = floats([row.get(key) for row in rows])
         except (ValueError, TypeError, KeyError, OverflowError) as error:
             raise RecordingError(f"{where}: not a number ({str(error)[:60]}); export it again") from error
         return NumberTable(time_ns, values)
@@ -105,7 +105,7 @@ def _checked(table: NumberTable, where: str, notes: list[str]) -> NumberTable:
     return NumberTable(table.whole, finite(table.values, where, notes))
 
 
-def _floats(column: list[Any]) -> list[float]:
+def floats(column: list[Any]) -> list[float]:
     """Numbers, or texts of numbers; NaN where there is none. ValueError for anything else."""
     kinds = set(map(type, column))
     if kinds <= {int, float} or (kinds == {str} and "_" not in "".join(column)):  # Python would read 1_0 as ten

@@ -9,6 +9,7 @@ from pdr_filter.io import limits, sensor_logger
 from pdr_filter.io.any_table import TEXTS, sensors_of
 from pdr_filter.io.archive import Members, open_members, zips_among
 from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, VECTORS
+from pdr_filter.io.json_tables import SUFFIXES
 
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
@@ -51,14 +52,15 @@ def recordings_among(members: Members, names: Iterable[str], format_of: Callable
         force: list[str] = []
         others: set[str] = set()
         for name in files:
-            if not name.lower().endswith((*TEXTS, ".json")) or n_looked_at >= limits.MAX_FILES_LOOKED_AT:
+            if not name.lower().endswith((*TEXTS, *SUFFIXES)) or n_looked_at >= limits.MAX_FILES_LOOKED_AT:
                 continue
             n_looked_at += 1
             format = format_of(members, name)
             sensors = sensors_of(members, name) if format in ("phyphox", "sensor_logger", "table") else set[str]()
-            if format in _WHOLE or (ACCELERATION in sensors and len(sensors - {LINEAR, GRAVITY}) > 1):
+            has_force = ACCELERATION in sensors or {LINEAR, GRAVITY} <= sensors
+            if format in _WHOLE or (has_force and sensors - {ACCELERATION, LINEAR, GRAVITY}):
                 whole.append(name)
-            elif ACCELERATION in sensors:
+            elif has_force:
                 force.append(name)
             else:
                 others |= sensors & set(VECTORS)

@@ -23,11 +23,12 @@ from pdr_filter.values import FloatArray, IntArray
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
 _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|-?inf|-?Infinity")
+_WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # of which the first of numbers begins the table
 _LINES_COMPARED = 8
 _MOST_SENSORS = 40  # of a phone that writes a row for each sample of any of them
 # A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
-_LARGEST_FLOAT_WHOLE = 2**53
+LARGEST_FLOAT_WHOLE = 2**53
 
 
 @dataclass(frozen=True, slots=True)
@@ -144,11 +145,11 @@ def text_sheet(members: Members, member: str, separator: str | None = None) -> T
     if b"\x00" in head[:4096]:
         return None
     lines = _lines(head)
-    found = max(
-        (layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))),
-        key=lambda f: f.score,
-        default=None,
-    )
+    try:
+        layouts = [layout for s in ((separator,) if separator else _SEPARATORS) if (layout := _layout(lines, s))]
+    except RecordingError as error:
+        raise RecordingError(f"{members.where(member)}: {error}") from error
+    found = max(layouts, key=lambda f: f.score, default=None)
     if found is None:
         return None
     named, row = found.header, found.row
@@ -162,7 +163,7 @@ def text_sheet(members: Members, member: str, separator: str | None = None) -> T
         fields=unlike(named or [""] * len(row)),
         about="\n".join(before),
         dates=frozenset(i for i, text in enumerate(row) if is_date(text)),
-        exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > _LARGEST_FLOAT_WHOLE),
+        exact=frozenset(i for i, text in enumerate(row) if text.isdecimal() and int(text[:40]) > LARGEST_FLOAT_WHOLE),
         texts={i: text for i, text in enumerate(row) if text and not _is_value(text)},
         separator=found.separator,
         decimal=found.decimal,
@@ -212,16 +213,31 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
         values = [text for r in rows for text in r if text]
         share = sum(map(_is_value, values)) / max(len(values), 1)
-        has_comma = separator != "," and any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
+        has_comma = any(re.fullmatch(r"[+-]?\d*,\d+([eE][+-]?\d+)?", text) for text in values)
         at = next((i for i in range(first - 1, -1, -1) if any(split[i])), None)
         header = split[at] if at is not None else []
+        if separator == "," and len(header) > 1 and n == 2 * len(header) and all(map(_WHOLE.fullmatch, row)):
+            raise RecordingError(
+                f"rows of {n} numbers below {len(header)} names: its commas are both in numbers and between them; "
+                "export it with points in numbers, or with semicolons"
+            )
         if at is None or _is_row(header) or abs(len(header) - n) > 1:
             at, header = None, []
         if at and header and all(map(is_unit, filter(None, header))) and len(split[at - 1]) == len(header):
             header = [f"{name} ({unit})" if unit else name for name, unit in zip(split[at - 1], header, strict=True)]
+        elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
+            header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
         return _Found(separator, "," if has_comma else ".", first, row, at, header, (round(share, 2), n))
     return None
+
+
+def _merged(names: list[str]) -> list[str]:
+    """Names over columns, each also over those without one behind it, as merged cells are written."""
+    found: list[str] = []
+    for name in names:
+        found.append(name or (found[-1] if found else ""))
+    return found
 
 
 def _split(line: str, separator: str) -> list[str]:

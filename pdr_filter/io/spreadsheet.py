@@ -16,7 +16,6 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
 from pdr_filter.io.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.files import read_small
 from pdr_filter.io.sheets import ArraySheet, unlike
 from pdr_filter.io.table import to_number
 from pdr_filter.values import FloatArray, IntArray
@@ -49,7 +48,7 @@ def spreadsheet_sheets(members: Members) -> list[ArraySheet]:
         _check_claims(members)
     command = [sys.executable, "-P", str(Path(__file__).with_name("spreadsheet_rows.py")), str(limits.MAX_TABLES)]
     try:
-        content = read_small(path, limits.MAX_WHOLE_BYTES)
+        content = members.file(limits.MAX_WHOLE_BYTES)
         done = subprocess.run(command, input=content, capture_output=True, timeout=_MOST_S, check=True)
         sheets = json.loads(done.stdout)
     except (subprocess.SubprocessError, ValueError) as error:

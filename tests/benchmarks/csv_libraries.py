@@ -1,6 +1,6 @@
-"""How fast libraries parse the rows of a recording, to the same bits: why the readers need none but numpy.
+"""How fast libraries parse the rows of a recording, to the same bits: why the readers take pyarrow if it is there.
 
-usage: python -m tests.benchmarks.csv_libraries      needs pyarrow and polars, which the project does not
+usage: python -m tests.benchmarks.csv_libraries      needs pyarrow and polars
 """
 
 from __future__ import annotations

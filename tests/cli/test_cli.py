@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -356,10 +357,19 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
     assert f"{found['tracks'][0]['rmse_m']:.1f} m" in table.stdout
 
 
-def test_compare_without_the_truth_or_with_no_such_recipe_says_what_to_do(walk: Path, tmp_path: Path) -> None:
-    recording = replace(pdr.read(walk), truth=Truth())
-    without = run("compare", write_recording(recording, tmp_path / "w.zip"), "--truth")
-    assert (without.exit_code, "leave out --truth" in one_line(without.stderr)) == (2, True)
+def test_compare_of_a_file_without_truth_has_no_error_and_says_so(walk: Path, tmp_path: Path) -> None:
+    bare = write_recording(replace(pdr.read(walk), name="bare", truth=Truth()), tmp_path / "w.zip")
+    alone = run("compare", bare, "--truth")
+    assert (alone.exit_code, "off the truth" in alone.stdout) == (0, False)
+    assert "no true positions or waypoints in the file, so there is no error of bare" in one_line(alone.stderr)
+    both = run("compare", walk, bare, "--truth", "--json")
+    known, unknown = map(json.loads, both.stdout.splitlines())
+    assert both.exit_code == 0
+    assert all("rmse_m" in row for row in known["tracks"])
+    assert not any("rmse_m" in row for row in unknown["tracks"])
+
+
+def test_compare_with_no_such_recipe_says_which_there_are(walk: Path) -> None:
     unknown = run("compare", walk, "--recipe", "none")
     assert (unknown.exit_code, "there are default" in one_line(unknown.stderr)) == (2, True)
 
@@ -405,6 +415,35 @@ def test_demo_prints_the_summary_and_writes_four_files(tmp_path: Path) -> None:
     assert result.exit_code == 0
     assert "simulated" in result.stdout
     assert {p.suffix for p in tmp_path.iterdir()} == {".html", ".png", ".geojson", ".csv"}
+
+
+def test_demo_without_a_folder_writes_nothing_into_the_working_directory(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, walk: Path
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run("demo", walk)
+    assert result.exit_code == 0
+    assert not list(tmp_path.iterdir())
+    (page,) = (Path(word) for word in result.stdout.split() if word.endswith(".html"))
+    assert page.is_file()
+    shutil.rmtree(page.parent)
+
+
+def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: Path, walk: Path) -> None:
+    plan = tmp_path / "plan.geojson"
+    wall = {"type": "LineString", "coordinates": [[0, 0], [10, 0], [10, 8], [0, 8], [0, 0]]}
+    feature = {"type": "Feature", "properties": {"type": "wall"}, "geometry": wall}
+    plan.write_text(json.dumps({"type": "FeatureCollection", "features": [feature]}))
+    for command in (
+        ["calibrate", walk, "--out", tmp_path / "c.json"],
+        ["smooth", walk, "--out", tmp_path / "s"],
+        ["plan", plan, "--out", tmp_path / "p"],
+        ["simulate", "--out", tmp_path / "w.zip"],
+    ):
+        first, second = run(*command), run(*command)
+        assert (first.exit_code, second.exit_code) == (0, 0), first.stderr
+        assert "replaced, as they were there before" not in first.stderr
+        assert "replaced, as they were there before" in second.stderr
 
 
 def test_demo_of_a_folder_goes_on_after_a_bad_file_and_says_what_it_replaced(tmp_path: Path, walk: Path) -> None:

@@ -85,6 +85,11 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
             return path
         if form == "matlab_mobile":
             return write_zip(folder / "good.zip", matlab_mobile_files(recording))
+        if form == "json":
+            path = folder / "good.json"
+            rows = zip(recording.accelerometer.time_s.tolist(), recording.accelerometer.values.tolist(), strict=True)
+            path.write_text("\n".join(json.dumps({"timestamp": 1000 + t, "accelerometer": f}) for t, f in rows))
+            return path
         if form == "mat":
             return write_mat(folder / "good.mat", recording)
         return write_zip(folder / "good.xlsx", xlsx_files(phyphox_sheets(recording)))
@@ -149,6 +154,7 @@ FORMS = (
     "core_motion",
     "table:physics_toolbox",
     "table:matlab_mobile",
+    "table:json",
     "table:mat",
     "table:xlsx",
     "ros_bag:mcap",

@@ -20,6 +20,8 @@ from pdr_filter.io.phyphox import looks_like
         ("mag_z_uT", "magnetometer", "z", "ut"),
         ("accX", "acceleration", "x", ""),
         ("gFx", "acceleration", "x", "g"),
+        ("accelerometer_lsm6ds3_c.x", "acceleration", "x", ""),
+        ("gyroscope_uncalibrated_bmi160.z", "gyroscope", "z", ""),
     ],
 )
 def test_a_unit_behind_the_axis_is_that_of_the_column(name: str, quantity: str, axis: str, unit: str) -> None:
@@ -27,7 +29,7 @@ def test_a_unit_behind_the_axis_is_that_of_the_column(name: str, quantity: str, 
     assert (column.quantity, column.axis, column.unit) == (quantity, axis, unit)
 
 
-@pytest.mark.parametrize("name", ["ts", "t", "timestamp_ms", "elapsed"])
+@pytest.mark.parametrize("name", ["ts", "t", "timestamp_ms", "elapsed", "Tiempo (s)", "\u6642\u9593"])
 def test_short_names_of_a_time_are_known(name: str) -> None:
     assert is_time(name)
 

@@ -11,7 +11,10 @@ from hypothesis import strategies as st
 
 from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, nanoseconds_of, without_midnights
 
-STYLES = ("%Y-%m-%d %H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S_%f", "%H:%M:%S.%f")
+STYLES = (
+    *("%Y-%m-%d %H:%M:%S.%f", "%d-%b-%Y %H:%M:%S.%f", "%d.%m.%Y %H:%M:%S", "%Y-%m-%dT%H:%M:%S_%f", "%H:%M:%S.%f"),
+    *("%d/%m/%Y %H:%M", "%M:%S.%f", "%S.%f sec"),
+)
 
 
 @pytest.mark.parametrize("style", STYLES)
@@ -57,6 +60,16 @@ def test_a_clock_that_begins_anew_at_midnight_goes_on_and_a_date_stays() -> None
     assert np.diff(without_midnights(clock)).tolist() == [10**9, 5 * 10**8]
     dates = np.array([nanoseconds_of("2024-01-02 00:00:00"), nanoseconds_of("2024-01-01 00:00:00")])
     np.testing.assert_array_equal(without_midnights(dates), dates)
+
+
+def test_minutes_and_seconds_go_on_at_the_full_hour() -> None:
+    clock = np.array([nanoseconds_of(text) for text in ("59:59.5", "00:00.5", "00:01.0")])
+    assert np.diff(without_midnights(clock)).tolist() == [10**9, 5 * 10**8]
+
+
+@pytest.mark.parametrize("text", ["16-Mrz-2023 14:00:00", "16-mar-2023 14:00:00", "16.03.2023 14:00"])
+def test_months_of_other_languages_and_dates_of_spreadsheets_are_known(text: str) -> None:
+    assert nanoseconds_of(text) == nanoseconds_of("2023-03-16 14:00:00")
 
 
 @pytest.mark.parametrize("text", ["", "12", "2023-03-16", "1.5", "a:b:c", "Tue 12:00"])

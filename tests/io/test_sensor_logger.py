@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -113,6 +114,23 @@ def test_members_are_known_in_small_letters_too(tmp_path: Path) -> None:
     recording = read(write_zip(tmp_path / "walk.zip", files))
     assert_same_streams(recording, walk, "accelerometer gyroscope", time_s=1e-8)
     assert "android" in recording.meta["reading"]["source"]
+
+
+def test_members_with_something_around_their_names_are_known_and_two_of_a_sensor_are_refused(tmp_path: Path) -> None:
+    files = {f"walk 3_{name.removesuffix('.csv')} (1).csv": text for name, text in sensor_logger_files(WALK).items()}
+    recording = read(write_folder(tmp_path / "walk", files))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=1e-9, rtol=0)
+    assert "(android)" in reading_report(recording).source
+    twice = files | {"TotalAcceleration_2.csv": files["walk 3_TotalAcceleration (1).csv"]}
+    assert "are both TotalAcceleration; keep one" in refusal(write_folder(tmp_path / "twice", twice))
+
+
+def test_times_that_a_spreadsheet_rounded_are_replaced_by_the_seconds_elapsed(tmp_path: Path) -> None:
+    files = sensor_logger_files(WALK)
+    saved = re.sub(r"(?m)^1\d{18},", "1.78792E+18,", files["TotalAcceleration.csv"]).replace(",", ";").replace(".", ",")
+    recording = read(write_folder(tmp_path / "walk", files | {"TotalAcceleration.csv": saved}))
+    assert_same_streams(recording, WALK, "accelerometer gyroscope", time_s=2e-9, rtol=0)
+    assert any("time was rounded, so seconds_elapsed is taken" in note for note in recording.notes)
 
 
 def test_columns_are_found_by_name_whatever_their_order(tmp_path: Path) -> None:

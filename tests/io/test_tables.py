@@ -24,6 +24,7 @@ from app_files import (
     xlsx_files,
 )
 
+from pdr_filter.io import table as tables
 from pdr_filter.io.any_table import read_guessed, read_mapped
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.errors import RecordingError
@@ -141,6 +142,29 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     "AndroSensor, short names": (lambda: {"data.csv": androsensor_short()}, BOTH),
     "HyperIMU": (lambda: {"HIMU.csv": hyperimu("MPL", True)}, BOTH),
     "HyperIMU, no times": (lambda: {"HIMU.csv": hyperimu("LSM6DSO", False)}, BOTH),
+    "HyperIMU, no times, the chip behind the word": (
+        lambda: {
+            "HIMU.csv": "@ HyperIMU - ianovir\n@ Date:Thu May 21 15:07:17 GMT+02:00 2020, Sampling Rate:20ms\n\n"
+            + table_text(axes("lsm6ds3_accelerometer.%", FORCE) | axes("gyroscope_lsm6ds3_c.%", RATE)).replace(
+                "\n", "\n\n", 1
+            )
+        },
+        BOTH,
+    ),
+    "Physics Toolbox, minutes and seconds": (
+        lambda: {
+            "w.csv": table_text(
+                {"tiempo": [d[15:] for d in wall_clock(TIME_S)]} | axes("gF%", FORCE_G) | axes("w%", RATE)
+            )
+        },
+        BOTH,
+    ),
+    "durations of MATLAB": (
+        lambda: {
+            "w.csv": table_text({"Time": [f"{t:.6f} sec" for t in TIME_S]} | axes("Acc_%", FORCE) | axes("Gyr_%", RATE))
+        },
+        BOTH,
+    ),
     "SensorLog": (lambda: {"2020-03-09_my_iPhone.csv": sensorlog()}, BOTH),
     "SensorLog, semicolon": (lambda: {"stream.csv": sensorlog(";", ",")}, BOTH),
     "SensorLog, motion only": (lambda: {"stream.csv": sensorlog(raw=False)}, BOTH),
@@ -201,6 +225,68 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
     "Physics Toolbox, capitals": (
         lambda: {"W.CSV": table_text({"TIME": TIME_S} | axes("GF%", FORCE_G) | axes("W%", RATE)).upper()},
         BOTH,
+    ),
+    "ROS, as text": (
+        lambda: {
+            "imu.csv": table_text(
+                {"%time": [str(1_787_923_304_123_456_789 + round(t * 1e9)) for t in TIME_S]}
+                | axes("field.orientation.%", 0 * FORCE)
+                | axes("field.angular_velocity.%", RATE)
+                | axes("field.linear_acceleration.%", FORCE)
+            )
+        },
+        BOTH,
+    ),
+    "CoreMotion of any app": (
+        lambda: {
+            "motion.csv": table_text(
+                {"timestamp": 1000 + TIME_S}
+                | axes("userAcceleration_%", (GRAVITY - FORCE) / STANDARD_GRAVITY_MPS2)
+                | axes("gravity_%", -GRAVITY / STANDARD_GRAVITY_MPS2)
+                | axes("rotationRate_%", RATE)
+            )
+        },
+        BOTH,
+    ),
+    "Spanish AndroSensor": (
+        lambda: {
+            "s.csv": "sep=;\n"
+            + table_text(
+                axes("ACELER\u00d3METRO % (m/s\u00b2)", FORCE)
+                | axes("ACELERACI\u00d3N LINEAL % (m/s\u00b2)", FORCE - GRAVITY)
+                | axes("GIROSCOPIO % (rad/s)", RATE)
+                | {"Tiempo desde el inicio en ms ": TIME_S * 1000},
+                ";",
+                ",",
+            )
+        },
+        BOTH,
+    ),
+    "axes called axes": (
+        lambda: {
+            "Accelerometer.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (m/s^2)", FORCE)),
+            "Gyroscope.csv": table_text({"elapsed (s)": TIME_S} | axes("%-axis (deg/s)", np.degrees(RATE))),
+        },
+        BOTH,
+    ),
+    "axes called values": (lambda: {"w.csv": table_text({"time": TIME_S} | axes("%_value", FORCE))}, "accelerometer"),
+    "names of sensors in merged cells above the axes": (
+        lambda: {
+            "walk.csv": "Accelerometer,,,,Gyroscope,,,\nTime,X,Y,Z,Time,X,Y,Z\n"
+            + table_text({"a": TIME_S} | axes("f%", FORCE) | {"b": TIME_S} | axes("r%", RATE)).split("\n", 1)[1]
+        },
+        BOTH,
+    ),
+    "decimal commas in quotation marks": (
+        lambda: {
+            "walk.csv": table_text(
+                {
+                    name: [f'"{value!r}"'.replace(".", ",") for value in column.tolist()]
+                    for name, column in ({"time": TIME_S} | axes("acc%", FORCE)).items()
+                }
+            )
+        },
+        "accelerometer",
     ),
     "units in a line of their own": (
         lambda: {
@@ -323,6 +409,32 @@ def test_what_a_spreadsheet_claims_cannot_end_this_process(tmp_path: Path) -> No
         read(path)
     except ValueError as error:
         assert "walk.xlsx" in str(error)
+
+
+@pytest.mark.parametrize("style", ["{m:02d}:{s:04.1f}", "18:{m:02d}", "18:{m:02d}:{s:02.0f}", "8/12/2022 18:{m:02d}"])
+def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_path: Path, style: str) -> None:
+    times = [style.format(m=int(t // 60), s=t // 0.1 / 10 % 60) for t in TIME_S]
+    (tmp_path / "walk.csv").write_text(table_text({"time": times} | axes("gF%", FORCE_G) | axes("w%", RATE)))
+    assert "the times were rounded, as a spreadsheet does" in refusal(tmp_path / "walk.csv")
+
+
+def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S + 0.01} | axes("gF%", FORCE_G), ",", ","))
+    assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
+
+
+def test_a_header_that_is_there_again_is_two_recordings(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv").write_text(2 * table_text(columns_of("time", "acc%", "gyro%")))
+    assert f"line {len(TIME_S) + 2}: the header is there again" in refusal(tmp_path / "walk.csv").replace(
+        ", column", ""
+    )
+
+
+@pytest.mark.parametrize("up_s", [5.0, 172.0, 1_500.0, 172_029.0])
+def test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate(tmp_path: Path, up_s: float) -> None:
+    times = [str(round((up_s + t) * 1e9)) for t in TIME_S]
+    at_s = read_text(tmp_path, {"event.timestamp": times} | axes("acc_%", FORCE))
+    np.testing.assert_allclose(at_s, TIME_S, atol=1e-8)
 
 
 def test_the_sign_that_nothing_shows_is_noted_and_can_be_said(tmp_path: Path) -> None:
@@ -508,3 +620,29 @@ def test_a_table_with_a_row_for_each_sample_of_any_sensor_is_one_for_each(
     # and by the mapping that was guessed
     again = read_mapped(tmp_path / "w.csv", found.guess.mapping)
     assert_same_streams(again, WALK, "accelerometer gyroscope", time_s=1e-6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    "odd",
+    [
+        *("1,2,,4,5\n2,3,nan,4,5\n3,4,inf,5,6\n", "1,2,x,4,5\n", "1,2,1_0,4,5\n", "1,2, 3 ,4,5\n", "1,2,1e400,4,5\n"),
+        *("1.0,2,3,4,5\n", ",2,3,4,5\n2,2,3,4,5\n", "1,2,#N/A,4,5\n", "1,2,3,4,5\n\n2,3,4,5,6\n", "1,2,3,4\n"),
+        *("1,2,3,4,5,6\n1,2,3,4,5\n", "+1,2,+3,.5,5.\n", "1,2,None,null,5\n", "1,\u00e4,3,4,5\n", '"1",2,3,4,5\n'),
+        *("1,2,true,4,5\n", "9223372036854775807,2,3,4,5\n", "1787923304123456789,2,0.1,1e-300,123456.789012345678\n"),
+    ],
+)
+def test_the_library_for_large_tables_has_the_same_bits_and_refuses_the_same(
+    monkeypatch: pytest.MonkeyPatch, odd: str
+) -> None:
+    pytest.importorskip("pyarrow")
+
+    def parsed(least_bytes: int) -> object:
+        monkeypatch.setattr(tables, "LARGE_BYTES", least_bytes)
+        notes: list[str] = []
+        try:
+            found = tables.parse_blocks([odd.encode()], tables.Layout((2, 3, 4), 0), "walk.csv", notes)
+        except RecordingError as error:
+            return str(error)
+        return found.whole.tolist(), found.values.tobytes(), notes
+
+    assert parsed(1) == parsed(10**9)

@@ -8,7 +8,18 @@ from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
-from app_files import a_walk, assert_same_streams, on_one_clock, phyphox_files, refusal, write_folder, write_zip
+from app_files import (
+    a_walk,
+    assert_same_streams,
+    on_one_clock,
+    phyphox_files,
+    phyphox_sheets,
+    refusal,
+    write_folder,
+    write_mat,
+    write_zip,
+    xlsx_files,
+)
 
 from pdr_filter.io import limits
 from pdr_filter.io.folders import recordings_in
@@ -91,15 +102,45 @@ def zip_of(files: dict[str, bytes]) -> bytes:
 
 def test_a_zip_in_a_zip_is_read_and_of_several_the_one_that_is_named(tmp_path: Path) -> None:
     inner = write_zip(tmp_path / "inner.zip", FILES).read_bytes()
-    (tmp_path / "one.zip").write_bytes(zip_of({"phyphox 2026.zip": inner}))
-    assert_walk(read(tmp_path / "one.zip"))
+    for others in ({}, {"README.txt": b"Walked on Monday, 2 times\n", "photo.jpg": b"\xff\xd8"}):
+        (tmp_path / "one.zip").write_bytes(zip_of({"phyphox 2026.zip": inner, **others}))
+        assert_walk(read(tmp_path / "one.zip"))
     (tmp_path / "two.zip").write_bytes(zip_of({"a.zip": inner, "b.zip": inner}))
     assert "holds 2 recordings (a.zip, b.zip)" in refusal(tmp_path / "two.zip")
     assert recordings_in(tmp_path / "two.zip") == [tmp_path / "two.zip" / name for name in ("a.zip", "b.zip")]
     assert_walk(read(tmp_path / "two.zip" / "b.zip"))
 
 
-@pytest.mark.parametrize("name", ["walk.xlsx", "export/walk.mat"])
+def test_a_spreadsheet_or_a_matlab_file_in_a_zip_or_a_gz_is_read(tmp_path: Path) -> None:
+    pytest.importorskip("python_calamine")
+    sheet = write_zip(tmp_path / "s.xlsx", xlsx_files(phyphox_sheets(WALK))).read_bytes()
+    (tmp_path / "in_a.zip").write_bytes(zip_of({"walk.xlsx": sheet}))
+    (tmp_path / "w.xlsx.gz").write_bytes(gzip.compress(sheet))
+    for name in ("in_a.zip", "w.xlsx.gz"):
+        assert_same_streams(read(tmp_path / name), WALK, "accelerometer gyroscope", time_s=1e-9, rtol=1e-12)
+    matlab = write_mat(tmp_path / "w.mat", WALK).read_bytes()
+    (tmp_path / "mat.zip").write_bytes(zip_of({"walk.mat": matlab}))
+    assert_walk(read(tmp_path / "mat.zip"))
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"7z\xbc\xaf\x27\x1c", "a 7z archive; unpack it"),
+        (b"Rar!\x1a\x07", "a rar archive; unpack it"),
+        (bytes(257) + b"ustar", "a tar archive; unpack it"),
+        (gzip.compress(bytes(257) + b"ustar", mtime=0), "a tar archive; unpack it"),
+        (b"%PDF-1.4\n", "a PDF; export the samples"),
+        (b"\n<!DOCTYPE html><html>", "a web page; download the file itself"),
+        (b"version https://git-lfs.github.com/spec/v1\noid sha256:4d\n", "git lfs pull"),
+    ],
+)
+def test_what_is_given_in_place_of_a_recording_is_named(tmp_path: Path, content: bytes, words: str) -> None:
+    (tmp_path / "walk.csv").write_bytes(content)
+    assert words in refusal(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("name", ["walk.xls", "export/walk.h5", "walk.csv.gz"])
 def test_a_file_that_is_read_alone_is_to_be_taken_out_of_a_zip(tmp_path: Path, name: str) -> None:
     assert f"unpack {name}, which is read alone" in refusal(write_zip(tmp_path / "w.zip", {name: b"PK"}))
 

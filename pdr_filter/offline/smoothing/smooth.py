@@ -45,7 +45,18 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recording_run import collected, given_or_default, outputs
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.tracks import Track
-from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, Table, read_only, table, wrap_angle
+from pdr_filter.values import (
+    BoolArray,
+    Fix,
+    FloatArray,
+    GridFix,
+    IntArray,
+    PositionFix,
+    Table,
+    read_only,
+    table,
+    wrap_angle,
+)
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -98,7 +109,7 @@ class Smoothed:
 
 def smooth(
     recording: Recording,
-    fixes: Sequence[PositionFix] = (),
+    fixes: Sequence[Fix] = (),
     calibration: Calibration | str | Path | None = None,
     *,
     config: Config | None = None,
@@ -120,7 +131,7 @@ def smooth(
     ----------
     recording : Recording
         From `read`.
-    fixes : sequence of PositionFix
+    fixes : sequence of PositionFix; on a plan of any fixes
         In any order. Those outside the recording are not used; ValueError if all are. Locations whose errors are alike
         count as `pdr_filter.gnss.independent` has it.
     calibration : Calibration or path, optional
@@ -168,10 +179,16 @@ def smooth(
         calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = calibration.config(config, recording.subject)
     config = knowing_the_device(recording, config)
-    if plan is not None and fixes:
+    if plan is not None and any(not isinstance(fix, GridFix) for fix in fixes):
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
-    observed = Observations(independent(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    places = [fix for fix in fixes if isinstance(fix, PositionFix)]
+    if config.on_plan is None and len(places) < len(fixes):
+        raise ValueError(
+            "without a floor plan fixes must be PositionFix, got others: give plan too, a heading as a KnownHeading, "
+            "and Wi-Fi as RadioMap.fixes"
+        )
+    observed = Observations(independent(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:

@@ -1,0 +1,187 @@
+"""Recordings from what the owners of data sets published: with person, labels and truth, in the project's format.
+
+Each function takes the folder of the raw files. What is known of the people and of the way is in files of its own
+there, or in the publication.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any, cast
+
+import numpy as np
+
+from pdr_filter.io import limits
+from pdr_filter.io.archive import json_object
+from pdr_filter.io.core_motion import read_core_motion
+from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import read_small
+from pdr_filter.io.folders import recordings_in
+from pdr_filter.io.formats import read
+from pdr_filter.io.indoor_location import read_indoor_location
+from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.values import FloatArray, Table, table
+
+_LEAST_LEG_M = 5.0
+# Corridors are parallel to the axes of the plan; the landmarks of a leg along one are less than this off, those round a
+# corner 9 degrees and more.
+_MOST_OFF_RAD = np.radians(5.0)
+# The first step swings by this, and half a second before that the person begins to move.
+_SWING_MPS2, _BEFORE_S, _SETTLED_S = 2.0, 0.5, 0.3
+# Which landmarks were passed, where it is not said beside a walk: both routes were walked again and again.
+_ROUTES = {
+    **dict.fromkeys(("straight", "weinberg_sequences/2f", "weinberg_sequences/3f"), "weinberg_sequences/1f"),
+    **dict.fromkeys(("straight_reversed", *(f"weinberg_sequences/{n}r" for n in "123")), "weinberg_sequences/5r"),
+}
+_ACTIVITIES = {
+    **{"dws": "downstairs", "ups": "upstairs", "wlk": "walking", "jog": "running"},
+    **{"sit": "stationary", "std": "stationary"},
+}
+
+
+def as_found(raw: Path) -> Iterator[Recording]:
+    """The recordings in a folder as the readers find them."""
+    for path in recordings_in(raw):
+        yield read(path)
+
+
+def humolire(raw: Path) -> Iterator[Recording]:
+    """Walks with the landmarks that were passed, and the legs along corridors as stretches of known length."""
+    walks = raw / "imus" / "1"
+    for references in sorted(walks.rglob("references.txt")):
+        folder = references.parent
+        walk = folder.relative_to(walks).as_posix()
+        recording = read(folder)
+        zero_s = next(_rows(folder / "accelerometer-calibrated.txt"))[1]  # of the sensor's clock
+        clicked_s = np.array([row[0] for row in _rows(references)]) - zero_s
+        points_m = _landmarks(walks / _ROUTES.get(walk, walk) / "keypoints.json")
+        if len(points_m) != len(clicked_s) + 1:
+            raise RecordingError(f"{references}: {len(clicked_s)} clicks and {len(points_m) - 1} landmarks; tell us")
+        time_s = np.concatenate([[_begin_s(recording)], clicked_s])
+        leg_m, begin_s, end_s = np.diff(points_m, axis=0), time_s[:-1], time_s[1:]
+        length_m = np.linalg.norm(leg_m, axis=1)
+        off_rad = np.abs((np.arctan2(leg_m[:, 1], leg_m[:, 0]) + np.pi / 4) % (np.pi / 2) - np.pi / 4)
+        straight = (length_m >= _LEAST_LEG_M) & (off_rad < _MOST_OFF_RAD)
+        straight[0] = False  # when it began was not clicked
+        truth = Truth(
+            waypoints=_waypoints(time_s, points_m, 0.0),
+            segments=table(
+                {
+                    "start_s": begin_s[straight],
+                    "end_s": end_s[straight],
+                    "distance_m": length_m[straight],
+                    "n_steps": np.full(int(straight.sum()), np.nan),
+                }
+            ),
+            labels=_label(time_s[0], time_s[-1], "walking", "texting"),
+        )
+        meta = {
+            "subject": {"id": "user1", "height_m": 1.86, "age": 24, "gender": "M"},
+            "placement": "in the hand in front of the body, screen up",
+            "truth": "landmarks of the floor plan, clicked when passed",
+        }
+        yield _named(recording, f"humolire_user1_{folder.name}", truth, meta)
+
+
+def motionsense(raw: Path) -> Iterator[Recording]:
+    """One activity each, of the people that the figures in the docs are of: the first twelve."""
+    people = {row["code"]: row for row in _csv(raw / "data_subjects_info.csv")}
+    for path in sorted(raw.rglob("sub_*.csv")):
+        code, trial = path.stem.removeprefix("sub_"), path.parent.name
+        person, activity = people.get(code), trial.partition("_")[0]
+        if person is None or int(code) > 12 or activity not in _ACTIVITIES:
+            continue
+        recording = read_core_motion(path)
+        end_s = float(recording.accelerometer.time_s[-1])
+        meta = {
+            "subject": {
+                "id": f"s{int(code):02d}",
+                "height_m": float(person["height"]) / 100,
+                "weight_kg": float(person["weight"]),
+                "age": float(person["age"]),
+                "gender": "M" if person["gender"] == "1" else "F",
+            },
+            "device": "Apple iPhone 6s",
+            "placement": "front trouser pocket",
+            "truth": "one activity, no positions and no steps",
+        }
+        truth = Truth(labels=_label(0.0, end_s, _ACTIVITIES[activity], "pocket"))
+        yield _named(recording, f"motionsense_s{int(code):02d}_{trial}", truth, meta)
+
+
+def ms_indoor(raw: Path) -> Iterator[Recording]:
+    """Walks with the points of the floor map that the surveyor marked."""
+    for path in sorted(raw.glob("*/path_data_files/*.txt")):
+        recording = read_indoor_location(path)
+        waypoints = recording.truth.waypoints
+        if waypoints is None:
+            continue
+        begin_s, end_s = max(0.0, float(waypoints["time_s"][0])), float(waypoints["time_s"][-1])
+        meta = {"placement": "held flat in front of the body"}
+        truth = replace(recording.truth, labels=_label(begin_s, end_s, "walking", "texting"))
+        floor = path.parent.parent.name.lower()
+        yield _named(recording, f"ms_indoor_anon_site1_{floor}_{path.stem}", truth, meta)
+
+
+def humolire_plan(raw: Path) -> dict[str, Any]:
+    """The walls of its floor, in metres of the landmarks: from pixels of a picture that is 915 high, y downwards."""
+    path = raw / "maps" / "map_data.json"
+    content = json_object(read_small(path, limits.MAX_WHOLE_BYTES), str(path))
+    scale_m = float(content["scale"])
+
+    def at(node: dict[str, float]) -> list[float]:
+        return [round(scale_m * node["x"], 3), round(scale_m * (915 - node["y"]), 3)]
+
+    walls = [[at(link["node0"]), at(link["node1"])] for link in cast("list[dict[str, Any]]", content["links"])]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"type": "wall"},
+            "geometry": {"type": "LineString", "coordinates": wall},
+        }
+        for wall in walls
+    ]
+    frame = "metres, x east_m and y north_m of the waypoints of humolire; north not known"
+    return {"type": "FeatureCollection", "properties": {"frame": frame}, "features": features}
+
+
+def _named(recording: Recording, name: str, truth: Truth, meta: dict[str, Any]) -> Recording:
+    return replace(recording, name=name, truth=truth, meta={**recording.meta, **meta})
+
+
+def _waypoints(time_s: FloatArray, points_m: FloatArray, floor: float) -> Table:
+    east_m, north_m = points_m.T
+    return table({"time_s": time_s, "east_m": east_m, "north_m": north_m, "floor": np.full(len(time_s), floor)})
+
+
+def _label(begin_s: float, end_s: float, context: str, carrying_mode: str) -> Table:
+    row = {"start_s": begin_s, "end_s": end_s, "context": context, "carrying_mode": carrying_mode}
+    return table({name: [value] for name, value in row.items()})
+
+
+def _begin_s(recording: Recording) -> float:
+    """When the person begins to move."""
+    force = recording.accelerometer
+    swing = np.abs(np.linalg.norm(force.values, axis=1) - np.median(np.linalg.norm(force.values, axis=1)))
+    moving = (swing > _SWING_MPS2) & (force.time_s > _SETTLED_S)
+    return max(0.0, float(force.time_s[np.argmax(moving)]) - _BEFORE_S)
+
+
+def _landmarks(path: Path) -> FloatArray:
+    """The starting position and the landmarks, in the order in which they were passed, shape (N, 2)."""
+    content = json_object(read_small(path, limits.MAX_SMALL_BYTES), str(path))
+    points = [content["starting_position"], *(content[str(i)] for i in range(int(content["count"])))]
+    return np.array([[point["x"], point["y"]] for point in points], dtype=float)
+
+
+def _rows(path: Path) -> Iterator[list[float]]:
+    """The lines of numbers of a text of senslogs."""
+    lines = read_small(path, limits.MAX_MEMBER_BYTES).decode("utf-8", "replace").splitlines()
+    return (list(map(float, line.split())) for line in lines if line[:1].isdigit())
+
+
+def _csv(path: Path) -> list[dict[str, str]]:
+    return list(csv.DictReader(read_small(path, limits.MAX_SMALL_BYTES).decode("utf-8-sig").splitlines()))
