@@ -439,7 +439,7 @@ def test_steps_in_a_known_standstill_lead_nowhere(walk: Recording) -> None:
         (lambda: Standstill(2.0, 2.0), "must end after its begin"),
         (lambda: HeadingFix(1.0, 0.0, 1e200), "std_rad positive"),
         (lambda: SpeedFix(1.0, 1.0, 1e200), "must be positive"),
-        (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "finite"),
+        (lambda: PositionFix(1.0, np.array([np.nan, 0.0]), np.eye(2)), "position_m must be"),
         (lambda: PositionFix(1.0, np.zeros(2), np.eye(2), correlation_s=-1.0), "correlation_s must be 0 or more"),
     ],
 )
