@@ -30,6 +30,7 @@ from .sensing.conditioning import merge_streams as merge_streams
 from .sensing.device import Device as Device
 from .tracks import Track as Track
 from .values.contexts import CONTEXTS as CONTEXTS
+from .values.fixes import GridFix as GridFix
 from .values.fixes import HeadingFix as HeadingFix
 from .values.fixes import PositionFix as PositionFix
 from .values.fixes import SpeedFix as SpeedFix

@@ -139,6 +139,14 @@ class Config:
         return self.sensing.step_latency_s + self.sensing.steps.first_step_s + waits_s
 
 
+def check_config(config: object) -> None:
+    """ValueError unless it is a configuration."""
+    if not isinstance(config, Config):
+        raise ValueError(
+            f"config must be a Config, got {config!r}: call a recipe, such as pdr_filter.recipes.default()"
+        )
+
+
 def on_plan(config: Config, plan: FloorPlan | None, start: PositionFix | str | None) -> Config:
     """The configuration with a floor plan, if one is given; ValueError for a start without one."""
     if plan is not None:

@@ -27,6 +27,7 @@ from pdr_filter.values import (
     FixResult,
     FloatArray,
     FloorPassage,
+    GridFix,
     ImuBlock,
     OnPlan,
     PositionFix,
@@ -283,6 +284,8 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
 
 def _with_pressure(config: Config, state: State, until_s: float, output: Output) -> State:
     """State whose height knows the pressure up to a time whose steps are known, but for the first of a bout."""
+    if state.n_climbs_used == len(state.climbs):
+        return state
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
         known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
@@ -306,7 +309,7 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
     known = state.height
     for update in updates:
         if update.is_final:
-            up_prob, down_prob = (float(update.mode_prob @ of_context) for of_context in config.model.on_stairs)
+            up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
             known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
             state = _with_passages(config, state, passages, output)
         else:
@@ -367,8 +370,10 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)
+            if isinstance(fix, GridFix) and particles is not state.particles:
+                outcome = "used"
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix) and outcome != "rejected":
+    if isinstance(fix, PositionFix | GridFix) and outcome != "rejected":
         state = replace(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(

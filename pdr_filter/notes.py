@@ -69,7 +69,7 @@ def _of_steps(walked: StepCounts) -> Iterator[Note]:
         words = (
             f"{walked.quick_and_soft} of {walked.n} steps are as quick as running and as soft as walking, as on the "
         )
-        yield Note("steps", words + "spot: lengths and directions there are worse than the covariance says")
+        yield Note("steps", words + "spot: how long they are, and where they lead, is unsure")
     if walked.untrusted > notable:
         words = f"in {walked.untrusted} of {walked.n} steps strides do not agree on where walking leads, as in a bag: "
         yield Note("heading", words + "the turn of the phone alone leads there")

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter import serialise
-from pdr_filter.config import Config, on_plan
+from pdr_filter.config import Config, check_config, on_plan
 from pdr_filter.filter import pedestrian
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
@@ -99,6 +99,7 @@ class OnlineFilter:
             raise ValueError(
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
+        check_config(config)
         self.config = on_plan(config, plan, start)
         self.state = init(self.config)
 
@@ -120,7 +121,7 @@ class OnlineFilter:
         angular_rate_radps, magnetic_field_ut : (N, 3), optional
             At the same times; NaN rows, or nothing, where there is no measurement.
         """
-        if self.state.merger.is_used:
+        if any(stream.n_received for stream in self.state.merger.streams):
             raise ValueError(
                 "push takes samples that are merged, and this filter takes sensors apart: use one of the two"
             )
@@ -150,6 +151,8 @@ class OnlineFilter:
         With `push`, give the pressure before the other samples of the same time; with `push_accelerometer` it may be
         late as they may. Raises ValueError for pressures in Pa or kPa.
         """
+        if self.state.finished:
+            raise ValueError("the filter is finished: start a new one for further samples")
         columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
         time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
         time, pressure = checked_pressure(time, pressure)
@@ -163,6 +166,10 @@ class OnlineFilter:
         rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
         if time.ndim != 1 or rows.shape != (len(time), 3):
             raise ValueError(f"{name} must be ({time.size}, 3), one row for each time_s, got {rows.shape}")
+        if not self.state.merger.is_used and self.state.sensing.conditioner.report.n_received:
+            raise ValueError(
+                f"push_{sensor} takes sensors apart, and this filter takes samples that are merged: use one of the two"
+            )
         recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
         _check_times(time, recent_s, self.state)
         return self._took(*arrive(self.config, self.state, sensor, time, rows))
@@ -234,7 +241,7 @@ class OnlineFilter:
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further fixes")
-        check_fix(fix)
+        check_fix(fix, self.config.on_plan is not None)
         fix, conditioner = moved(fix, self.state.clock_offset_s), self.state.sensing.conditioner
         seen = conditioner.report
         # after a gap of over a minute samples wait until those that follow confirm them
@@ -389,7 +396,7 @@ def imu_block(
 ) -> ImuBlock:
     """Samples as a block, shapes checked; missing sensors become NaN."""
     time = as_floats(time_s, "time_s")
-    if time.size == 0:
+    if time.size == 0 and np.size(specific_force_mps2) == 0:
         return ImuBlock(np.empty(0), *(np.empty((0, 3)) for _ in range(3)))
     if time.ndim != 1:
         raise ValueError(f"time_s must be one-dimensional, got shape {time.shape}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from types import MappingProxyType
 
@@ -17,6 +18,7 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.modes import context_modes, context_transitions, height_notes
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.filter.step_length import bounce_fit, scale_std
+from pdr_filter.io import limits
 from pdr_filter.io.recording import Recording, Subject
 from pdr_filter.papers.guo2018.recipe import guo2018 as guo2018
 from pdr_filter.papers.martinelli2018.recipe import magnitude_contexts
@@ -41,6 +43,15 @@ def default(subject: Subject | None = None) -> Config:
     Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
     """
     height_m = subject.height_m if subject else None
+    if height_m is not None:
+        check_height(height_m)
+    return replace(_for_height(height_m), notes=height_notes(subject))
+
+
+# Coefficients that stages derive once are then those of all recordings of a height: a millisecond of each.
+@lru_cache(maxsize=16, typed=True)
+def _for_height(height_m: float | None) -> Config:
+    """The default but for its notes."""
     drift = HeadingDrift()
     return Config(
         name="default",
@@ -58,7 +69,6 @@ def default(subject: Subject | None = None) -> Config:
                 noise=MotionNoise(heading_drift=drift, log_scale_std=scale_std(height_m)),
             )
         ),
-        notes=height_notes(subject),
     )
 
 
@@ -110,6 +120,13 @@ def for_recording(name: str, recording: Recording) -> Config:
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
+
+
+def check_height(height_m: float) -> None:
+    """ValueError unless it is the height of a person in metres, a child's included."""
+    low, high = limits.HEIGHT_RANGE_M
+    if not low <= height_m <= high:
+        raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m}")
 
 
 def check_name(name: str) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_filter.aligned import aligned
-from pdr_filter.config import Config, on_plan
+from pdr_filter.config import Config, check_config, on_plan
 from pdr_filter.filter.alignment import Place
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.person import Person
@@ -87,7 +87,7 @@ def track(
     weighting : {"imm", "wc", "hc"}, optional
         How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
         recipe's own if not given; that of the default recipe is "imm".
-    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill
+    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
         What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
         track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, all
         of it, from the first position fix on (`Track.frame`).
@@ -136,9 +136,9 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
+    config = on_plan(given_or_default(recording, config), plan, start)
     for fix in fixes:
-        check_fix(fix)
-    config = on_plan(config or default_config(recording), plan, start)
+        check_fix(fix, config.on_plan is not None)
     with_location = uses_location(recording, config, fixes, gnss)
     has_place = is_placed(origin, heading_rad, fixes, gnss)
     with_location = with_location and not has_place
@@ -254,7 +254,7 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     >>> bool((steps.frequency_hz > 1).all())
     True
     """
-    config = config or default_config(recording)
+    config = given_or_default(recording, config)
     return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
 
 
@@ -268,8 +268,8 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     >>> pdr.CONTEXTS[windows.context_prob[0].argmax()]
     'stationary'
     """
+    config = given_or_default(recording, config)
     recording, _ = one_clock(recording)
-    config = config or default_config(recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)
     return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
@@ -281,6 +281,16 @@ def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:
     if barometer is None:
         return ()
     return tuple(config.climb_rate.step(config.climb_rate.init(), barometer.time_s, barometer.values[:, 0])[1])
+
+
+def given_or_default(recording: object, config: Config | None) -> Config:
+    """The configuration that is given, or the default recipe for a recording; ValueError for what is neither."""
+    if not isinstance(recording, Recording):
+        raise ValueError(f"recording must be a Recording, got {recording!r}: pdr_filter.read(path) makes one of a file")
+    if config is None:
+        return default_config(recording)
+    check_config(config)
+    return config
 
 
 def default_config(recording: Recording) -> Config:

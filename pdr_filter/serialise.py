@@ -92,8 +92,8 @@ def _check_size(text: bytes) -> None:
 def _inflate(blob: bytes) -> bytes:
     inflater = zlib.decompressobj()
     content = inflater.decompress(blob, _MAX_BYTES)
-    if inflater.unconsumed_tail or not inflater.eof:
-        raise ValueError(f"cut short, or more than {_MAX_BYTES >> 20} MiB")
+    if inflater.unconsumed_tail or not inflater.eof or inflater.unused_data:
+        raise ValueError(f"cut short, with something behind, or more than {_MAX_BYTES >> 20} MiB")
     return content
 
 

@@ -10,8 +10,10 @@ import pytest
 
 import pdr_filter as pdr
 from pdr_filter import recipes
+from pdr_filter.filter.alignment import Place
+from pdr_filter.now import _ACROSS_SHARE, _ALONG_SHARE, _further, _on_plan
 from pdr_filter.simulate import Leg, simulate
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, PositionFix
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, OnPlan, PositionFix
 
 LEGS = [Leg("stationary", duration_s=4.0), Leg("walking", distance_m=25.0), Leg("stationary", duration_s=6.0)]
 WALK = simulate(LEGS, seed=5)
@@ -118,3 +120,21 @@ def test_what_is_no_fix_is_refused_in_words() -> None:
         pdr.OnlineFilter().add_fix((30.0, 1.0, 1.0))  # type: ignore[arg-type]
     with pytest.raises(ValueError, match=words):
         pdr.track(WALK, fixes=[(30.0, 1.0, 1.0)])  # type: ignore[list-item]
+
+
+def test_who_turns_while_walking_on_goes_along_the_chord_of_the_turn() -> None:
+    there = Place(np.zeros(2), np.zeros((2, 2)), heading_rad=np.pi / 2, n_steps=3)  # to the east now, to the north then
+    ahead = _further(there, 2.0, turned_rad=np.pi / 2)
+    np.testing.assert_allclose(ahead.position_m, [2**0.5, 2**0.5])
+    along, across = np.linalg.eigvalsh(ahead.cov_m2)[::-1] ** 0.5 / 2.0
+    assert (along, across) == pytest.approx((_ALONG_SHARE, _ACROSS_SHARE))
+    assert np.array([1.0, 1.0]) @ ahead.cov_m2 @ [1.0, 1.0] > np.array([1.0, -1.0]) @ ahead.cov_m2 @ [1.0, -1.0]
+
+
+def test_a_place_that_is_surer_ahead_than_behind_keeps_a_covariance_on_a_plan() -> None:
+    behind = Place(np.zeros(2), 4.0 * np.eye(2), heading_rad=0.0, n_steps=3)
+    ahead = Place(np.array([0.0, 1.0]), np.diag([1.0, 9.0]), heading_rad=0.0, n_steps=4)
+    there = OnPlan(np.array([5.0, 5.0]), 0.25 * np.eye(2), np.pi / 2, (), 100, 80.0)
+    placed = _on_plan(ahead, behind, there)
+    np.testing.assert_allclose(placed.position_m, [6.0, 5.0], atol=1e-12)  # what was north is east on the plan
+    np.testing.assert_allclose(placed.cov_m2, np.diag([5.25, 0.25]), atol=1e-12)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -102,6 +103,23 @@ def test_a_track_that_knows_north_is_not_turned_again(alone: pdr.Track) -> None:
 # --- placed -----------------------------------------------------------------------------------------------------------
 
 
+@pytest.mark.parametrize("turn", [(np.nan,), (np.inf,), (1.0, -0.1), (1.0, np.nan)])
+def test_a_turn_that_means_nothing_is_refused(alone: pdr.Track, turn: tuple[float, ...]) -> None:
+    with pytest.raises(ValueError, match="turn_rad must be finite"):
+        alone.turned(*turn)
+
+
+def test_a_track_on_a_floor_plan_is_not_turned_away_from_it(alone: pdr.Track) -> None:
+    plan = pdr.FloorPlan("hall", storeys=())
+    with pytest.raises(ValueError, match="frame of its floor plan"):
+        replace(alone, plan=plan, frame="plan").turned(1.0)
+
+
+def test_nobody_knows_the_speed_at_a_time_that_is_not_known(alone: pdr.Track) -> None:
+    during_s = float(alone.time_s[5]) - 0.1
+    np.testing.assert_equal(np.isnan(alone.speed_mps([during_s, np.nan, -1.0])), [False, True, False])
+
+
 def test_a_track_is_placed_where_it_is_said_to_be(walk: Recording, alone: pdr.Track) -> None:
     track = pdr.track(walk, origin=HERE, heading_rad=1.1)
     assert track.origin == Origin(*HERE, turn_rad=1.1)
@@ -189,6 +207,18 @@ def test_what_contradicts_itself_or_is_no_place_is_refused(
 def test_an_origin_with_numbers_that_mean_nothing_is_refused(wrong: dict[str, float]) -> None:
     with pytest.raises(ValueError, match="leave it out if it is not known"):
         Origin(*HERE, **wrong)
+
+
+@pytest.mark.parametrize("place", [5, None, "ab", (1.0, 2.0, 3.0), ("48", "x"), (None, 11.0)])
+def test_what_is_no_pair_of_numbers_is_no_origin(place: Any) -> None:
+    with pytest.raises(ValueError, match="must be"):
+        Origin.of(place)
+
+
+@pytest.mark.parametrize("content", [("48", 11.0), (48.0, None), (48.0, 11.0, "520")])
+def test_an_origin_that_holds_words_is_refused(content: Any) -> None:
+    with pytest.raises(ValueError, match="origin"):
+        Origin(*content)
 
 
 def test_how_sure_a_turn_is_needs_the_turn() -> None:

@@ -6,15 +6,17 @@ import hashlib
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from functools import partial
+from math import inf
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter import recording_run
-from pdr_filter.batch.workers import Failure, each
+from pdr_filter.batch.workers import Failure, check_format, each
 from pdr_filter.io.files import whole_file
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
 from pdr_filter.offline.calibration.segments import AnySegment, SummedSegment, segments_of
+from pdr_filter.offline.robust import LOSSES
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.version import __version__
 
@@ -78,6 +80,11 @@ def calibrate(
 
     if measure not in ("displacement", "length"):  # otherwise the reason of every recording
         raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
+    if loss not in LOSSES:
+        raise ValueError(f"loss must be one of {LOSSES}, got {loss!r}")
+    if anchor_std_m is not None and not 0 <= anchor_std_m < inf:
+        raise ValueError(f"anchor_std_m must be 0 or more, got {anchor_std_m}")
+    check_format(file_format)
     check_subject(subject, each_a_person)
     files = recordings_of(paths)
     every = {pair: None for form in forms_of(priors, model, prior_std).values() for pair in models_in(form)}

@@ -13,13 +13,13 @@ from typing import cast, get_args
 from pdr_filter import recording_run
 from pdr_filter.batch.progress import Clock, Progress
 from pdr_filter.batch.table import Row, Task, failed_row, opened, row_of, tables, write_parquet
-from pdr_filter.batch.workers import each, reason_of
+from pdr_filter.batch.workers import check_format, each, reason_of
 from pdr_filter.calibration import load_calibration
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
-from pdr_filter.io.formats import FORMATS, read
+from pdr_filter.io.formats import read
 from pdr_filter.placing import GnssUse
-from pdr_filter.recipes import check_name, for_recording
+from pdr_filter.recipes import check_height, check_name, for_recording
 
 
 def track(
@@ -76,7 +76,7 @@ def track(
     >>> row.name, row.failed
     ('demo_walk', False)
     """
-    _check(recipe, weighting, file_format, calibration, gnss)
+    _check(recipe, weighting, file_format, height_m, calibration, gnss)
     table, parquet = tables(out)
     paths_of_others = [path for path in recordings_of(paths) if path != str(table.resolve())]
     tasks = _tasks(paths_of_others, recipe, weighting, file_format, height_m, calibration, gnss)
@@ -128,20 +128,25 @@ def _tasks(
     for path in paths:
         if "\n" in path or "\r" in path:
             raise ValueError(f"{path!r} has a line break in its name, which a line of a table cannot hold: rename it")
-    height_m = None if height_m is None else float(height_m)
     where = "" if calibration is None else str(Path(calibration).resolve())
     return [Task(path, recipe, weighting or "", file_format or "", height_m, where, gnss or "") for path in paths]
 
 
 def _check(
-    recipe: str, weighting: str | None, file_format: str | None, calibration: str | Path | None, gnss: str | None
+    recipe: str,
+    weighting: str | None,
+    file_format: str | None,
+    height_m: float | None,
+    calibration: str | Path | None,
+    gnss: str | None,
 ) -> None:
     """ValueError for what would otherwise be the reason of every row."""
     check_name(recipe)
     if weighting is not None and weighting not in WEIGHTINGS:
         raise ValueError(f'weighting must be "imm", "wc" or "hc", got {weighting!r}')
-    if file_format is not None and file_format.lower().replace("-", "_") not in FORMATS:
-        raise ValueError(f"format is {file_format!r}; known are {', '.join(FORMATS)}")
+    check_format(file_format)
+    if height_m is not None:
+        check_height(height_m)
     if gnss is not None and gnss not in get_args(GnssUse):
         raise ValueError(f"gnss must be one of {get_args(GnssUse)}, got {gnss!r}")
     if calibration is not None:

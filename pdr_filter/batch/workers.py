@@ -14,6 +14,8 @@ from queue import Empty, SimpleQueue
 from threading import Thread
 from typing import Any, TypeVar, cast
 
+from pdr_filter.io.formats import FORMATS
+
 T = TypeVar("T")
 R = TypeVar("R")
 
@@ -48,6 +50,12 @@ def each(
             yield _guarded(work, i, item)
     else:
         yield from _on_processes(work, items, jobs)
+
+
+def check_format(file_format: str | None) -> None:
+    """ValueError for what would otherwise be the reason of every recording."""
+    if file_format is not None and file_format.lower().replace("-", "_") not in FORMATS:
+        raise ValueError(f"format is {file_format!r}; known are {', '.join(FORMATS)}")
 
 
 def reason_of(error: BaseException) -> str:

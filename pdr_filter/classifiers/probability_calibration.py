@@ -84,6 +84,11 @@ class Reliability:
 
 def reliability(prob: FloatArray, correct: BoolArray, n_bins: int = 15) -> Reliability:
     """Reliability of probabilities (N, K) whose highest class was right or not, (N,), in bins of equal width."""
+    if prob.ndim != 2 or np.shape(correct) != (len(prob),) or not np.isfinite(prob).all():
+        raise ValueError(
+            f"prob must be known probabilities (N, K) and correct (N,), got {prob.shape} and {np.shape(correct)}: "
+            "leave out rows with NaN"
+        )
     confidence = prob.max(axis=1)
     bins = np.minimum((confidence * n_bins).astype(int), n_bins - 1)
     used = np.unique(bins)
@@ -95,6 +100,28 @@ def reliability(prob: FloatArray, correct: BoolArray, n_bins: int = 15) -> Relia
 
 
 def brier_score(prob: FloatArray, label: IntArray) -> float:
-    """Mean squared distance between probabilities (N, K) and the truth (N,), 0 to 2 (Brier 1950, eq. 2)."""
+    """Mean squared distance between probabilities (N, K) and truth (N,), 0 to 2, NaN of none (Brier 1950, eq. 2)."""
+    check_labels(prob, label)
+    if not len(label):
+        return np.nan
     truth = np.eye(prob.shape[1])[label]
     return float(((prob - truth) ** 2).sum(axis=1).mean())
+
+
+def check_labels(prob: FloatArray, label: IntArray) -> None:
+    """ValueError unless there is one label of a class for each row of probabilities."""
+    if prob.ndim != 2 or len(prob) != len(label):
+        raise ValueError(f"prob must be (N, C) and label (N,), got {prob.shape} and {len(label)} labels")
+    check_classes(label, prob.shape[1], "label")
+
+
+def check_classes(values: IntArray, n_classes: int, name: str) -> None:
+    """ValueError unless all are numbers of classes; -1, for what is not known, would count as the last class."""
+    if not len(values):
+        return
+    least, largest = np.min(values), np.max(values)
+    if np.asarray(values).dtype.kind not in "iu" or least < 0 or largest >= n_classes:
+        raise ValueError(
+            f"{name} must be whole numbers from 0 to {n_classes - 1}, got {least} to {largest}: leave out what has no "
+            "class"
+        )

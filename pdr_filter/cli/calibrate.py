@@ -124,8 +124,10 @@ def smooth(
         closed = [] if loop_closures is None else loop_closures_of_file(loop_closures)
         closed += wifi_loop_closures(recording) if wifi_loops else []
         known_places = [] if fixes is None else fixes_of_file(fixes, fix_std_m)
-        known_places += [] if radio is None else pdr.RadioMap.load(radio).fixes(recording)
         where = on_plan(plan, start)
+        if radio is not None:
+            mapped = pdr.RadioMap.load(radio)
+            known_places = [*known_places, *mapped.fixes(recording), *(mapped.grids(recording) if where else [])]
         origin, nothing_given = (
             None,
             start is None and fixes is None and loop_closures is None and radio is None and not wifi_loops,

@@ -232,11 +232,12 @@ def track(
         device, person = (
             path if path is not None and path.exists() else None for path in (method.device, method.person)
         )
+        heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if where else [])]
         result = pdr.track(
             recording,
             config,
             method.weighting_name,
-            fixes=() if radio is None else radio.fixes(recording),
+            fixes=heard,
             progress=progress,
             calibration=method.calibration,
             device=device,

@@ -7,15 +7,14 @@ from collections.abc import Sequence
 import numpy as np
 
 from pdr_filter.classifiers.probability_calibration import brier_score as brier_score
-from pdr_filter.classifiers.probability_calibration import reliability
+from pdr_filter.classifiers.probability_calibration import check_classes, check_labels, reliability
 from pdr_filter.values import FloatArray, IntArray, Table, table
 
 
 def confusion_matrix(label: IntArray, predicted: IntArray, n_classes: int) -> IntArray:
     """Counts, (C, C): row the true class, column the predicted one; labels (N,) are 0 to C - 1."""
     for name, values in (("label", label), ("predicted", predicted)):
-        if len(values) and not (np.min(values) >= 0 and np.max(values) < n_classes):
-            raise ValueError(f"{name} must be from 0 to {n_classes - 1}")
+        check_classes(values, n_classes, name)
     if len(label) != len(predicted):
         raise ValueError(f"{len(label)} labels and {len(predicted)} predictions: give one for each")
     counts = np.zeros((n_classes, n_classes), dtype=np.int64)
@@ -60,8 +59,11 @@ def kappa(confusion: IntArray) -> float:
 def log_loss(prob: FloatArray, label: IntArray, floor: float = 1e-15) -> float:
     """Mean of -log p of the true class, nats, of probabilities (N, C) and labels (N,).
 
-    A probability below the floor counts as the floor, as one zero would make the mean infinite.
+    A probability below the floor counts as the floor, as one zero would make the mean infinite. NaN of none.
     """
+    check_labels(prob, label)
+    if not len(label):
+        return np.nan
     return float(-np.log(np.maximum(prob[np.arange(len(label)), label], floor)).mean())
 
 
@@ -69,8 +71,11 @@ def calibration_error(prob: FloatArray, label: IntArray, n_bins: int = 15) -> fl
     """Expected calibration error of probabilities (N, C): mean distance of confidence and accuracy over bins.
 
     sum_b |B_b| / N |acc(B_b) - conf(B_b)|, bins of equal width in the highest probability (Guo, Pleiss, Sun and
-    Weinberger 2017, eq. 3). `pdr_filter.classifiers.probability_calibration.reliability` has the bins.
+    Weinberger 2017, eq. 3). `pdr_filter.classifiers.probability_calibration.reliability` has the bins. NaN of none.
     """
+    check_labels(prob, label)
+    if not len(label):
+        return np.nan
     return reliability(prob, prob.argmax(axis=1) == label, n_bins).expected_calibration_error
 
 

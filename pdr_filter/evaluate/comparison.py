@@ -50,18 +50,18 @@ def straight_leg_error_percent(recording: Recording, track: TrackRows) -> float:
     known = None if segments is None else segments[segments.distance_m > 0]
     if known is None or not len(known):
         raise ValueError(f"{recording.name or 'the recording'} has no truth segments of known distance")
-    found_m = moved_m(track.time_s, track.position_m, known["start_s"], known["end_s"])
+    start_m = track.start_position_m
+    found_m = moved_m(track.time_s, track.position_m, known["start_s"], known["end_s"], start_m)
     return float(percent_error(found_m.sum(), known["distance_m"].sum()))
 
 
 def in_truth_frame(recording: Recording, track: TrackRows) -> FloatArray:
     """Start and positions of a track (K + 1, 2), turned and moved onto all waypoints of the recording."""
-    points = recording.truth.waypoints
-    if points is None:
+    estimate_m, reference_m = _at_waypoints(recording, track)
+    if not len(reference_m):
         raise ValueError(f"{recording.name or 'the recording'} has no waypoints: there is nothing to turn it onto")
-    estimate = positions_at(track.time_s, track.position_m, points.time_s)
-    rotation, shift_m = rigid_fit(estimate, np.column_stack([points.east_m, points.north_m]))
-    return np.vstack([[0.0, 0.0], track.position_m]) @ rotation.T + shift_m
+    rotation, shift_m = rigid_fit(estimate_m, reference_m)
+    return np.vstack([track.start_position_m, track.position_m]) @ rotation.T + shift_m
 
 
 def second_over_first(prob: FloatArray) -> FloatArray:
@@ -76,7 +76,7 @@ def second_over_first(prob: FloatArray) -> FloatArray:
 
 
 def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, float]:
-    steps, segments, points = recording.truth.steps, recording.truth.segments, recording.truth.waypoints
+    steps, segments = recording.truth.steps, recording.truth.segments
     count = legs = rmse = end = np.nan
     if steps is not None and len(steps):
         count = float(count_error_percent(track.n_steps, len(steps)))
@@ -87,9 +87,19 @@ def _row(recording: Recording, track: TrackRows) -> tuple[float, float, float, f
             of_step_m = np.diff(track.walked_m, prepend=0.0)
             walked = walked_m(track.time_s, of_step_m, known["start_s"], known["end_s"])
             legs = float(percent_error(walked.sum(), known["distance_m"].sum()))
-    if points is not None and len(points) > 2:
-        reference = np.column_stack([points.east_m, points.north_m])
-        estimate = positions_at(track.time_s, track.position_m, points.time_s)
-        rmse = position_rmse_m(estimate, reference, "all")
-        end = end_error_percent(estimate, reference, "first")
+    estimate_m, reference_m = _at_waypoints(recording, track)
+    if len(reference_m) > 2:
+        rmse = position_rmse_m(estimate_m, reference_m, "all")
+        end = end_error_percent(estimate_m, reference_m, "first")
     return count, legs, rmse, end
+
+
+def _at_waypoints(recording: Recording, track: TrackRows) -> tuple[FloatArray, FloatArray]:
+    """Where the track is at the waypoints whose time and place are known, and where these are, (N, 2) each."""
+    points = recording.truth.waypoints
+    if points is None:
+        return np.zeros((0, 2)), np.zeros((0, 2))
+    reference_m = np.column_stack([points.east_m, points.north_m])
+    is_known = np.isfinite(reference_m).all(axis=1) & np.isfinite(points.time_s)
+    time_s = points.time_s[is_known]
+    return positions_at(track.time_s, track.position_m, time_s, track.start_position_m), reference_m[is_known]

@@ -64,8 +64,9 @@ def distance_table(estimate_m: ArrayLike, true_m: ArrayLike, context: Sequence[s
 def walked_m(time_s: FloatArray, step_length_m: FloatArray, start_s: ArrayLike, end_s: ArrayLike) -> FloatArray:
     """Sum of the lengths (K,) of the steps that ended after each start and not after its end, (N,).
 
-    `time_s` (K,) are the contacts that end the steps, ascending, as in `Track`.
+    `time_s` (K,) are the contacts that end the steps, ascending, as in `Track`. NaN where start or end is.
     """
     total_m = np.concatenate([[0.0], np.cumsum(step_length_m)])
     start, end = (np.searchsorted(time_s, t, side="right") for t in (start_s, end_s))
-    return np.asarray(total_m[end] - total_m[start])
+    is_unknown = np.isnan(np.asarray(start_s, dtype=float)) | np.isnan(np.asarray(end_s, dtype=float))
+    return np.where(is_unknown, np.nan, total_m[end] - total_m[start])

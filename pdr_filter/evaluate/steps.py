@@ -28,9 +28,11 @@ def matched_steps(true_s: FloatArray, found_s: FloatArray, tolerance_s: float) -
     As many as there can be: for points on a line and one tolerance, taking the earliest pair that fits is optimal.
     True (N,) and found times (K,) ascend; a distance of just the tolerance is a match.
     """
+    if not tolerance_s >= 0:
+        raise ValueError(f"tolerance_s must be 0 or more, got {tolerance_s}")
     for name, times in (("true_s", true_s), ("found_s", found_s)):
-        if len(times) and not (np.diff(times) >= 0).all():
-            raise ValueError(f"{name} must be ascending")
+        if np.isnan(times).any() or not (np.diff(times) >= 0).all():
+            raise ValueError(f"{name} must be ascending and known: sort it, and leave out NaN")
     pairs: list[tuple[int, int]] = []
     i = j = 0
     while i < len(true_s) and j < len(found_s):

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
+import numpy as np
+
 from pdr_filter.values import Table
 
 
@@ -30,11 +32,11 @@ def markdown(rows: Table | Sequence[Mapping[str, object]], digits: int = 2) -> M
     else:
         names = list(rows.dtype.names or ())
         cells = [list(row.item()) for row in rows]
-    head = [f"| {' | '.join(names)} |", f"|{'|'.join(['---'] * len(names))}|"]
+    head = [f"| {' | '.join(_cell(name, digits) for name in names)} |", f"|{'|'.join(['---'] * len(names))}|"]
     return Markdown("\n".join([*head, *(f"| {' | '.join(_cell(c, digits) for c in row)} |" for row in cells)]))
 
 
 def _cell(value: object, digits: int) -> str:
-    if isinstance(value, float):
+    if isinstance(value, float | np.floating):
         return "-" if value != value else f"{value:.{digits}f}"
-    return str(value)
+    return " ".join(str(value).split()).replace("|", "\\|")  # neither ends the cell nor the line

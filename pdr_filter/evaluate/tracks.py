@@ -19,39 +19,49 @@ from pdr_filter.values import BoolArray, FloatArray, rigid_fit, wrap_angle
 Alignment = Literal["none", "origin", "first", "all"]
 
 
-def positions_at(time_s: FloatArray, position_m: FloatArray, at_s: ArrayLike) -> FloatArray:
-    """Positions (T, 2) of a track at any times (T,), linear between its steps.
+def positions_at(
+    time_s: FloatArray, position_m: FloatArray, at_s: ArrayLike, start_position_m: ArrayLike = (0.0, 0.0)
+) -> FloatArray:
+    """Positions (T, 2) of a track at any times (T,), linear between its steps; NaN where a time is.
 
-    A track has a row for each step and begins at the origin, where it is until the first time that is asked for, or the
-    first step if that is earlier. After its last step it stays. Steps (K,), (K, 2) ascend in time.
+    A track has a row for each step and begins at `start_position_m` (2,), which is `Track.start_position_m` where the
+    track is in the frame of fixes or of a plan. There it is until the first time that is asked for, or the first step
+    if that is earlier. After its last step it stays. Steps (K,), (K, 2) ascend in time.
     """
     at = np.asarray(at_s, dtype=float)
-    if not len(at) or not len(time_s):
-        return np.zeros((len(at), 2))
-    time = np.concatenate([[min(at.min(), time_s[0]) - 1e-3], time_s])
-    way_m = np.vstack([[0.0, 0.0], position_m])
+    way_m = np.vstack([np.asarray(start_position_m, dtype=float), np.reshape(position_m, (-1, 2))])
+    time = np.concatenate([[np.fmin.reduce(at, initial=np.min(time_s, initial=np.inf)) - 1e-3], time_s])
     return np.column_stack([np.interp(at, time, way_m[:, k]) for k in (0, 1)])
 
 
-def moved_m(time_s: FloatArray, position_m: FloatArray, start_s: ArrayLike, end_s: ArrayLike) -> FloatArray:
+def moved_m(
+    time_s: FloatArray,
+    position_m: FloatArray,
+    start_s: ArrayLike,
+    end_s: ArrayLike,
+    start_position_m: ArrayLike = (0.0, 0.0),
+) -> FloatArray:
     """Distance between where a track is at each start and at its end, (N,): the length of legs that are straight.
 
-    Shorter than the sum of the step lengths (`walked_m`), as headings waver: compare like with like.
+    Shorter than the sum of the step lengths (`walked_m`), as headings waver: compare like with like. The track begins
+    as in `positions_at`.
     """
     start, end = np.asarray(start_s, dtype=float), np.asarray(end_s, dtype=float)
-    at_m = positions_at(time_s, position_m, np.concatenate([start, end]))
+    at_m = positions_at(time_s, position_m, np.concatenate([start, end]), start_position_m)
     return np.linalg.norm(at_m[len(start) :] - at_m[: len(start)], axis=1)
 
 
 def path_m(position_m: FloatArray) -> FloatArray:
     """Length of the line through points (N, 2) up to each of them, (N,)."""
     legs_m = np.linalg.norm(np.diff(position_m, axis=0), axis=1)
-    return np.append(0.0, np.cumsum(legs_m))
+    return np.append(0.0, np.cumsum(legs_m))[: len(position_m)]
 
 
 def first_of_path(reference_m: FloatArray, fraction: float = 0.2) -> BoolArray:
     """Points (N,) in the first fraction of the path through (N, 2), and never fewer than three: two make no corner."""
     along_m = path_m(reference_m)
+    if not len(along_m):
+        return np.zeros(0, dtype=bool)
     return along_m <= max(fraction * along_m[-1], along_m[min(2, len(along_m) - 1)])
 
 
@@ -69,9 +79,17 @@ def aligned(
     none: as it is. origin: moved so that the first points agree, not turned. first: turned and moved onto the first
     fraction of the path (never fewer than three points), what a user would see who knows where he started and where to.
     all: onto all points, the error of the shape alone; no filter could know it on the way.
+    ValueError for points that are not known, and for none.
     """
-    if estimate_m.shape != reference_m.shape:
-        raise ValueError(f"estimate and reference must be alike, got {estimate_m.shape} and {reference_m.shape}")
+    if estimate_m.shape != reference_m.shape or not len(reference_m):
+        raise ValueError(
+            f"estimate and reference must be alike and of a point at least, got {estimate_m.shape} and "
+            f"{reference_m.shape}"
+        )
+    for name, points_m in (("estimate", estimate_m), ("reference", reference_m)):
+        if not np.isfinite(points_m).all():
+            row = int(np.argmin(np.isfinite(points_m).all(axis=1)))
+            raise ValueError(f"{name} is not known at point {row}, {points_m[row]}: leave such points out of both")
     if align == "none":
         return estimate_m
     if align == "origin":
@@ -125,10 +143,11 @@ def end_error_percent(
     estimate_m: FloatArray, reference_m: FloatArray, align: Alignment = "none", fraction: float = 0.2
 ) -> float:
     """Distance of the last point from the truth in per cent of the path through the reference."""
+    error_m = position_errors_m(estimate_m, reference_m, align, fraction)[-1]
     length_m = path_m(reference_m)[-1]
     if not length_m > 0:
         raise ValueError("the reference goes nowhere: the end error is relative to its path")
-    return float(100.0 * position_errors_m(estimate_m, reference_m, align, fraction)[-1] / length_m)
+    return float(100.0 * error_m / length_m)
 
 
 def directions_rad(position_m: FloatArray, min_moved_m: float = 0.1) -> FloatArray:

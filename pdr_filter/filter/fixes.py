@@ -31,6 +31,7 @@ from pdr_filter.values import (
     Fix,
     FixOutcome,
     FloatArray,
+    GridFix,
     HeadingFix,
     PositionFix,
     SpeedFix,
@@ -55,6 +56,8 @@ def use_fix(
     if isinstance(fix, Standstill):
         standstills = (*state.standstills, (fix.time_s, fix.end_s))[-MAX_STANDSTILLS:]
         return replace(state, standstills=standstills), "used", np.nan
+    if isinstance(fix, GridFix):  # which particles on a floor plan use
+        return state, "nothing to compare", np.nan
     if isinstance(fix, SpeedFix):
         return _on_speed(model, arithmetic, state, fix)
     state = with_open_turn(state)

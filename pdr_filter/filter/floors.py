@@ -7,6 +7,7 @@ building among them. A storey is left when the next one is clearly nearer.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -122,7 +123,7 @@ def followed(
             ride_s=climbing.ride_s + (not is_on_stairs) * elapsed_s,
         )
         return replace(state, climbing=climbing, level_since_s=np.nan, n_level_steps=0, is_used=False)
-    since_s = now_s if np.isnan(state.level_since_s) else state.level_since_s
+    since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
     state = replace(state, level_since_s=since_s, n_level_steps=state.n_level_steps + n_steps)
     if floor == climbing.from_floor:
         return replace(state, climbing=Climbing(now_s, floor, climbed_m)) if abs(at - floor) < _STILL_THERE else state

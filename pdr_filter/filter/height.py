@@ -34,7 +34,7 @@ from pdr_filter.filter.vertical import AIR, CLIMBED, DOWN, DRIFT, JUMP, LIFT, N_
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
-from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, Note, Origin, PositionFix, replace
+from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, GridFix, Note, Origin, PositionFix, replace
 
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
 LONGEST_RIDE_S = 120.0
@@ -180,7 +180,7 @@ def on_step(
 
     With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs.
     """
-    elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if np.isfinite(state.step_s) else 0.5
+    elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     state = replace(state, step_s=step_s)
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
@@ -201,11 +201,11 @@ def on_step(
     return state, known, passages + known.floors.passages
 
 
-def with_fix(state: HeightState, fix: PositionFix) -> HeightState:
+def with_fix(state: HeightState, fix: PositionFix | GridFix) -> HeightState:
     """State with the storey and the altitude of a fix, as far as it has them."""
     if fix.floor is not None:
         state = with_floor(state, fix.floor)
-    if fix.altitude_m is None:
+    if isinstance(fix, GridFix) or fix.altitude_m is None:
         return state
     altitude = state.start_altitude.with_fix(fix, state.known.height_m, state.known.height_var_m2)
     return replace(state, start_altitude=altitude)
@@ -306,7 +306,7 @@ def _climbed(
         climbed_m=climbed_m,
         height_m=known.height_m + rise_m,
         height_var_m2=known.height_var_m2 + climbed_var + unseen_var,
-        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob @ cov[:, CLIMBED, CLIMBED]), 0.0))),
+        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob.dot(cov[:, CLIMBED, CLIMBED])), 0.0))),
     )
 
 

@@ -23,7 +23,7 @@ from pdr_filter.filter.pedestrian import (
     with_open_turn,
     with_step,
 )
-from pdr_filter.filter.recent_windows import RecentWindows, window_before, with_window
+from pdr_filter.filter.recent_windows import RecentWindows, n_after, window_before, with_window
 from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, Step, replace
@@ -75,11 +75,11 @@ class ImmTracker:
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
         length_m, var_m2, parameter_std_m = model.lengths(step)
-        since_s, var = elapsed_s(pedestrian, step), model.residual_var_m2
+        since_s, var = elapsed_s(pedestrian, step), model.own_var_m2(step, length_m)
         ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
-        n_later = sum(w.time_s > window.time_s for w in state.windows) if window else 0
+        n_later = n_after(state.windows, window) if window else 0
         is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
         evidence = model.step_evidence
         if window is not None and is_new:
@@ -91,8 +91,8 @@ class ImmTracker:
         # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
         scale = np.exp(mixed[:, LOG_SCALE])  # the person's at this step, before it is forgotten a little
         walked = Walked(
-            length_m=float(prob @ ahead.move.length_m),
-            length_var_m2=max(float(prob @ (var_m2 + length_m * length_m)) - float(prob @ length_m) ** 2, 0.0),
+            length_m=float(prob.dot(ahead.move.length_m)),
+            length_var_m2=max(float(prob.dot(var_m2 + length_m * length_m)) - float(prob.dot(length_m)) ** 2, 0.0),
             heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET]) + model.mean_heading_offset_rad(prob),
             parameter_std_m=prob * parameter_std_m * scale,
             own_direction=ahead.move.along,
@@ -102,11 +102,12 @@ class ImmTracker:
         after = with_step(after, step, walked, (x, P))
         latest = window or (state.windows[-1] if state.windows else None)
         context_prob = latest.prob if latest else model.context_prob(prob)
-        update = step_update(pedestrian, after, step, walked, (x, P), context_prob, prob)
+        shared_m2 = shared_cov(after)
+        update = step_update(pedestrian, after, step, walked, (x, P), shared_m2, context_prob, prob)
         passage = Passage(
             ModeEstimates(known, known_cov, pedestrian.prob),
             Transition(model.transition_prob, mixed, mean, ahead.F, ahead.Q),
-            shared_cov(after),
+            shared_m2,
             is_step=True,
         )
         state = replace(state, pedestrian=after)

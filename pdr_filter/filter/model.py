@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
-from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
 from pdr_filter.filter.weighting import ModeEvidence
 from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
 
@@ -86,20 +86,14 @@ class PedestrianModel:
         return self.step_log_odds_stationary * self.stands
 
     @cached_property
-    def on_stairs(self) -> tuple[FloatArray, FloatArray]:
-        """1 for the modes that climb stairs, and for those that go down, (M,) each."""
-        up, down = (np.array([float(m.context == c) for m in self.modes]) for c in ("upstairs", "downstairs"))
-        return up, down
+    def on_stairs(self) -> FloatArray:
+        """1 for the modes that climb stairs, and for those that go down, (2, M)."""
+        return np.array([[float(m.context == c) for m in self.modes] for c in ("upstairs", "downstairs")])
 
     @cached_property
     def context_index(self) -> list[int]:
         """Index into `CONTEXTS` of each mode; only where all modes are contexts."""
         return [CONTEXTS.index(m.context) for m in self.modes]
-
-    @property
-    def residual_var_m2(self) -> FloatArray:
-        """Variance of the length of a step of each mode about its model, (M,)."""
-        return self._lengths.residual_var_m2
 
     @cached_property
     def evidence(self) -> ModeEvidence:
@@ -132,12 +126,23 @@ class PedestrianModel:
         Modes that move nobody have length zero.
         """
         length_m, parameter_var_m2 = self._lengths.moments(step)
-        parameter_var_m2 = self.moves * parameter_var_m2
-        return self.moves * length_m, self.residual_var_m2 + parameter_var_m2, np.sqrt(parameter_var_m2)
+        length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
+        return length_m, self.own_var_m2(step, length_m) + parameter_var_m2, np.sqrt(parameter_var_m2)
+
+    def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
+        """Variance (M,) of a single step about the lengths (M,) of the modes.
+
+        One that is too quick for walking and too soft for running may be anything from a step on the spot to twice as
+        long as a model says: L^2 / 3.
+        """
+        var_m2 = self._lengths.residual_var_m2
+        if step.from_rest:
+            var_m2 = var_m2 + PAUSE_STD_M**2 * self.moves
+        return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:
         """The modes' own heading offset, averaged as vectors."""
-        sine, cosine = (mode_prob @ self._offset_vectors).tolist()
+        sine, cosine = mode_prob.dot(self._offset_vectors).tolist()
         return math.atan2(sine, cosine) if sine * sine + cosine * cosine > 1e-18 else 0.0
 
     def context_prob(self, mode_prob: FloatArray) -> FloatArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 
 import numpy as np
 
@@ -27,7 +28,6 @@ from pdr_filter.values import (
 
 EAST, NORTH, HEADING_OFFSET, LOG_SCALE = range(4)
 N_STATES = 4
-_IDENTITY = read_only(np.eye(N_STATES))
 # Context of a mode besides those of the classifier: motion of the phone while its owner stays where he is.
 IRREGULAR = "irregular"
 
@@ -114,17 +114,24 @@ class MotionNoise:
         """Variance of the position along each axis that a time without samples adds."""
         return np.asarray((self.gap_speed_mps * gap_s) ** 2)
 
-    @property
+    @cached_property
     def log_scale_drift_var(self) -> float:
         """Variance that the log scale gains with each step: that of the drift, at most the spread of people."""
         return min(self.log_scale_drift_per_sqrt_step, self.log_scale_std) ** 2
 
-    @property
+    @cached_property
     def log_scale_memory(self) -> float:
         """The share a of the log scale that is left a step later."""
         if self.log_scale_std == 0:
             return 1.0
         return float(np.sqrt(1.0 - self.log_scale_drift_var / self.log_scale_std**2))
+
+    @cached_property
+    def of_log_scale(self) -> tuple[FloatArray, FloatArray]:
+        """F and Q (4, 4) of a step that leads nowhere: only the log scale changes."""
+        F, Q = np.eye(N_STATES), np.zeros((N_STATES, N_STATES))
+        F[LOG_SCALE, LOG_SCALE], Q[LOG_SCALE, LOG_SCALE] = self.log_scale_memory, self.log_scale_drift_var
+        return read_only(F), read_only(Q)
 
 
 # A heading that could be anything is uniform on the circle: its variance is pi^2 / 3, and no more.
@@ -213,23 +220,20 @@ def advance(
     predicted_mean = mean.copy()
     predicted_mean[..., :2] += move.displacement_m
     predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
-    F = np.empty((*mean.shape, N_STATES))
-    F[...] = _IDENTITY
+    F, Q = np.empty((2, *mean.shape, N_STATES))
+    F[...], Q[...] = noise.of_log_scale
     F[..., :2, HEADING_OFFSET] = move.length_m[..., None] * move.across
     F[..., :2, LOG_SCALE] = move.displacement_m
-    F[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_memory
-
-    Q = np.zeros_like(F)
-    sine, cosine = move.along[..., 0], move.along[..., 1]
-    sine2, cosine2, along, across = sine * sine, cosine * cosine, move.var_along_m2, move.var_across_m2
-    Q[..., EAST, EAST] = along * sine2 + across * cosine2 + directions.extra_var_m2
-    Q[..., NORTH, NORTH] = along * cosine2 + across * sine2 + directions.extra_var_m2
-    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = (along - across) * sine * cosine
+    # var(along) u u' + var(across) v v', and u u' + v v' = I
+    more = (move.var_along_m2 - move.var_across_m2)[..., None] * move.along
+    Q[..., :2, :2] = more[..., :, None] * move.along[..., None, :]
+    everywhere = move.var_across_m2 + directions.extra_var_m2
+    Q[..., EAST, EAST] += everywhere
+    Q[..., NORTH, NORTH] += everywhere
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
     )
     Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
-    Q[..., LOG_SCALE, LOG_SCALE] = noise.log_scale_drift_var
     return Advance(move, predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
@@ -279,7 +283,7 @@ def step_motion(
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
     """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
-    if (variance <= MAX_HEADING_VARIANCE).all():
+    if variance.max() <= MAX_HEADING_VARIANCE:
         return cov
     scaling = np.ones(cov.shape[:-1])
     scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))

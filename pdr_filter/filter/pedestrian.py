@@ -25,7 +25,18 @@ from pdr_filter.filter.motion import (
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
 from pdr_filter.filter.turn import Compass, PairedPoint
-from pdr_filter.values import CONTEXTS, FloatArray, OnPlan, PositionFix, Step, as_plain, read_only, replace, wrap_angle
+from pdr_filter.values import (
+    CONTEXTS,
+    FloatArray,
+    OnPlan,
+    PositionFix,
+    Step,
+    as_plain,
+    frozen,
+    read_only,
+    replace,
+    wrap_angle,
+)
 
 # Final steps that are remembered for late fixes: half a minute of walking.
 TRAIL_STEPS = 64
@@ -33,7 +44,7 @@ TRAIL_STEPS = 64
 TRAIL_TIME, TRAIL_HEADING = 0, 3
 TRAIL_POSITION = slice(1, 3)
 # Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
-_ALONG, _ACROSS, _PARAMETERS = 0, 1, slice(2, None)
+_ALONG_AND_ACROSS, _PARAMETERS = slice(2), slice(2, None)
 
 
 @dataclass(frozen=True, eq=False)
@@ -186,8 +197,7 @@ def with_step(
     sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
     along_m, across_m = walked.length_m * along, walked.length_m * across
     shared_m = state.shared_m.copy()
-    shared_m[_ALONG] += (along_m * sine, along_m * cosine)
-    shared_m[_ACROSS] += (across_m * cosine, -across_m * sine)
+    shared_m[_ALONG_AND_ACROSS] += np.array(((along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)))
     shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * walked.own_direction
     # a pause before the step starts the smoothed speed afresh
     is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
@@ -235,7 +245,7 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         state = in_other_frame(state, turn)
         frame = frame.joined(turn)
     x, P = imm.combine(state.mean, state.cov, state.prob)
-    var_m2 = 0.5 * float(np.trace(position_cov(P, state)))
+    var_m2 = 0.5 * float(np.trace(position_cov(P, shared_cov(state))))
     time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else 0.0
     here = PairedPoint(read_only(x[:2]), read_only(x[:2]), var_m2, time_s=time_s)
     mean, cov = state.mean.copy(), state.cov.copy()
@@ -276,28 +286,29 @@ def step_update(
     step: Step,
     walked: Walked,
     combined: tuple[FloatArray, FloatArray],
+    shared_m2: FloatArray,
     context_prob: FloatArray,
     mode_prob: FloatArray,
     is_final: bool = True,
 ) -> StepUpdate:
-    """What is reported of a step that led from one state to the next, see `with_step`."""
+    """What is reported of a step that led from one state to the next with this `shared_cov`, see `with_step`."""
     x, P = combined
     assert after.speed is not None
-    own = Place(x[:2], position_cov(P, after), walked.heading_rad, before.n_final)
+    own = Place(frozen(x[:2].copy()), position_cov(P, shared_m2), walked.heading_rad, before.n_final)
     place = own if after.frame.is_joined else after.frame.world(own)
     return StepUpdate(
         index=before.n_final,
         step=step,
         is_final=is_final,
-        position_m=read_only(place.position_m),
-        position_cov_m2=read_only(place.cov_m2),
+        position_m=frozen(place.position_m),
+        position_cov_m2=frozen(place.cov_m2),
         of_start=None if after.frame.is_joined else own,
         step_length_m=walked.length_m,
-        walked_m=float(after.prob @ after.walked_m),
+        walked_m=float(after.prob.dot(after.walked_m)),
         walking_heading_rad=place.heading_rad,
         speed=after.speed,
-        context_prob=read_only(context_prob),
-        mode_prob=read_only(mode_prob),
+        context_prob=frozen(context_prob),
+        mode_prob=frozen(mode_prob),
         gap_before_s=before.gap_s,
     )
 
@@ -312,13 +323,13 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
 def own_place(state: PedestrianState) -> Place:
     """The place of the final estimate in the frame of the filter's states, without its heading."""
     x, P = imm.combine(state.mean, state.cov, state.prob)
-    return Place(x[[EAST, NORTH]], position_cov(P, state), 0.0, state.n_final)
+    return Place(x[[EAST, NORTH]], position_cov(P, shared_cov(state)), 0.0, state.n_final)
 
 
-def position_cov(P: FloatArray, state: PedestrianState) -> FloatArray:
-    """Covariance (2, 2) of a position with linear covariance P (4, 4) and the errors that all steps share."""
-    cov = P[:2, :2] + shared_cov(state)
-    return read_only(0.5 * (cov + cov.T))
+def position_cov(P: FloatArray, shared_m2: FloatArray) -> FloatArray:
+    """Covariance (2, 2) of a position with linear covariance P (4, 4) and the `shared_cov` of all steps."""
+    cov = P[:2, :2] + shared_m2
+    return frozen(0.5 * (cov + cov.T))
 
 
 def shared_cov(state: PedestrianState) -> FloatArray:

@@ -24,6 +24,14 @@ def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None
     return next((w for w in reversed(windows) if w.new_since_s <= time_s), None)
 
 
+def n_after(windows: RecentWindows, window: WindowContext) -> int:
+    """How many windows there are after one of them."""
+    n = 0
+    while windows[-1 - n].time_s > window.time_s:
+        n += 1
+    return n
+
+
 def window_around(windows: RecentWindows, time_s: float) -> WindowContext | None:
     """The first window that ends at or after a time, if it is known: the one in which the time is new."""
     return next((w for w in windows if w.time_s >= time_s), None)

@@ -12,7 +12,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray, Step, check_numbers, read_only
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, read_only
 
 
 class _Parameters(Protocol):
@@ -51,11 +51,11 @@ def length_and_jacobian(model: StepLengthModel, step: Step, theta: FloatArray) -
     The jacobian of a linear model is the same for every theta and has the shape (p,). Sums go along the last axis only,
     so that the bits of one theta do not depend on those beside it.
     """
-    if _is_smooth(model):
-        return model.length_m(step, theta), model.jacobian(step, theta)
     if _is_linear(model):
         r = model.regressors(step)
         return np.add.reduce(theta * r, axis=-1), r
+    if _is_smooth(model):
+        return model.length_m(step, theta), model.jacobian(step, theta)
     raise TypeError(f"{type(model).__name__} has neither regressors nor length_m and jacobian")
 
 
@@ -246,7 +246,7 @@ class BounceStepLength:
 
     - where A, over two steps because left and right differ in a pocket, is below its usual value B, as when people stop
       or shuffle, (A / B)^(1/4);
-    - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.9)^2);
+    - where the person turns at w rad/s, as in a small room or on the spot, exp(-(w / 2.2)^2);
     - a step from rest, which begins with the feet together, is half a step;
     - beyond 2.4 steps a second, where a step was found twice, it is the speed that stays: 2.4 / f.
 
@@ -257,7 +257,8 @@ class BounceStepLength:
     max_amplitude_mps2: float = 3.0  # a larger one is the give of a soft arm, not the body's
     min_amplitude_mps2: float = 0.3
     max_frequency_hz: float = 2.4  # 144 steps a minute: the quickest walking
-    turn_scale_radps: float = 2.9
+    # 2.0 to 2.15 are best whichever of the sites of `_BOUNCE_K` is left out; up to 2.3 there is no difference.
+    turn_scale_radps: float = 2.2
     max_turn_rate_radps: float = 1.5  # half a turn in two seconds: quicker ones are of the hand
     n_params: int = 1
 
@@ -316,29 +317,33 @@ class StepLengthFit:
 
     def predict(self, step: Step) -> tuple[float, float]:
         """Length in m (never negative) and its variance in m2: J theta_cov J' + residual variance, J = dL / dtheta."""
-        length, parameter_var = _predict(self.model, step, self.theta, self.theta_cov)
+        length, parameter_var = np.maximum(_moments(self.model, step, self.theta, self.theta_cov), 0.0)
         return float(length), float(parameter_var) + self.residual_std_m**2
 
 
 @dataclass(frozen=True, eq=False)
 class StepLengths:
-    """Lengths of one step under several fits at once: the same bits as each `StepLengthFit.predict`."""
+    """Lengths of one step under several fits at once: but for rounding those of each `StepLengthFit.predict`."""
 
     fits: tuple[StepLengthFit, ...]
 
     @cached_property
-    def _groups(self) -> list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]]:
-        """For each distinct model: which fits use it, their theta (m, p) and covariance (m, p, p)."""
-        models: list[StepLengthModel] = []
-        for fit in self.fits:
-            if fit.model not in models:
-                models.append(fit.model)
-        groups: list[tuple[StepLengthModel, IntArray, FloatArray, FloatArray]] = []
-        for model in models:
-            index = np.array([i for i, fit in enumerate(self.fits) if fit.model == model])
-            own = [self.fits[i] for i in index]
-            groups.append((model, index, np.stack([f.theta for f in own]), np.stack([f.theta_cov for f in own])))
-        return groups
+    def _linear(self) -> tuple[LinearStepLengthModel, ...]:
+        return tuple(dict.fromkeys(fit.model for fit in self.fits if _is_linear(fit.model)))
+
+    @cached_property
+    def _of_terms(self) -> FloatArray:
+        """Coefficients (2, M, T) of lengths and variances, both linear in the regressors r and the products r r'."""
+        starts, n_terms = dict[StepLengthModel, int](), 0
+        for model in self._linear:
+            starts[model], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
+        coefficients = np.zeros((2, len(self.fits), n_terms))
+        for (of_length, of_var), fit in zip(coefficients.swapaxes(0, 1), self.fits, strict=True):
+            if _is_linear(fit.model):
+                start, p = starts[fit.model], fit.model.n_params
+                of_length[start : start + p] = fit.theta
+                of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
+        return coefficients
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
@@ -352,23 +357,32 @@ class StepLengths:
 
     def moments(self, step: Step) -> tuple[FloatArray, FloatArray]:
         """Lengths in m (never negative) and their variances in m2 that are due to the parameters, shape (M,) each."""
-        length, parameter_var = np.empty((2, len(self.fits)))
-        for model, index, theta, cov in self._groups:
-            length[index], parameter_var[index] = _predict(model, step, theta, cov)
+        terms: list[float] = []
+        for model in self._linear:
+            r = model.regressors(step).tolist()
+            terms += r
+            terms += [a * b for a in r for b in r]
+        moments = self._of_terms.dot(np.array(terms))
+        for i, fit in self._smooth:
+            moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
+        length, parameter_var = np.maximum(moments, 0.0)
         return length, parameter_var
 
+    @cached_property
+    def _smooth(self) -> list[tuple[int, StepLengthFit]]:
+        return [(i, fit) for i, fit in enumerate(self.fits) if not _is_linear(fit.model)]
 
-def _predict(
+
+def _moments(
     model: StepLengthModel, step: Step, theta: FloatArray, theta_cov: FloatArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Length (...,) and its variance (...,) due to the parameters, both not negative.
+    """Length (...,) and its variance (...,) due to the parameters, for theta (..., p) and theta_cov (..., p, p).
 
-    For theta (..., p) and theta_cov (..., p, p).
+    The length may be negative, and the variance by its rounding, where the covariance was estimated.
     """
     length, jacobian = length_and_jacobian(model, step, theta)
     products = theta_cov * (jacobian[..., :, None] * jacobian[..., None, :])
-    # a covariance that was estimated may miss zero by its rounding
-    return np.maximum(length, 0.0), np.maximum(np.add.reduce(products, axis=(-2, -1)), 0.0)
+    return length, np.add.reduce(products.reshape(*products.shape[:-2], -1), axis=-1)
 
 
 def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> StepLengthFit:
@@ -382,6 +396,10 @@ def known_length(length_m: float, std_m: float, shared_std_m: float = 0.0) -> St
 
 # Single steps of one person about any of the models.
 RESIDUAL_STD_M = 0.06
+# What a step from rest has besides. It is half a step, or what is between two contacts that were found: in the pauses
+# of walks with a continuous reference (oxiod, tyrex; 19) people went 0.7 m further, in those of ms_indoor half a step
+# is right. 0.7 m in one of four.
+PAUSE_STD_M = 0.35
 # k of men and women, text of eq. 2 of Tian et al. 2016; the distances of ten people over 28 m have a standard deviation
 # of 3.58 m (Table VII).
 _STATIC_K = {"M": 0.415, "F": 0.413}
@@ -394,9 +412,9 @@ def static_fit(height_m: float, gender: str | None = None) -> StepLengthFit:
 
 
 # Of `BounceStepLength`: fitted to the distances of 174 recordings at five sites, each with the same weight (humolire,
-# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length_sites.py). Its standard deviation is the spread of sites,
-# 4 %, over the root of five. Single steps scatter by 0.06 m about the model with the phone in the hand, by 0.12 m in a
-# trouser pocket.
+# ms_indoor, oxiod, tyrex, ipol; tests/benchmarks/step_length_sites.py), which gives 0.336 to 0.339 as r takes A of two
+# steps or of one. Its standard deviation is the spread of sites, 4 %, over the root of five. Single steps scatter by
+# 0.06 m about the model with the phone in the hand, by 0.12 m in a trouser pocket.
 _BOUNCE_K, _BOUNCE_K_STD, _BOUNCE_RESIDUAL_STD_M = 0.34, 0.006, 0.08
 
 
@@ -409,7 +427,7 @@ def bounce_fit(height_m: float | None = None) -> StepLengthFit:
     return StepLengthFit(model, np.array([_BOUNCE_K]), np.array([[_BOUNCE_K_STD**2]]), _BOUNCE_RESIDUAL_STD_M)
 
 
-# Of the log step scale of people left out together with their site: 6.7 % with the heights that are known, 8.8 %
+# Of the log step scale of people left out together with their site: 6.6 % with the heights that are known, 8.4 %
 # without (docs/benchmarks.md). Those are few people at few sites, and strangers elsewhere were off by up to
 # 20 %: rounded up, more so for those of whom nothing is known.
 _SCALE_STD_OF_KNOWN_HEIGHT, _SCALE_STD = 0.07, 0.10

@@ -147,11 +147,12 @@ class WeightedTracker:
         after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
         after = with_step(after, step, walked, (mean[0], cov[0]))
         context_prob = 0.5 * (provisional + final)
-        update = step_update(before, after, step, walked, (mean[0], cov[0]), context_prob, weights, is_final)
+        shared_m2 = shared_cov(after)
+        update = step_update(before, after, step, walked, (mean[0], cov[0]), shared_m2, context_prob, weights, is_final)
         passage = Passage(
             ModeEstimates(known, known_cov, before.prob),
             Transition(np.ones((1, 1)), known, mean, ahead.F, ahead.Q),
-            shared_cov(after),
+            shared_m2,
             is_step=True,
         )
         mode_prob = weights if is_final else state.mode_prob

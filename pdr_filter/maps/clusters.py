@@ -26,9 +26,7 @@ def on_plan(
     covariance the mean square of both about it.
     """
     mean, cov = moments(position_m, weight)
-    if there is not None:
-        away = there[0] - mean
-        cov = read_only((1.0 - elsewhere) * cov + elsewhere * (there[1] + away[:, None] * away))
+    cov = reaching(mean, cov, elsewhere, there)
     heading = np.arctan2(weight @ np.sin(heading_rad), weight @ np.cos(heading_rad))
     group = groups(position_m)
     share = np.bincount(group, weight)
@@ -40,6 +38,16 @@ def on_plan(
         clusters.append(Cluster(known, *moments(position_m[inside], weight[inside] / share[g])))
     ess = 1.0 / float((weight**2).sum())
     return OnPlan(mean, cov, float(heading), tuple(clusters), len(weight), ess)
+
+
+def reaching(
+    mean_m: FloatArray, cov_m2: FloatArray, elsewhere: float, there: tuple[FloatArray, FloatArray] | None
+) -> FloatArray:
+    """Mean square about a mean (2,), where with the probability `elsewhere` the walk is `there`, if that is known."""
+    if there is None:
+        return cov_m2
+    away = there[0] - mean_m
+    return read_only((1.0 - elsewhere) * cov_m2 + elsewhere * (there[1] + away[:, None] * away))
 
 
 def moments(position_m: FloatArray, weight: FloatArray) -> tuple[FloatArray, FloatArray]:

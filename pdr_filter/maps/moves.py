@@ -9,7 +9,7 @@ import numpy as np
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
 from pdr_filter.filter.pedestrian import TRAIL_STEPS, PedestrianState
-from pdr_filter.values import FloatArray, IntArray, PositionFix, Step, wrap_angle
+from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Step, wrap_angle
 
 EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
 
@@ -67,9 +67,9 @@ def turned(
     return log_weight
 
 
-def alone_cov_m2(fix: PositionFix, last_s: float) -> FloatArray:
-    """Covariance of a fix whose error lasts: as many such fixes say together (`filter.fixes`)."""
+def as_many(fix: PositionFix | GridFix, last_s: float) -> float:
+    """How many fixes whose error lasts say together as much as one alone (`filter.fixes`)."""
     if fix.correlation_s == 0 or math.isinf(last_s):
-        return fix.cov_m2
+        return 1.0
     left = min(math.exp(-abs(fix.time_s - last_s) / fix.correlation_s), 0.999)
-    return (1 + left) / (1 - left) * fix.cov_m2
+    return (1 + left) / (1 - left)

@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from matplotlib import rc_context
+from matplotlib.artist import Artist
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure, SubFigure
@@ -14,6 +17,15 @@ from pdr_filter.report.palette import GRID
 
 # Journals refuse the Type 3 fonts that matplotlib makes of its own accord: this embeds the font itself.
 _TRUETYPE = 42
+
+
+# Names and notes come from files: a "$" in them begins no formula.
+AS_IT_IS: dict[str, Any] = {"parse_math": False}
+
+
+def beside(axes: Axes, handles: Sequence[Artist]) -> None:
+    """A legend to the right of axes, where it covers nothing."""
+    axes.legend(handles=handles, loc="upper left", bbox_to_anchor=(1.01, 1.0), borderaxespad=0.0, frameon=False)
 
 
 def new_figure(size_in: tuple[float, float]) -> Figure:

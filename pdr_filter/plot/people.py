@@ -10,7 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from pdr_filter.plot.figures import given_or_new, new_figure, save
+from pdr_filter.plot.figures import AS_IT_IS, given_or_new, new_figure, save
 from pdr_filter.report.palette import BLUE, INK, WRONG, context_colours
 from pdr_filter.values import Table
 
@@ -65,8 +65,8 @@ def people(
 
     `population_m` is the mean of all people and their spread, NaN for none.
     """
-    axes = given_or_new(ax)
     shown = dict(list(people_m.items())[:_MAX_PEOPLE])
+    axes = given_or_new(ax, (5.6, max(3.6, 1.0 + 0.14 * len(shown))))
     centre_m, between_m = population_m
     length_m, std_m = np.array(list(shown.values())).reshape(-1, 2).T
     number = np.arange(len(shown))
@@ -78,6 +78,6 @@ def people(
     axes.axvline(centre_m, color=INK, linewidth=0.8, label="population")
     axes.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0), fontsize=9, columnspacing=1.0)
     names = [n if len(n) <= 22 else f"{n[:9]}...{n[-10:]}" for n in shown]
-    axes.set_yticks(number, names, fontsize=8 if len(names) < 25 else 5)
-    axes.set(xlabel=f"length of a typical step, {context} (m)", ylim=(len(names) - 0.5, -0.5))
+    axes.set_yticks(number, names, fontsize=8 if ax is None or len(names) < 25 else 5, **AS_IT_IS)
+    axes.set(xlabel=f"length of a typical step, {context} (m)", ylim=(max(len(names), 1) - 0.5, -0.5))
     return axes

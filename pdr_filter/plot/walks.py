@@ -15,7 +15,7 @@ from matplotlib.patches import Ellipse, Patch
 from matplotlib.patheffects import withStroke
 
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.plot.figures import given_or_new, lined, new_figure, save
+from pdr_filter.plot.figures import AS_IT_IS, beside, given_or_new, lined, new_figure, save
 from pdr_filter.plot.plans import draw_storey
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import (
@@ -98,18 +98,15 @@ def way(
     axes.plot(*way_m[0], marker="o", markersize=9, markerfacecolor="white", **marker)
     axes.plot(*way_m[-1], marker="s", markersize=7, markerfacecolor=INK, **marker)
     _frame_plane(axes, way_m if reference_m is None else np.vstack([way_m, reference_m]))
-    axes.legend(
-        handles=_plane_legend(track, reference_m is not None),
-        loc="upper left",
-        bbox_to_anchor=(1.01, 1.0),
-        borderaxespad=0.0,
-        frameon=False,
-    )
+    beside(axes, _plane_legend(track, reference_m is not None))
     return axes
 
 
 def heights(track: TrackRows, ax: Axes | None = None) -> Axes:
-    """Draw the height above the start over time with its 95 % interval, each step in the colour of its storey."""
+    """Draw the height above the start over time with its 95 % interval, each step in the colour of its storey.
+
+    A new figure names the storeys; below `way`, whose legend has them, they need no other.
+    """
     axes = given_or_new(ax, (5.6, 2.4))
     unit_s, unit = _time_unit(track)
     at, half = track.time_s / unit_s, 1.96 * track.height_std_m
@@ -119,6 +116,8 @@ def heights(track: TrackRows, ax: Axes | None = None) -> Axes:
     axes.scatter(at, track.height_m, s=5, c=[colours[floor] for floor in track.floor], zorder=3)
     axes.set(xlabel=f"time ({unit})", ylabel="height (m)")
     lined(axes)
+    if ax is None and len(colours) > 1:
+        beside(axes, _floor_legend(colours))
     return axes
 
 
@@ -135,7 +134,7 @@ def step_lengths(track: TrackRows, ax: Axes | None = None) -> Axes:
         axes.scatter(at, length_m, s=10, color=colours[track.contexts[context]], edgecolors=INK, linewidths=0.2)
         axes.hlines(median, place - 0.38, place + 0.38, color=INK, linewidth=1.8)
         axes.hlines([low, high], place - 0.38, place + 0.38, color=INK, linewidth=0.8, linestyle=(0, (4, 2)))
-    names = [f"{track.contexts[c]}\n{(best == c).sum()} steps" for c in occurring]
+    names = [f"{track.contexts[c]}\n{how_many(int((best == c).sum()), 'step')}" for c in occurring]
     axes.set_xticks(range(len(occurring)), names)
     axes.set(xlim=(-0.6, max(len(occurring), 1) - 0.4), ylabel="step length (m)")
     axes.set_ylim(bottom=0.0)
@@ -144,7 +143,10 @@ def step_lengths(track: TrackRows, ax: Axes | None = None) -> Axes:
 
 
 def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
-    """Draw the context probabilities of the windows as a stack over time, steps as ticks above it."""
+    """Draw the context probabilities of the windows as a stack over time, steps as ticks above it.
+
+    A new figure names the contexts; below `way`, whose legend has them, they need no other.
+    """
     axes = given_or_new(ax, (5.6, 2.0))
     windows = track.windows
     unit_s, unit = _time_unit(track)
@@ -163,6 +165,8 @@ def contexts(track: TrackRows, ax: Axes | None = None) -> Axes:
     axes.set_xlim(track.start_time_s / unit_s, max(end_s, track.start_time_s + 1.0) / unit_s)
     axes.set(ylim=(0.0, 1.18), yticks=[0.0, 0.5, 1.0], ylabel="context\nprobability")
     axes.set_xlabel(f"time ({unit}); ticks on top are steps")
+    if ax is None and len(windows):
+        beside(axes, _context_legend(track))
     return axes
 
 
@@ -238,17 +242,23 @@ def _frame_plane(axes: Axes, points_m: FloatArray) -> None:
     lined(axes)
 
 
-def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]:
+def _floor_legend(colours: dict[int, str]) -> list[Line2D]:
+    return [Line2D([], [], color=c, linewidth=3.0, label=f"floor {f}") for f, c in reversed(colours.items())]
+
+
+def _context_legend(track: TrackRows) -> list[Patch]:
     visible = track.windows.context_prob.max(axis=0, initial=0.0) >= _VISIBLE_PROB
     occurring = {track.contexts[i] for i in (*np.flatnonzero(visible), *track.context_prob.argmax(axis=1))}
-    handles: list[Line2D | Patch] = [
+    return [
         Patch(facecolor=colour, edgecolor=INK, linewidth=0.5, label=name)
         for name, colour in context_colours(track.contexts).items()
         if name in occurring
     ]
+
+
+def _plane_legend(track: TrackRows, has_reference: bool) -> list[Line2D | Patch]:
     floors = floor_colours(track.floor)
-    if len(floors) > 1:
-        handles[:0] = [Line2D([], [], color=c, linewidth=3.0, label=f"floor {f}") for f, c in reversed(floors.items())]
+    handles: list[Line2D | Patch] = [*(_floor_legend(floors) if len(floors) > 1 else []), *_context_legend(track)]
     ends: dict[str, Any] = {"linestyle": "none", "markeredgecolor": INK, "markersize": 7}
     handles.append(Line2D([], [], marker="o", markerfacecolor="white", label="start", **ends))
     handles.append(Line2D([], [], marker="s", markerfacecolor=INK, label="end", **ends))
@@ -269,7 +279,7 @@ def _write_title(axes: Axes, track: TrackRows) -> None:
     axes.set_title(facts, loc="left", fontsize=11.5, color=INK, pad=10)
     name = textwrap.shorten(track.name, 60, placeholder="...")
     above: dict[str, Any] = {"xycoords": "axes fraction", "textcoords": "offset points"}
-    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, fontsize=15, fontweight="bold", color=INK)
+    axes.annotate(name, (0.0, 1.0), (0.0, 32.0), **above, **AS_IT_IS, fontsize=15, fontweight="bold", color=INK)
 
 
 def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
@@ -279,4 +289,4 @@ def _write_notes(figure: Figure, notes: tuple[str, ...]) -> None:
     if len(notes) > _MAX_NOTES:
         shown.append(f"and {len(notes) - _MAX_NOTES} more notes")
     text = "\n".join(textwrap.fill(note, 110) for note in shown)
-    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT)
+    figure.supxlabel(text, x=0.02, ha="left", fontsize=9, color=FAINT, **AS_IT_IS)

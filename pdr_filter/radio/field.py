@@ -53,7 +53,8 @@ def kernel(a_m: FloatArray, b_m: FloatArray) -> FloatArray:
 class Field:
     """What a storey's map foretells at each cell."""
 
-    cell_m: FloatArray  # (G, 2)
+    cell_m: FloatArray  # (G, 2) middles, from the south-west to the north and then to the east
+    shape: tuple[int, int]  # columns to the east, rows to the north
     weight: FloatArray  # (N, G) of the points of the map in what is foretold: m(x) = weight[:, x] of their fingerprints
     variance: FloatArray  # (G,) v
     norm2: FloatArray  # (G,) |m|^2
@@ -65,12 +66,13 @@ class Field:
         low, high = position_m.min(axis=0) - MARGIN_M, position_m.max(axis=0) + MARGIN_M
         axes = [np.arange(a, b + CELL_M, CELL_M) for a, b in zip(low, high, strict=True)]
         cell_m = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
+        shape = len(axes[0]), len(axes[1])
         near = kernel(position_m, cell_m)
         factor = cho_factor(kernel(position_m, position_m) + NOISE * np.eye(len(position_m)))
         weight = cho_solve(factor, near)
         variance = 1.0 - (near * weight).sum(axis=0) + NOISE
         norm2 = (weight * ((heard @ heard.T).toarray() @ weight)).sum(axis=0)
-        return cls(cell_m, weight, variance, norm2, heard)
+        return cls(cell_m, shape, weight, variance, norm2, heard)
 
     def log_likelihood(self, heard: csr_matrix) -> FloatArray:
         """How well scans of fingerprints (S, A) fit the cells, (S, G); `heard` may be shorter than one.

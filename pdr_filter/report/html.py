@@ -148,7 +148,7 @@ def _words(track: TrackRows) -> dict[str, Any]:
     """What is said of a track beside its pictures."""
     return {
         "facts": _facts(track),
-        "doubts": [*trust.doubts(track), *(_sentence(note) for note in track.notes)],
+        "doubts": [*trust.doubts(track), *(trust.sentence(note) for note in track.notes)],
         "has_steps": track.n_steps > 0,
         "about": track.about_frame,
         "seconds": _seconds(track),
@@ -159,10 +159,6 @@ def _words(track: TrackRows) -> dict[str, Any]:
         ],
         "lengths": _lengths(track),
     }
-
-
-def _sentence(note: str) -> str:
-    return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
 
 
 def _facts(track: TrackRows) -> str:
@@ -206,8 +202,8 @@ def _lengths(track: TrackRows) -> str:
 def _reading(recording: Recording, report: ReadingReport, already_shown: set[str]) -> dict[str, Any]:
     """Lines, and for each stream its values with whether they are odd."""
     lines = [f"File: {recording.source}"] if recording.source else []
-    lines += [_sentence(line) for line in report.about()]
-    lines += [_sentence(note) for note in report.notes if note not in already_shown]
+    lines += [trust.sentence(line) for line in report.about()]
+    lines += [trust.sentence(note) for note in report.notes if note not in already_shown]
     streams = [
         (
             (s.name, False),

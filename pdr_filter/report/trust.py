@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import numpy as np
 
-from pdr_filter.values import CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, HARDLY_AGREE, BoolArray, FloatArray, TrackRows, how_many
 
 _STATIONARY = CONTEXTS.index("stationary")
+# A head looks around, and a bag dangles.
+_LOOSE = [CARRYING_MODES.index(mode) for mode in ("calling", "bag")]
 # Shorter doubts are ordinary: a turn, a door.
 _MIN_DOUBT_S = 5.0
 # So long a movement without a step is no walk: people take one every two seconds.
 _MIN_RIDE_S = 20.0
+# Stretches of one kind whose times are said.
+_MAX_TIMES = 8
 # Two modes that are as probable as each other count as doubt.
 _DOUBTFUL_MODES = 1.9
 
@@ -51,8 +55,13 @@ def doubts(track: TrackRows) -> list[str]:
         )
         found += _said(
             _long(track.time_s, track.is_quick_and_soft),
-            "steps are as quick as running and as soft as walking, as on the spot: their lengths and directions are "
-            "worse than the covariance says.",
+            "steps are as quick as running and as soft as walking, as on the spot: how long they are, and where they "
+            "lead, is unsure.",
+        )
+        found += _said(
+            _long(windows.time_s, is_loose(track)),
+            "the phone is held as at the ear, or dangles as in a bag: if it turns against the body without a tilt, the "
+            "track turns with it.",
         )
         blind = np.asarray(track.steps.heading_unknown_s) > 0.5 * np.asarray(track.steps.duration_s)
         found += _said(_long(track.time_s, blind), "there is no angular rate: the direction of the walk is unknown.")
@@ -64,7 +73,8 @@ def doubts(track: TrackRows) -> list[str]:
         ]
     rejected = [fix for fix in track.fixes if fix.outcome == "rejected"]
     if rejected:
-        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:8]) + (", ..." if len(rejected) > 8 else "")
+        times = ", ".join(f"{fix.time_s:.0f}" for fix in rejected[:_MAX_TIMES])
+        times += ", ..." if len(rejected) > _MAX_TIMES else ""
         found.append(
             f"{len(rejected)} of {len(track.fixes)} fixes do not fit the track or its time and were not used: "
             f"at {times} s."
@@ -89,15 +99,29 @@ def report(track: TrackRows) -> str:
         fit = "about 2 for positions that fit" if track.origin is None else "below 2 where locations fit"
         mean = f"mean squared innovation {np.mean(used):.1f}, {fit}"
         lines.append(f"fixes: {len(used)} used ({mean})")
-    problems = [*doubts(track), *(f"{note[0].upper()}{note[1:]}." for note in track.notes)]
+    problems = [*doubts(track), *map(sentence, track.notes)]
     lines += ["where not to trust it:", *(f"- {p}" for p in problems)] if problems else ["nothing odd was seen"]
     return "\n".join(lines)
+
+
+def sentence(note: str) -> str:
+    """A note as a sentence."""
+    return f"{note[:1].upper()}{note[1:]}" + ("" if note.endswith((".", "!", "?")) else ".")
 
 
 def end(track: TrackRows) -> str:
     """Where a track with steps ends, and how sure that is."""
     east_m, north_m = track.position_m[-1]
     return f"{east_m:z.1f} m east, {north_m:z.1f} m north, {track.how_sure}"
+
+
+def is_loose(track: TrackRows) -> BoolArray:
+    """Windows (W,) in which the phone may turn against the body, and nothing shows it."""
+    windows = track.windows
+    if not len(windows):
+        return np.zeros(0, dtype=bool)
+    moves = windows.context_prob[:, _STATIONARY] < 0.5
+    return moves & (windows.carrying_prob[:, _LOOSE].sum(axis=1) > 0.5)
 
 
 def _has_step(track: TrackRows) -> BoolArray:
@@ -120,7 +144,14 @@ def _long(time_s: FloatArray, holds: BoolArray) -> list[tuple[float, float]]:
 
 
 def _said(stretches: list[tuple[float, float]], words: str) -> list[str]:
-    return [f"From {a:.0f} to {b:.0f} s {words}" for a, b in stretches]
+    """One sentence of all stretches, the first of them with their times."""
+    if not stretches:
+        return []
+    times = [f"from {a:.0f} to {b:.0f} s" for a, b in stretches[:_MAX_TIMES]]
+    if len(stretches) > _MAX_TIMES:
+        times.append(how_many(len(stretches) - _MAX_TIMES, "time", "times") + " more")
+    every = " and ".join([", ".join(times[:-1]), times[-1]] if len(times) > 1 else times)
+    return [f"{every[:1].upper()}{every[1:]} {words}"]
 
 
 def _names(track: TrackRows, start_s: float, end_s: float) -> str:

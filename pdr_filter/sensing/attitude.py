@@ -135,12 +135,12 @@ class AttitudeEstimator:
             first = end
         new = rows[len(state.window) :]
         quat = np.ascontiguousarray(new[:, _QUAT])
-        up, (east, north) = _up_in_sensor_frame(quat), _horizontal(quat, block.specific_force_mps2)
+        up = _up_in_sensor_frame(quat)
         bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
         errors = np.repeat([(b.heading_error_rad, b.heading_error_var_rad2) for b in biases], lengths, axis=0)
         attitude = AttitudeBlock(
             vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
-            horizontal_mps2=np.stack([east, north], axis=1),
+            horizontal_mps2=_horizontal(quat, block.specific_force_mps2),
             up_sensor=up,
             device_heading_rad=new[:, _HEADING].copy(),
             yaw_bias_std_radps=np.sqrt(_variance_along(up, bias_cov)),
@@ -176,7 +176,7 @@ class AttitudeEstimator:
             twist_rad, start = float(twist[-1]), start + n
             if len(too_far):
                 reference, twist_rad = quat[start - 1].copy(), 0.0
-        turned = rows[:, _RATE_KNOWN] * (turned - 2 * np.pi * np.round(turned / (2 * np.pi)))
+        turned = rows[:, _RATE_KNOWN] * (turned - 2 * np.pi * np.rint(turned / (2 * np.pi)))
         turned[0] += state.device_heading_rad
         rows[:, _HEADING] = heading_rad = turned.cumsum()
         return replace(state, device_heading_rad=float(heading_rad[-1]), reference_quat=reference, twist_rad=twist_rad)
@@ -241,14 +241,15 @@ def _up_in_sensor_frame(quat: FloatArray) -> FloatArray:
     return up
 
 
-def _horizontal(quat: FloatArray, vector: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """East and north of vectors in the sensor frame, written out so that no sum order can change."""
+def _horizontal(quat: FloatArray, vector: FloatArray) -> FloatArray:
+    """East and north (N, 2) of vectors in the sensor frame, written out so that no sum order can change."""
     w, x, y, z = quat.T
     a, b, c = vector.T
     zz, xy, wz = z * z, x * y, w * z
-    east = (1 - 2 * (y * y + zz)) * a + 2 * (xy - wz) * b + 2 * (x * z + w * y) * c
-    north = 2 * (xy + wz) * a + (1 - 2 * (x * x + zz)) * b + 2 * (y * z - w * x) * c
-    return east, north
+    horizontal = np.empty((len(quat), 2))
+    horizontal[:, 0] = (1 - 2 * (y * y + zz)) * a + 2 * (xy - wz) * b + 2 * (x * z + w * y) * c
+    horizontal[:, 1] = 2 * (xy + wz) * a + (1 - 2 * (x * x + zz)) * b + 2 * (y * z - w * x) * c
+    return horizontal
 
 
 def _mean_turned(quat: FloatArray, vector_and_one: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -42,9 +42,7 @@ _BIAS, _FIELD, _ERROR = slice(0, 3), 3, 4
 _HEADINGS = slice(3, 5)  # both
 _N_STATES = 5
 _IDENTITY = read_only(np.eye(_N_STATES))
-_OF_BIAS, _OF_FIELD, _OF_ERROR = (
-    read_only(rows) for rows in (_IDENTITY[_BIAS], _IDENTITY[[_FIELD]], _IDENTITY[[_ERROR]])
-)
+_OF_FIELD, _OF_ERROR = read_only(_IDENTITY[_FIELD]), read_only(_IDENTITY[_ERROR])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -256,8 +254,7 @@ class GyroBias:
         """What is known of the phone; where something else has shown the error of the heading, from that too."""
         bank = state.mean, state.cov, state.log_weight
         if math.isfinite(error_var_rad2):
-            seen = (error_rad - state.mean[:, _ERROR])[:, None]
-            bank, _ = _update(bank, _OF_ERROR, seen, np.array([[error_var_rad2]]), 1e-9, 0.0)
+            bank, _ = _update(bank, _OF_ERROR, error_rad - state.mean[:, _ERROR], error_var_rad2, 1e-9, 0.0)
         bias, bias_cov = _mixture(bank)
         return Device(bias[_BIAS].copy(), bias_cov[_BIAS, _BIAS].copy())
 
@@ -275,10 +272,10 @@ class GyroBias:
             innovation, noise = rate - bank[0][:, _BIAS], std**2 * np.eye(3)
             turn = noise + self.turning_radps**2 * window.up_sensor[:, None] * window.up_sensor
             odds = self.even_turn_prob / (1.0 - self.even_turn_prob)
-            if _likelihood(bank, _OF_BIAS, innovation, noise) < odds * _likelihood(bank, _OF_BIAS, innovation, turn):
+            if _likelihood(bank, innovation, noise) < odds * _likelihood(bank, innovation, turn):
                 noise = turn
             otherwise = _outlier_log_density(_dot(rate, rate), 3, self.turning_radps)
-            bank, _ = _update(bank, _OF_BIAS, innovation, noise, self.still_outlier_prob, otherwise)
+            bank = _update_bias(bank, innovation, noise, self.still_outlier_prob, otherwise)
         return bank, n_still + 1
 
     def _see_walk(
@@ -312,10 +309,10 @@ class GyroBias:
         from_centre_s = (np.arange(n) - 0.5 * (n - 1)) * self.window_s
         rate_radps = -float((from_centre_s * measured_rad).sum() / (from_centre_s * from_centre_s).sum())
         variance = (self.straight_turn_rad / (n * self.window_s)) ** 2
-        rows = np.array([[*up, 0.0, 0.0]])
+        of_rate = np.array([*up, 0.0, 0.0])
         otherwise = _outlier_log_density(rate_radps**2, 1, self.curve_radps)
-        seen = (rate_radps - _along(bank[0], up))[:, None]
-        return _update(bank, rows, seen, np.array([[variance]]), self.straight_outlier_prob, otherwise)[0]
+        seen = rate_radps - bank[0].dot(of_rate)
+        return _update(bank, of_rate, seen, variance, self.straight_outlier_prob, otherwise)[0]
 
     def _see_field(
         self, bank: _Bank, state: GyroBiasState, window: BiasWindow
@@ -338,9 +335,9 @@ class GyroBias:
         change_rad = 0.0 if before is None else float(_wrapped(direction_rad - before.direction_rad, 2 * math.pi))
         jump_rad = max(self.field_jump_rad, self.field_jump_scatter * math.sqrt(variance_ut2) / horizontal_ut)
         if state.field_tracked and abs(change_rad) < jump_rad:
-            seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)[:, None]
-            otherwise, noise = _uniform_log_density(2 * math.pi), np.array([[variance]])
-            bank, inlier_prob = _update(bank, _OF_FIELD, seen, noise, self.field_outlier_prob, otherwise)
+            seen = _wrapped(direction_rad - mean[:, _FIELD], 2 * math.pi)
+            otherwise = _uniform_log_density(2 * math.pi)
+            bank, inlier_prob = _update(bank, _OF_FIELD, seen, variance, self.field_outlier_prob, otherwise)
             n_outliers = state.n_field_outliers + 1 if inlier_prob < 0.5 else 0
             if n_outliers * self.window_s < 2 * self.field_correlation_s:
                 return bank, field, True, n_outliers
@@ -378,26 +375,41 @@ def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Ba
     dt = bias.window_s
     transition = _IDENTITY.copy()
     transition[_HEADINGS, _BIAS] = -dt * up_sensor
-    mean = state.mean @ transition.T
+    mean = state.mean.dot(transition.T)
     mean[:, _HEADINGS] += dt * _dot(up_sensor, state.bias_radps)
     return mean, transition @ state.cov @ transition.T + bias.wander_cov, state.log_weight
 
 
 def _update(
-    bank: _Bank,
-    rows: FloatArray,
-    innovation: FloatArray,
-    noise: FloatArray,
-    outlier_prob: float,
-    outlier_log_density: float,
+    bank: _Bank, h: FloatArray, innovation: FloatArray, variance: float, outlier_prob: float, outlier_log_density: float
 ) -> tuple[_Bank, float]:
-    """The bank after a measurement, and the probability that it is no outlier.
+    """The bank after a measurement of a number h x, (5,), and the probability that it is no outlier.
 
-    H = `rows` (k, 5), innovations (M, k), R = `noise` (k, k).
+    Innovations are (M,). With g = P h, S = h' g + `variance`, y / S = d and the probability w of an inlier:
+    x = x + w d g; P = P + w ((1 - w) d^2 - 1 / S) g g'.
     """
     mean, cov, log_weight = bank
-    hp = rows @ cov
-    inverse, log_density = _predicted(hp, rows, innovation, noise)
+    g = cov @ h
+    S = g.dot(h) + variance
+    shift = innovation / S
+    log_in = math.log1p(-outlier_prob) - 0.5 * (np.log(S) + innovation * shift)
+    log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
+    inlier = np.exp(log_in - log_both)
+    mean = mean + (inlier * shift)[:, None] * g
+    learnt = inlier * ((1.0 - inlier) * shift * shift - 1.0 / S)
+    cov = cov + (learnt[:, None] * g)[:, :, None] * g[:, None, :]
+    log_weight = _relative(log_weight + log_both)
+    weight = np.exp(log_weight)
+    return (mean, cov, log_weight), float(weight.dot(inlier)) / float(np.add.reduce(weight))
+
+
+def _update_bias(
+    bank: _Bank, innovation: FloatArray, noise: FloatArray, outlier_prob: float, outlier_log_density: float
+) -> _Bank:
+    """The bank after a measurement of the bias: the same for innovations (M, 3), R = `noise` (3, 3)."""
+    mean, cov, log_weight = bank
+    hp = cov[:, _BIAS]
+    inverse, log_density = _predicted(hp, innovation, noise)
     log_in = math.log1p(-outlier_prob) + log_density
     log_both = np.logaddexp(log_in, math.log(outlier_prob) + outlier_log_density)
     inlier = np.exp(log_in - log_both)
@@ -406,31 +418,29 @@ def _update(
     mean = mean + inlier[:, None] * shift
     doubt = ((inlier * (1.0 - inlier))[:, None] * shift)[:, :, None] * shift[:, None, :]
     cov = cov - (inlier[:, None, None] * gain) @ hp + doubt
-    cov = 0.5 * (cov + np.swapaxes(cov, 1, 2))
-    log_weight = log_weight + log_both
-    log_weight = np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
-    weight = np.exp(log_weight)
-    return (mean, cov, log_weight), float(weight @ inlier) / float(np.add.reduce(weight))
+    return mean, 0.5 * (cov + np.swapaxes(cov, 1, 2)), _relative(log_weight + log_both)
 
 
-def _predicted(
-    hp: FloatArray, rows: FloatArray, innovation: FloatArray, noise: FloatArray
-) -> tuple[FloatArray, FloatArray]:
-    """Inverse of the covariance (M, k, k) of innovations, and their log densities (M,) but for a constant."""
-    spread = hp @ rows.T + noise
-    if len(rows) == 1:  # as most are: LAPACK would take ten times as long
-        inverse, log_det = 1.0 / spread, -np.log(spread[:, 0, 0])
-    else:
-        inverse = np.asarray(np.linalg.inv(spread), dtype=np.float64)
-        log_det = np.log(np.linalg.det(inverse))
+def _relative(log_weight: FloatArray) -> FloatArray:
+    """Log weights whose largest is 0."""
+    return np.maximum(log_weight - np.maximum.reduce(log_weight), _MIN_LOG_WEIGHT)
+
+
+def _predicted(hp: FloatArray, innovation: FloatArray, noise: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Inverse of the covariance (M, 3, 3) of innovations of the bias, and their log densities (M,) but for a constant.
+
+    `hp` (M, 3, 5) are the rows of the bias in the covariances.
+    """
+    inverse = np.asarray(np.linalg.inv(hp[:, :, _BIAS] + noise), dtype=np.float64)
+    log_det = np.log(np.linalg.det(inverse))
     square = (innovation[:, None, :] @ inverse @ innovation[:, :, None])[:, 0, 0]
     return inverse, 0.5 * (log_det - square)
 
 
-def _likelihood(bank: _Bank, rows: FloatArray, innovation: FloatArray, noise: FloatArray) -> float:
-    """Density of a measurement over the bank, but for a constant."""
+def _likelihood(bank: _Bank, innovation: FloatArray, noise: FloatArray) -> float:
+    """Density of a measurement of the bias over the bank, but for a constant."""
     _, cov, log_weight = bank
-    _, log_density = _predicted(rows @ cov, rows, innovation, noise)
+    _, log_density = _predicted(cov[:, _BIAS], innovation, noise)
     return float(np.exp(log_weight + log_density).sum())
 
 
@@ -454,7 +464,7 @@ def _uniform_log_density(width: float) -> float:
 
 
 def _wrapped(angle_rad: FloatArray | float, period_rad: float) -> FloatArray:
-    return angle_rad - period_rad * np.round(angle_rad / period_rad)
+    return angle_rad - period_rad * np.rint(angle_rad / period_rad)
 
 
 def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
@@ -462,15 +472,10 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
     mean, cov, log_weight = bank
     weight = np.exp(log_weight)
     weight = weight / np.add.reduce(weight)
-    of_all = weight @ mean
+    of_all = weight.dot(mean)
     away = mean - of_all
-    within = (weight @ cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)
-    return of_all, within + (weight[:, None] * away).T @ away
-
-
-def _along(rows: FloatArray, up: FloatArray) -> FloatArray:
-    """Sum over the bias axes, axis 1 of (M, 4) or (M, 4, 4)."""
-    return rows[:, 0] * up[0] + rows[:, 1] * up[1] + rows[:, 2] * up[2]
+    within = weight.dot(cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)
+    return of_all, within + (weight[:, None] * away).T.dot(away)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> float:

@@ -367,9 +367,12 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
 def _of_stream(stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> FloatArray:
     if stream is None:
         return np.full((len(at_s), 3), np.nan)
-    good = np.isfinite(stream.time_s) & np.isfinite(stream.values).all(axis=1)
-    time_s, first = np.unique(stream.time_s[good], return_index=True)
-    return at_times(time_s, stream.values[good][first], at_s, max_gap_s)
+    time_s, values = stream.time_s, stream.values
+    if not (np.isfinite(values).all() and (time_s[1:] > time_s[:-1]).all() and np.isfinite(time_s[-1:]).all()):
+        good = np.isfinite(time_s) & np.isfinite(values).all(axis=1)
+        time_s, first = np.unique(time_s[good], return_index=True)
+        values = values[good][first]
+    return at_times(time_s, values, at_s, max_gap_s)
 
 
 def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s: float) -> FloatArray:
@@ -380,6 +383,8 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
     result = np.full((len(at_s), 3), np.nan)
     if len(time_s) < 2 or not len(at_s):
         return result
+    if np.array_equal(time_s, at_s):
+        return values
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
     left = right - 1
     # A stream that starts or ends a few samples away from the accelerometer is held, not extrapolated.
@@ -387,5 +392,7 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
     measured = (at_s == time_s[left]) | (at_s == time_s[right])  # at the edge of a hole
     near = covered & (measured | (time_s[right] - time_s[left] <= max_gap_s))
     fraction = np.clip((at_s - time_s[left]) / (time_s[right] - time_s[left]), 0.0, 1.0)[:, None]
-    result[near] = (values[left] + (values[right] - values[left]) * fraction)[near]
+    between = values[left] + (values[right] - values[left]) * fraction
+    # what was measured at that time is not rounded, so that nothing depends on what else is asked for
+    result[near] = np.where(fraction == 1.0, values[right], between)[near]
     return result

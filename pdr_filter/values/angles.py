@@ -18,7 +18,7 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
     # the remainder of a tiny negative number rounds up to 2 pi itself
     if isinstance(angle_rad, float):  # in Python's numbers, a tenth of the time
         one = (angle_rad + math.pi) % (2 * math.pi) - math.pi
-        return np.asarray(one if one < math.pi else -math.pi)
+        return np.asarray(-math.pi if one >= math.pi else one)  # NaN stays NaN
     wrapped = (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
     return np.asarray(np.where(wrapped >= np.pi, -np.pi, wrapped))
 

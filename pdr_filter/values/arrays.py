@@ -20,18 +20,24 @@ Table = np.recarray[Any, Any]
 def as_floats(values: ArrayLike, name: str) -> FloatArray:
     """The values as floats; masked ones, which are not known, are NaN.
 
-    ValueError for dates and durations, whose numbers are in units of their own, and for complex numbers.
+    ValueError for dates and durations, whose numbers are in units of their own, and for what is no real number.
     """
     if type(values) is np.ndarray and values.dtype == np.float64:
         return values
-    array: Any = np.asanyarray(values)
+    try:
+        array: Any = np.asanyarray(values)
+    except ValueError as error:  # rows of different lengths
+        raise ValueError(f"{name} must be an array of numbers, got {str(values)[:60]}: {error}") from None
     if array.dtype.kind in "mM":
         raise ValueError(f"{name} holds {array.dtype}; give seconds, such as (t - t[0]) / np.timedelta64(1, 's')")
     if array.dtype.kind == "c":
         raise ValueError(f"{name} holds {array.dtype}; give real numbers")
     if isinstance(array, np.ma.MaskedArray):
         array = cast(Any, array.astype(np.float64)).filled(np.nan)
-    return np.asarray(array, dtype=np.float64)
+    try:
+        return np.asarray(array, dtype=np.float64)
+    except (TypeError, ValueError) as error:  # words, objects
+        raise ValueError(f"{name} must be numbers, got {str(values)[:60]}: {error}") from None
 
 
 def median(values: FloatArray) -> float:
@@ -42,7 +48,11 @@ def median(values: FloatArray) -> float:
 
 def read_only(values: ArrayLike, name: str = "values") -> FloatArray:
     """Return a read-only contiguous float64 copy of `as_floats`."""
-    array = np.array(as_floats(values, name), order="C")
+    return frozen(np.array(as_floats(values, name), order="C"))
+
+
+def frozen(array: FloatArray) -> FloatArray:
+    """The array itself, read-only from now on: for one that was just made."""
     array.flags.writeable = False
     return array
 

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
+from numbers import Real
 from typing import Any, Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from pdr_filter.values.arrays import FloatArray, read_only
 from pdr_filter.values.origin import Origin, check_place
@@ -16,8 +18,11 @@ from pdr_filter.values.uncertainty import RADIUS_68
 
 # Two fixes of one moment.
 _SAME_S = 0.01
-# A standard deviation beyond this says nothing, and its square must stay a number.
-_MAX_STD = 1e100
+# What is further from its zero is in no frame of this Earth, grids with the number of their zone in front included; its
+# square must leave enough digits to walk in.
+_MAX_M = 1e9
+# A standard deviation beyond this says nothing. Products of four of them, and of their inverses, must stay numbers.
+_MIN_STD, _MAX_STD = 1e-12, 1e12
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -45,17 +50,15 @@ class PositionFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "correlation_s", "floor", "altitude_m", "altitude_std_m")
         _take_arrays(self, "position_m", "cov_m2")
-        if self.position_m.shape != (2,) or not np.isfinite(self.position_m).all():
-            raise ValueError(f"position_m must be two finite numbers (east, north), got {self.position_m}")
+        if self.position_m.shape != (2,) or not (np.abs(self.position_m) <= _MAX_M).all():
+            raise ValueError(f"position_m must be (east, north) in m, up to {_MAX_M:g}, got {self.position_m}")
         symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
-        if not (symmetric and np.isfinite(self.cov_m2).all() and (np.linalg.eigvalsh(self.cov_m2) > 0).all()):
-            raise ValueError(f"cov_m2 must be a symmetric positive definite (2, 2) array in m2, got {self.cov_m2}")
-        if not 0 <= self.correlation_s < np.inf:
-            raise ValueError(f"correlation_s must be 0 or more and finite, got {self.correlation_s}")
-        if self.floor is not None:
-            if not (np.isfinite(self.floor) and self.floor == np.round(self.floor)):
-                raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {self.floor!r}")
-            object.__setattr__(self, "floor", int(self.floor))
+        if not (symmetric and np.isfinite(self.cov_m2).all() and _are_variances(np.linalg.eigvalsh(self.cov_m2))):
+            raise ValueError(
+                "cov_m2 must be a symmetric positive definite (2, 2) array in m2, of standard deviations from "
+                f"{_MIN_STD:g} to {_MAX_STD:g} m, got {self.cov_m2}"
+            )
+        _check_correlation_and_floor(self)
         if (self.altitude_m is None) != (self.altitude_std_m is None):
             raise ValueError(
                 f"altitude_m and altitude_std_m belong together, got {self.altitude_m} and {self.altitude_std_m}"
@@ -105,11 +108,54 @@ class PositionFix:
                 f"std_m={std_m} and accuracy_m={accuracy_m}"
             )
         name, value = ("std_m", std_m) if accuracy_m is None else ("accuracy_m", accuracy_m)
-        if value is None or not 0 < value < _MAX_STD:
-            raise ValueError(f"{name} must be positive, got {value}; leave out a fix whose place is not known")
-        each_m = value if accuracy_m is None else value / RADIUS_68
+        if not (isinstance(value, Real) and _MIN_STD <= value <= _MAX_STD):
+            raise ValueError(f"{name} must be positive, got {value!r}; leave out a fix whose place is not known")
+        each_m = float(value) if accuracy_m is None else float(value) / RADIUS_68
         position_m = Origin.of(origin).east_north_m(latitude_deg, longitude_deg)
         return cls(time_s, position_m, each_m**2 * np.eye(2), received_time_s)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class GridFix:
+    """How probable each cell of a grid is, where somebody may be in several places: for a track on a floor plan.
+
+    Examples
+    --------
+    >>> import numpy as np, pdr_filter as pdr
+    >>> either = np.log([[0.6, 0.1, 0.3]])  # of three cells side by side, of 3 m
+    >>> fix = pdr.GridFix(12.0, (0.0, 0.0), 3.0, either)
+    >>> np.exp(fix.log_likelihood_at(np.array([[7.0, 1.0]]))).round(3)
+    array([0.3])
+    """
+
+    time_s: float  # when it was true, on the time base of the samples
+    south_west_m: FloatArray  # (2,) east, north of the corner of the first cell
+    cell_m: float  # side of a cell
+    log_likelihood: FloatArray  # (rows to the north, columns to the east); outside of it is as its least cell
+    received_time_s: float | None = None  # when it arrived, not before `time_s`; `time_s` if not given
+    correlation_s: float = 0.0  # as that of a `PositionFix`
+    floor: int | None = None  # number of the storey
+
+    def __post_init__(self) -> None:
+        _take_numbers(self, "time_s", "received_time_s", "cell_m", "correlation_s", "floor")
+        _take_arrays(self, "south_west_m", "log_likelihood")
+        if self.south_west_m.shape != (2,) or not np.isfinite(self.south_west_m).all():
+            raise ValueError(f"south_west_m must be two finite numbers (east, north), got {self.south_west_m}")
+        shape = self.log_likelihood.shape
+        if len(shape) != 2 or 0 in shape or not np.isfinite(self.log_likelihood).all():
+            raise ValueError(f"log_likelihood must be finite, (rows to the north, columns to the east), got {shape}")
+        if not 0 < self.cell_m < np.inf:
+            raise ValueError(f"cell_m must be positive and finite, got {self.cell_m}")
+        _check_correlation_and_floor(self)
+        _check_times(self.time_s, self.received_time_s)
+
+    def log_likelihood_at(self, position_m: FloatArray) -> FloatArray:
+        """That of the cells of positions (N, 2), (N,)."""
+        column, row = np.floor((position_m - self.south_west_m) / self.cell_m).T
+        n_rows, n_columns = self.log_likelihood.shape
+        inside = (row >= 0) & (row < n_rows) & (column >= 0) & (column < n_columns)
+        index = np.where(inside, row * n_columns + column, 0).astype(np.int64)
+        return np.where(inside, self.log_likelihood.ravel()[index], self.log_likelihood.min())
 
 
 @dataclass(frozen=True, slots=True)
@@ -130,7 +176,7 @@ class HeadingFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "walking_heading_rad", "std_rad")
         _check_times(self.time_s, self.received_time_s)
-        if not (np.isfinite(self.walking_heading_rad) and 0 < self.std_rad < _MAX_STD):
+        if not (np.isfinite(self.walking_heading_rad) and _MIN_STD <= self.std_rad <= _MAX_STD):
             raise ValueError(
                 f"walking_heading_rad must be finite and std_rad positive, got {self.walking_heading_rad} and "
                 f"{self.std_rad}"
@@ -156,7 +202,7 @@ class SpeedFix:
     def __post_init__(self) -> None:
         _take_numbers(self, "time_s", "received_time_s", "speed_mps", "std_mps")
         _check_times(self.time_s, self.received_time_s)
-        if not (0 < self.speed_mps < np.inf and 0 < self.std_mps < _MAX_STD):
+        if not (0 < self.speed_mps < np.inf and _MIN_STD <= self.std_mps <= _MAX_STD):
             raise ValueError(
                 f"speed_mps and std_mps must be positive, got {self.speed_mps} and {self.std_mps}; somebody who stands "
                 "is a Standstill"
@@ -187,6 +233,10 @@ class Standstill:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
 
 
+def _are_variances(values: NDArray[Any]) -> bool:
+    return bool(((values >= _MIN_STD**2) & (values <= _MAX_STD**2)).all())
+
+
 _MAY_BE_UNKNOWN = ("received_time_s", "floor", "altitude_m", "altitude_std_m")
 
 
@@ -214,6 +264,16 @@ def _taken(fix: object, name: str, value: Any, as_numbers: Callable[[Any], Any])
         raise ValueError(what[:300]) from None
 
 
+def _check_correlation_and_floor(fix: PositionFix | GridFix) -> None:
+    """ValueError unless they can be meant; the floor becomes a whole number."""
+    if not 0 <= fix.correlation_s < np.inf:
+        raise ValueError(f"correlation_s must be 0 or more and finite, got {fix.correlation_s}")
+    if fix.floor is not None:
+        if not (np.isfinite(fix.floor) and fix.floor == np.round(fix.floor)):
+            raise ValueError(f"floor must be a whole number, such as 0 for the ground floor, got {fix.floor!r}")
+        object.__setattr__(fix, "floor", int(fix.floor))
+
+
 def _check_times(time_s: float, received_time_s: float | None) -> None:
     received_s = time_s if received_time_s is None else received_time_s
     if not (np.isfinite(time_s) and np.isfinite(received_s) and received_s >= time_s):
@@ -223,15 +283,20 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 
 
 # What a filter takes besides samples.
-Fix = PositionFix | HeadingFix | SpeedFix | Standstill
+Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill
 
 
-def check_fix(fix: object) -> None:
-    """ValueError unless it is a fix."""
-    if not isinstance(fix, PositionFix | HeadingFix | SpeedFix | Standstill):
+def check_fix(fix: object, has_plan: bool) -> None:
+    """ValueError unless it is a fix that the filter can use."""
+    if not isinstance(fix, PositionFix | GridFix | HeadingFix | SpeedFix | Standstill):
         raise ValueError(
-            f"a fix must be a PositionFix, HeadingFix, SpeedFix or Standstill, got {fix!r}; a position is "
+            f"a fix must be a PositionFix, GridFix, HeadingFix, SpeedFix or Standstill, got {fix!r}; a position is "
             "PositionFix(time_s, (east_m, north_m), std_m**2 * np.eye(2))"
+        )
+    if isinstance(fix, GridFix) and not has_plan:
+        raise ValueError(
+            f"a GridFix (at {fix.time_s:g} s) is for particles on a floor plan: give plan too, or its mean and "
+            "covariance as a PositionFix, such as those of RadioMap.fixes"
         )
 
 
@@ -247,7 +312,7 @@ FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting",
 class FixResult:
     """What the filter made of a fix."""
 
-    kind: str  # "position", "heading", "speed", "standstill"
+    kind: str  # "position", "grid", "heading", "speed", "standstill"
     time_s: float  # when it was true
     used_s: float  # when the filter took it
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of

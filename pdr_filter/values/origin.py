@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 from math import isfinite
-from typing import cast
+from numbers import Real
+from typing import Any
 
 import numpy as np
 import pymap3d
@@ -23,11 +23,16 @@ _FIRST_YEAR, _LAST_YEAR = 2010.0, 2029.99
 
 def check_place(what: str, latitude_deg: float, longitude_deg: float) -> None:
     """ValueError unless it is a place on Earth."""
-    if not (-90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
+    are_numbers = _is_real(latitude_deg) and _is_real(longitude_deg)
+    if not (are_numbers and -90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):
         raise ValueError(
-            f"{what} must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({latitude_deg}, "
-            f"{longitude_deg}); are the two exchanged?"
+            f"{what} must be (latitude, longitude) in degrees, -90..90 and -180..180, got ({latitude_deg!r}, "
+            f"{longitude_deg!r}); are the two exchanged?"
         )
+
+
+def _is_real(value: Any) -> bool:
+    return isinstance(value, Real)
 
 
 @dataclass(frozen=True, slots=True)
@@ -59,12 +64,14 @@ class Origin:
         check_place("origin", self.latitude_deg, self.longitude_deg)
         for name in ("height_m", "turn_rad"):
             value = getattr(self, name)
-            if value is not None and not isfinite(value):
-                raise ValueError(f"{name} of an origin must be finite, got {value}; leave it out if it is not known")
+            if value is not None and not (_is_real(value) and isfinite(value)):
+                raise ValueError(f"{name} of an origin must be finite, got {value!r}; leave it out if it is not known")
         for name in ("turn_std_rad", "position_std_m", "height_std_m"):
             value = getattr(self, name)
-            if value is not None and not 0 <= value < np.inf:
-                raise ValueError(f"{name} of an origin must be 0 or more, got {value}; leave it out if it is not known")
+            if value is not None and not (_is_real(value) and 0 <= value < np.inf):
+                raise ValueError(
+                    f"{name} of an origin must be 0 or more, got {value!r}; leave it out if it is not known"
+                )
 
         if self.turn_std_rad is not None and self.turn_rad is None:
             raise ValueError(f"turn_std_rad of an origin is that of turn_rad, got {self.turn_std_rad} alone: give both")
@@ -74,10 +81,12 @@ class Origin:
         """The origin that is given, or the one at (latitude_deg, longitude_deg)."""
         if isinstance(place, Origin):
             return place
-        numbers = cast(Sequence[float], place)
-        if isinstance(place, str) or len(numbers) != 2:
-            raise ValueError(f"origin must be an Origin, or (latitude, longitude) in degrees, got {place!r}")
-        return cls(float(numbers[0]), float(numbers[1]))
+        try:
+            latitude_deg, longitude_deg = (float(number) for number in place)
+        except (TypeError, ValueError):
+            words = f"origin must be an Origin, or (latitude, longitude) in degrees, got {place!r}"
+            raise ValueError(words) from None
+        return cls(latitude_deg, longitude_deg)
 
     @property
     def _here(self) -> tuple[float, float, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from math import cos, degrees, sin
+from math import cos, degrees, inf, isfinite, sin
 from typing import TYPE_CHECKING, Any, Self
 
 import numpy as np
@@ -142,7 +142,15 @@ class TrackRows:
 
         `turn_rad` is the true heading of what was its north: for a track in the frame of the start, the direction in
         which the person first walked. Its error turns the whole track: P' = R P R' + std^2 g g', g = (north, -east).
+        ValueError for a track that a floor plan has placed.
         """
+        if not isfinite(turn_rad) or not 0 <= (std_rad or 0.0) < inf:
+            raise ValueError(f"turn_rad must be finite and std_rad 0 or more, got {turn_rad} and {std_rad}, in radians")
+        if self.plan is not None:
+            raise ValueError(
+                f"{self.name!r} lies in the frame of its floor plan, got a turn of {turn_rad} rad: read the plan in "
+                "longitude and latitude, or with its origin, so that its north is true north"
+            )
         if self.knows_north:
             raise ValueError(
                 f"the north of {self.name!r} is true north already, got a turn of {turn_rad} rad: leave it out"
@@ -231,15 +239,18 @@ class TrackRows:
         return np.exp(self.mode_entropy)
 
     def speed_mps(self, t: ArrayLike) -> FloatArray:
-        """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero."""
+        """Walking speed at times t, m/s, same shape as t: step length over duration during a step, else zero.
+
+        NaN where t is.
+        """
         at = np.asarray(t, dtype=float)
         if self.n_steps == 0:
-            return np.zeros_like(at)
+            return np.where(np.isnan(at), at, 0.0)
         index = np.searchsorted(self.time_s, at)  # the first contact at or after t ends the step that t is in
         inside = np.minimum(index, self.n_steps - 1)
         duration = np.asarray(self.steps.duration_s)[inside]
         walking = (index < self.n_steps) & (at >= self.time_s[inside] - duration)
-        return np.where(walking, self.step_length_m[inside] / duration, 0.0)
+        return np.where(walking, self.step_length_m[inside] / duration, np.where(np.isnan(at), at, 0.0))
 
     def floor_changes(self) -> list[FloorPassage]:
         """When the pedestrian went from one storey to another, and how, in order."""

@@ -29,7 +29,12 @@ class Wifi:
     frequency_mhz: FloatArray  # (N,) of its channel; NaN if not known
 
     def __post_init__(self) -> None:
-        bssid = np.array(self.bssid, dtype=np.int64)
+        addresses = np.asarray(self.bssid)
+        if addresses.size and addresses.dtype.kind not in "iu":
+            raise ValueError(
+                f"bssid must be whole numbers, got {addresses.dtype}: int(text.replace(':', ''), 16) is one"
+            )
+        bssid = np.array(addresses, dtype=np.int64)
         bssid.flags.writeable = False
         object.__setattr__(self, "bssid", bssid)
         for name in ("time_s", "rssi_dbm", "frequency_mhz"):

@@ -10,12 +10,13 @@ NEES is of the position (2 degrees of freedom) and of the whole state (4), ten t
 fix of 3 m every 60 steps. The bounds are those of a chi-square mean over the walks; that of the NIS is over all
 fixes. Rows below "the filter's own model" leave it, by what their names say.
 
-real: the share of places in the 50 % and 95 % ellipses of the default recipe: waypoints of humolire and ms_indoor, and
-the reference of oxiod every 5 s (without the trolley). Alone: the truth is turned and moved into the track's frame by
-the places of the first 20 % of the path, which then do not count; that gives the direction better than the filter can
-know it. With fixes: the filter gets those places as fixes in the frame of the building, of which it knows neither
-origin nor north, and nothing is turned. What places are uncertain by along each axis, 0.7 m (humolire), 1 m
-(ms_indoor), 0.3 m (oxiod), is the standard deviation of the fixes and is added to the ellipses.
+real: the share of places in the 50 % and 95 % ellipses of the default recipe: waypoints of humolire, ms_indoor and
+ipin21, and the reference of oxiod and tyrex every 5 s (without the trolley); and the mean of these five phones.
+Alone: the truth is turned and moved into the track's frame by the places of the first 20 % of the path, which then do
+not count; that gives the direction better than the filter can know it. With fixes: the filter gets those places as
+fixes in the frame of the building, of which it knows neither origin nor north, and nothing is turned. What places are
+uncertain by along each axis, 0.7 m (humolire), 1 m (ms_indoor, ipin21), 0.3 m (oxiod, tyrex), is the standard deviation
+of the fixes and is added to the ellipses.
 
 day: 24 hours of walking and rest, 60,000 steps: sizes of the state, and what the covariance looks like at the end.
 """
@@ -48,13 +49,16 @@ EVEN_PRIOR = np.full(len(CONTEXTS), 1 / len(CONTEXTS))
 # Features of the simulated classifier: a unit vector for each context, this long, in unit noise. Of even contexts it
 # classifies 87 % of the windows correctly; the shipped model gets 86 to 97 % of people left out.
 SEPARATION = 2.5
-# Files of a site, and how good its places are along each axis: humolire's are ticks on a floor passed within a step,
-# ms_indoor's are "good to a metre or so".
+# Files of a site, which has one phone, and how good its places are along each axis: humolire's are ticks on a floor
+# passed within a step, those of ms_indoor and ipin21 are "good to a metre or so".
 PLACES = (
     ("humolire", "*.zip", 0.7),
     ("ms_indoor", "*.zip", 1.0),
     ("oxiod", "*_[hp]*.zip", 0.3),
+    ("tyrex", "*dist_[bfpst]*.zip", 0.3),
+    ("ipin21", "*.zip", 1.0),
     ("oxiod", "*running*.zip", 0.3),
+    ("tyrex", "*dist_running*.zip", 0.3),
 )
 LATENCY_S = 0.7  # from a contact to its step, where windows overlap
 
@@ -368,7 +372,7 @@ def place_errors(track: pdr.Track, truth: Places, std_m: float) -> FloatArray:
 
 def real(tables: Tables, data: Path) -> None:
     """Coverage by site: of the track alone, and of one that got the first places as fixes in the building's frame."""
-    levels, rows = chi2.ppf([0.5, 0.95], 2), []
+    levels, rows, of_phones = chi2.ppf([0.5, 0.95], 2), [], {"no": [], "yes": []}
     for site, pattern, std_m in PLACES:
         alone, with_fixes = [], []
         for recording in recordings(data, site, pattern):
@@ -388,6 +392,11 @@ def real(tables: Tables, data: Path) -> None:
             shares = [f"{half:.0f} %", f"{most:.0f} %"]
             label = site + (" running" if "running" in pattern else "")
             rows.append([label, name, len(found), nees.size, *shares, f"{nees.mean():.2f}, {np.median(nees):.2f}"])
+            if label == site:
+                of_phones[name].append((half, most, nees.mean()))
+    for name, of_each in of_phones.items():
+        half, most, mean = np.mean(of_each, axis=0)
+        rows.append([f"{len(of_each)} phones alike", name, "", "", f"{half:.0f} %", f"{most:.0f} %", f"{mean:.2f}, -"])
     columns = ["site", "first 20 % as fixes", "walks", "places", "in 50 %", "in 95 %"]
     tables.write("consistency_real", [*columns, "squared error over predicted: mean, median"], rows)
 

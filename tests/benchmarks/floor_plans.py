@@ -3,10 +3,11 @@
 usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [radio] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
-plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone. The other
-storeys and humolire are other walks, but not untouched: what being outside costs is a judgement made after a look at
-humolire, and a term of the filter was dropped because it did not help on the other storeys. Waypoints are good to a
-metre, which is added to the covariances that are compared with them.
+plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone, how much a
+scan of Wi-Fi counts for particles and how uneven steps are on F1 and B1. The other storeys and humolire are other
+walks, but not untouched: what being outside costs is a judgement made after a look at humolire, and a term of the
+filter was dropped because it did not help on the other storeys. Waypoints are good to a metre, which is added to the
+covariances that are compared with them.
 """
 
 from __future__ import annotations
@@ -25,13 +26,17 @@ from scipy.stats import chi2
 from shapely.affinity import rotate, translate
 
 import pdr_filter as pdr
-from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, median_and, options, paths
-from tests.benchmarks.radio import known_walks, located
+from tests.benchmarks.radio import known_walks, left_out, map_of
 
-GROUPS = {"ms_indoor, storey F1": "_f1_", "ms_indoor, other storeys": "_(b1|f2|f3|f4)_", "humolire": "humolire"}
+GROUPS = {
+    "ms_indoor, F1 (chosen on)": "_f1_",
+    "ms_indoor, B1 (chosen on)": "_b1_",
+    "ms_indoor, other storeys": "_f[234]_",
+    "humolire": "humolire",
+}
 WAYPOINT_VAR_M2 = 1.0
 N_SEEDS = 20
 
@@ -236,14 +241,16 @@ def radio(tables: Tables, data: Path) -> None:
 
     The map is that of all other walks of the storey.
     """
-    mapped = located(known_walks(data))
+    known = known_walks(data)
+    mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known)}
     rows, each = [], []
     for group, pattern in GROUPS.items():
         errors: list[list[float]] = []
         for whole in walks(data, pattern):
-            wifi = mapped.get(whole.recording.name)
-            if wifi is None:
+            if whole.recording.name not in mapped:
                 continue
+            wifi = mapped[whole.recording.name].fixes(whole.recording)
+            grids = mapped[whole.recording.name].grids(whole.recording)
             walk = replace(whole, n_given=1)
             first, way = walk.fixes[0], walk.place_m[1] - walk.place_m[0]
             given = [first, pdr.HeadingFix(first.time_s + 2.0, float(np.arctan2(*way)), 0.1)]
@@ -252,12 +259,13 @@ def radio(tables: Tables, data: Path) -> None:
                 pdr.track(recording, config, fixes=given),
                 pdr.track(recording, config, fixes=given, plan=plan),
                 pdr.track(recording, config, fixes=[*given, *wifi]),
-                pdr.track(recording, config, fixes=[*given, *wifi], plan=plan),
-                # `pdr.smooth` takes fixes of position alone
-                smooth_on_plan(recording, config.with_plan(plan), (*given, *wifi)).track,
+                pdr.track(recording, config, fixes=[*given, *wifi, *grids], plan=plan),
+                pdr.smooth(recording, [*given, *wifi, *grids], config=config, plan=plan).track,
             )
             errors.append([walk.rmse_m(track) for track in tracks])
-            each.append([recording.name, len(walk.time_s) - 1, len(wifi), *(f"{e:.2f}" for e in errors[-1])])
+            each.append(
+                [recording.name, len(walk.time_s) - 1, len(wifi), len(grids), *(f"{e:.2f}" for e in errors[-1])]
+            )
         if errors:
             alone = np.array(errors)[:, 0]
             row: list[object] = [group, len(alone), median_and(alone, 90)]
@@ -269,7 +277,7 @@ def radio(tables: Tables, data: Path) -> None:
     about = "RMSE in m at the waypoints after the first; given are the first one and the direction of the first leg."
     more = " Median, 90 % of walks (share worse than 1.1 times dead reckoning, largest ratio)."
     tables.write("floor_plans_radio", ["walks", "n", *names], rows, about + more)
-    tables.write("floor_plans_radio_walks", ["walk", "waypoints", "Wi-Fi fixes", *names], each, about)
+    tables.write("floor_plans_radio_walks", ["walk", "waypoints", "Wi-Fi fixes", "scans", *names], each, about)
 
 
 def main() -> None:

@@ -274,7 +274,8 @@ def agreement(tables: Tables, data: Path, stage: WalkingHeading) -> None:
                 if state.place is not None and state.up is not None:
                     forward, right = state.place.vectors[1]
                     screen = np.arctan2(np.cross(state.axis, state.up)[2], state.axis[2])
-                    found.append((kind, len(walk.steps), state.up, float(np.arctan2(right, forward) - screen)))
+                    direction = float(np.arctan2(right, forward) - screen)
+                    found.append((kind, len(walk.steps), np.array(state.up), direction))
         _, _, up, direction = max((f for f in found if f[0] == "wlk"), key=lambda f: f[1])
         for kind, _, other_up, other in found:
             if other is not direction and up @ other_up > 0.8:

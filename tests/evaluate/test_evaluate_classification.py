@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -83,9 +85,9 @@ def test_a_class_that_does_not_occur_has_no_recall_and_is_in_the_table() -> None
 
 
 def test_labels_out_of_range_are_refused() -> None:
-    with pytest.raises(ValueError, match="predicted must be from 0 to 1"):
+    with pytest.raises(ValueError, match="predicted must be whole numbers from 0 to 1"):
         classification.confusion_matrix(np.array([0]), np.array([2]), 2)
-    with pytest.raises(ValueError, match="label must be from 0 to 1"):
+    with pytest.raises(ValueError, match="label must be whole numbers from 0 to 1"):
         classification.confusion_matrix(np.array([-1]), np.array([0]), 2)
     with pytest.raises(ValueError, match="one for each"):
         classification.confusion_matrix(np.array([0, 1]), np.array([0]), 2)
@@ -94,3 +96,26 @@ def test_labels_out_of_range_are_refused() -> None:
 def test_a_table_of_other_classes_is_refused() -> None:
     with pytest.raises(ValueError, match="square"):
         classification.class_table(np.eye(3, dtype=int), ("a", "b"))
+
+
+SCORES = (classification.log_loss, classification.calibration_error, classification.brier_score)
+
+
+@pytest.mark.parametrize("score", SCORES)
+@pytest.mark.parametrize("label", [[0, -1], [0, 5], [0.0, 1.0], [0]], ids=["unknown", "too many", "float", "short"])
+def test_what_has_no_class_does_not_count_as_the_last_one(score: Any, label: list[float]) -> None:
+    prob = drawn(0, n=2)[1]
+    with pytest.raises(ValueError, match="label"):
+        score(prob, np.array(label))
+
+
+@pytest.mark.parametrize("score", SCORES)
+def test_of_no_predictions_there_is_no_score(score: Any) -> None:
+    assert np.isnan(score(np.zeros((0, 3)), np.zeros(0, dtype=int)))
+
+
+def test_probabilities_that_are_not_known_have_no_reliability() -> None:
+    label, prob = drawn(0, n=3)
+    prob[1] = np.nan
+    with pytest.raises(ValueError, match="leave out rows with NaN"):
+        classification.calibration_error(prob, label)

@@ -125,6 +125,31 @@ def test_in_the_frame_of_the_truth_it_is_as_far_off_as_the_table_says(
     np.testing.assert_allclose(at, expected, atol=1e-9)
 
 
+def test_a_track_in_the_frame_of_fixes_is_as_far_off_as_in_its_own(
+    walk: pdr.Recording, by_weighting: dict[str, pdr.Track]
+) -> None:
+    imm, shift_m = by_weighting["imm"], np.array([400.0, -300.0])
+    moved = replace(imm, position_m=imm.position_m + shift_m, start_position_m=shift_m)
+    found = comparison.comparison_table(walk, {"own": imm, "fixes": moved})
+    for name in ("rmse_m", "end_error_percent"):
+        assert found[name][1] == pytest.approx(found[name][0], rel=1e-6)
+    here, there = (comparison.straight_leg_error_percent(walk, t) for t in (imm, moved))
+    assert there == pytest.approx(here, rel=1e-6)
+    turned = comparison.in_truth_frame(walk, imm)
+    np.testing.assert_allclose(comparison.in_truth_frame(walk, moved), turned, atol=1e-6)
+
+
+def test_waypoints_that_are_not_known_are_left_out(walk: pdr.Recording, by_weighting: dict[str, pdr.Track]) -> None:
+    points = walk.truth.waypoints
+    holed = points.copy()
+    holed.east_m[3], holed.time_s[5] = np.nan, np.nan
+    without = np.delete(points, [3, 5]).view(np.recarray)
+    with_truth = [replace(walk, truth=replace(walk.truth, waypoints=table)) for table in (holed, without)]
+    first, second = (comparison.comparison_table(walk, {"imm": by_weighting["imm"]}) for walk in with_truth)
+    assert first.tolist() == second.tolist()
+    assert np.isfinite(first.rmse_m).all()
+
+
 def test_the_sweep_goes_from_always_weighted_to_the_highest(
     walk: pdr.Recording, config: pdr.Config, by_weighting: dict[str, pdr.Track]
 ) -> None:

@@ -58,3 +58,27 @@ def test_coverage_has_the_shape_of_the_probabilities() -> None:
     error, cov = gaussian(10)
     assert consistency.ellipse_coverage(error, cov, 0.5).shape == ()
     assert consistency.ellipse_coverage(error, cov, (0.1, 0.5, 0.9)).shape == (3,)
+
+
+def test_errors_that_are_not_known_count_neither_way() -> None:
+    error, cov = gaussian(100)
+    unknown = np.vstack([error, np.full((300, 2), np.nan)])
+    covs = np.concatenate([cov, np.tile(np.eye(2), (300, 1, 1))])
+    np.testing.assert_array_equal(consistency.ellipse_coverage(unknown, covs), consistency.ellipse_coverage(error, cov))
+    assert np.isnan(consistency.ellipse_coverage(error[:0], cov[:0])).all()
+
+
+@pytest.mark.parametrize("wrong", [np.zeros((2, 2)), -np.eye(2), np.ones((2, 2))], ids=["zero", "negative", "line"])
+def test_a_covariance_of_no_size_along_some_direction_is_refused(wrong: np.ndarray) -> None:
+    error, cov = gaussian(3)
+    cov[1] = wrong
+    with pytest.raises(ValueError, match="cov must"):
+        consistency.nees(error, cov)
+
+
+@pytest.mark.parametrize("prob", [95, 0.0, 1.0, np.nan])
+def test_a_probability_in_percent_is_refused(prob: float) -> None:
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        consistency.mean_bounds(2, 50, prob)
+    with pytest.raises(ValueError, match="between 0 and 1"):
+        consistency.ellipse_coverage(*gaussian(3), prob)

@@ -84,3 +84,14 @@ def test_a_number_that_is_not_known_is_a_dash() -> None:
     assert text.splitlines()[2] == "| none | - | 1.00 |"
     assert isinstance(text, Markdown)
     assert text._repr_markdown_() == text
+
+
+def test_a_cell_of_any_text_stays_one_cell() -> None:
+    text = markdown([{"a|b": "x|y\nz", "mean": np.float32(1.239)}])
+    assert text.splitlines() == ["| a\\|b | mean |", "|---|---|", "| x\\|y z | 1.24 |"]
+
+
+def test_the_distance_between_times_that_are_not_known_is_not_known() -> None:
+    time_s, length_m = np.arange(3.0), np.ones(3)
+    found_m = distance.walked_m(time_s, length_m, [np.nan, 0.0, -np.inf], [1.0, np.nan, np.inf])
+    np.testing.assert_array_equal(found_m, [np.nan, np.nan, 3.0])

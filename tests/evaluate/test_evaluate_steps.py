@@ -91,3 +91,14 @@ def test_the_best_offset_undoes_a_shift() -> None:
 def test_steps_that_fit_already_are_not_moved() -> None:
     true_s = np.arange(1.0, 30.0, 0.53)
     assert steps.best_offset_s(true_s, true_s) == 0.0
+
+
+@pytest.mark.parametrize("tolerance_s", [-0.1, np.nan])
+def test_a_tolerance_that_nothing_can_keep_is_refused(tolerance_s: float) -> None:
+    with pytest.raises(ValueError, match="tolerance_s"):
+        steps.step_scores(np.arange(3.0), np.arange(3.0), tolerance_s)
+
+
+def test_times_that_are_not_known_are_refused() -> None:
+    with pytest.raises(ValueError, match="found_s must be ascending and known"):
+        steps.step_scores(np.arange(3.0), np.array([np.nan]))

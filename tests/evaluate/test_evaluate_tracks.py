@@ -118,6 +118,34 @@ def test_positions_of_a_track_begin_at_the_origin_and_stay_at_the_end() -> None:
     assert tracks.positions_at(np.zeros(0), np.zeros((0, 2)), [1.0, 2.0]).tolist() == [[0, 0], [0, 0]]
 
 
+def test_a_track_in_another_frame_begins_where_it_is_said_to() -> None:
+    time_s, position_m, start_m = np.array([1.0, 2.0]), np.array([[50.0, 1.0], [50.0, 2.0]]), (50.0, 0.0)
+    found = tracks.positions_at(time_s, position_m, [np.nan, -5.0, 0.0, 1.0], start_m)
+    np.testing.assert_allclose(found[1:], [[50.0, 0.0], [50.0, 5.0 / 6.0], [50.0, 1.0]], atol=1e-3)
+    assert np.isnan(found[0]).all()
+    assert tracks.positions_at(np.zeros(0), np.zeros((0, 2)), [1.0], start_m).tolist() == [[50.0, 0.0]]
+    np.testing.assert_allclose(tracks.moved_m(time_s, position_m, [0.0], [2.0], start_m), [2.0], atol=2e-3)
+
+
+@pytest.mark.parametrize("align", ["none", "origin", "first", "all"])
+def test_points_that_are_not_known_are_refused_with_their_number(align: tracks.Alignment) -> None:
+    known = np.array([[0.0, 0.0], [1.0, 0.0], [2.0, 1.0], [3.0, 3.0]])
+    unknown = known.copy()
+    unknown[2] = np.nan
+    for name, pair in (("reference", (known, unknown)), ("estimate", (unknown, known))):
+        for score in (tracks.position_rmse_m, tracks.axis_rmse_m, tracks.end_error_percent):
+            with pytest.raises(ValueError, match=f"{name} is not known at point 2"):
+                score(*pair, align)
+    with pytest.raises(ValueError, match="a point at least"):
+        tracks.position_rmse_m(known[:0], known[:0], align)
+
+
+def test_of_no_points_there_is_no_path() -> None:
+    assert tracks.path_m(np.zeros((0, 2))).shape == (0,)
+    assert tracks.first_of_path(np.zeros((0, 2))).shape == (0,)
+    assert tracks.path_m(np.ones((1, 2))).tolist() == [0.0]
+
+
 def test_a_leg_that_comes_back_has_moved_nobody() -> None:
     time_s, position_m = np.array([1.0, 2.0, 3.0]), np.array([[0.0, 3.0], [4.0, 0.0], [0.0, 3.0]])
     np.testing.assert_allclose(tracks.moved_m(time_s, position_m, [1.0, 1.0, 2.0], [2.0, 3.0, 9.0]), [5.0, 0.0, 5.0])

@@ -221,10 +221,10 @@ def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     assert 0.45 * 1.8 / 16 < turning_m <= straight_m < 0.45 * 1.8
 
 
-def test_who_turns_by_a_radian_a_second_makes_steps_a_ninth_shorter() -> None:
+def test_who_turns_by_a_radian_a_second_makes_steps_a_fifth_shorter() -> None:
     """As tyrex and oxiod have it, people in rooms of 4 to 6 m."""
     straight, turning = (length_of(BounceStepLength(), replace(step_of(), turn_rate_radps=w), 0.34) for w in (0, 1))
-    assert turning == pytest.approx(8 / 9 * straight, rel=0.01)
+    assert turning == pytest.approx(4 / 5 * straight, rel=0.02)
 
 
 # --- derivatives ----------------------------------------------------------------------------------------------------
@@ -274,11 +274,12 @@ def random_fit(model: StepLengthModel, rng: np.random.Generator) -> StepLengthFi
 
 @settings(max_examples=50)
 @given(step=steps, seed=st.integers(0, 10_000))
-def test_fits_at_once_give_the_bits_of_each_alone(step: Step, seed: int) -> None:
+def test_fits_at_once_give_what_each_alone_gives(step: Step, seed: int) -> None:
     rng = np.random.default_rng(seed)
     fits = tuple(random_fit(MODELS[i], rng) for i in rng.integers(0, len(MODELS), rng.integers(1, 12)))
     length, variance = StepLengths(fits).predict(step)
-    assert [fit.predict(step) for fit in fits] == list(zip(length, variance, strict=True))
+    alone = np.array([fit.predict(step) for fit in fits])
+    np.testing.assert_allclose(np.stack([length, variance], axis=1), alone, rtol=1e-9, atol=1e-9)
 
 
 @every_model

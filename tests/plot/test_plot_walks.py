@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import json
 import subprocess
 import sys
 from dataclasses import replace
@@ -15,6 +16,7 @@ from matplotlib.collections import EllipseCollection, LineCollection
 from scipy.stats import chi2
 
 from pdr_filter import plot
+from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report.palette import context_colours
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, Step, step_table
@@ -195,3 +197,55 @@ def test_contexts_can_be_told_apart_by_colour_with_any_colour_vision(vision: str
         linear = np.where(srgb <= 0.04045, srgb / 12.92, ((srgb + 0.055) / 1.055) ** 2.4)
         seen.append(lab(np.asarray(VISION[vision]) @ linear))
     assert min(np.linalg.norm(a - b) for a, b in itertools.combinations(seen, 2)) >= 18
+
+
+def test_a_dollar_in_names_and_notes_begins_no_formula(tmp_path: Path) -> None:
+    track = replace(make_track(5, 3, notes=("5 $ and 6 $_ too",)), name="walk $x^ of $y")
+    figure = plot.track(track, tmp_path / "walk.png")
+    assert "walk $x^ of $y" in texts(figure)
+    axes = plot.people("walking", {"a $b^ $c": (0.7, 0.1)}, (0.7, np.nan))
+    plot.save(axes, tmp_path / "people.png")
+    plan = read_plan(tmp_path, "hall $1^ $2")
+    plot.plan(plan, tmp_path / "plan.png")
+
+
+def test_contexts_and_storeys_are_named_where_they_are_drawn_alone() -> None:
+    track = replace(make_track(12, 6), floor=np.repeat([0, 1], 6))
+    named = [text.get_text() for text in plot.contexts(track).get_legend().get_texts()]
+    assert named == list(CONTEXTS)
+    storeys = [text.get_text() for text in plot.heights(track).get_legend().get_texts()]
+    assert storeys == ["floor 1", "floor 0"]
+    below = plot.track(track).axes
+    assert [axes.get_legend() is not None for axes in below] == [True, False, False]
+
+
+def test_one_step_of_a_context_is_not_called_steps() -> None:
+    names = [label.get_text() for label in plot.step_lengths(make_track(7, 0)).get_xticklabels()]
+    assert {name.split("\n")[1] for name in names} == {"1 step", "2 steps"}
+
+
+def test_names_on_a_plan_do_not_lie_on_each_other(tmp_path: Path) -> None:
+    axes = plot.plan(
+        read_plan(tmp_path, "hall", "a room of a long name", "another room here", "a third room there")
+    ).axes[0]
+    words = [text for text in axes.texts if text.get_text()]
+    assert words[0].get_text() == "a room of a long nam"  # that of the largest
+    boxes = [text.get_window_extent() for text in words]
+    assert not any(a.overlaps(b) for a, b in itertools.combinations(boxes, 2))
+    assert len(words) < 3
+
+
+def read_plan(folder: Path, name: str, *rooms: str) -> FloorPlan:
+    """A hall of 30 m, and rooms of which each lies in the one before."""
+    areas = [("floor", name, 15.0), *(("room", room, 5.0 - 0.1 * k) for k, room in enumerate(rooms))]
+    features = [
+        {
+            "type": "Feature",
+            "properties": {"type": kind, "name": words},
+            "geometry": {"type": "Polygon", "coordinates": [[[-h, -h], [h, -h], [h, h], [-h, h], [-h, -h]]]},
+        }
+        for kind, words, h in areas
+    ]
+    path = folder / f"{name}.geojson"
+    path.write_text(json.dumps({"type": "FeatureCollection", "features": features}))
+    return FloorPlan.read(path)

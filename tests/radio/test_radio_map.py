@@ -69,6 +69,28 @@ def test_fixes_say_how_long_they_err_alike_and_do_not_repeat_each_other(radio: R
         assert fix.time_s - before.time_s >= 0.5 * fix.correlation_s
 
 
+def test_grids_say_where_each_scan_was_with_the_mean_of_its_fix(radio: RadioMap, walk: Recording) -> None:
+    fixes, grids = radio.fixes(walk), radio.grids(walk)
+    assert walk.wifi is not None and len(grids) == len(walk.wifi.scans())  # none is left out here
+    of_time = {grid.time_s: grid for grid in grids}
+    for fix in fixes:
+        grid = of_time[fix.time_s]
+        prob = np.exp(grid.log_likelihood)
+        assert prob.sum() == pytest.approx(1.0, abs=0.01) and grid.received_time_s == fix.received_time_s
+        rows, columns = prob.shape
+        middle_m = [
+            grid.south_west_m + grid.cell_m * np.array([c + 0.5, r + 0.5]) for r in range(rows) for c in range(columns)
+        ]
+        np.testing.assert_allclose(prob.ravel() @ middle_m / prob.sum(), fix.position_m, atol=1.0)
+    at = [
+        [np.interp(g.time_s, walk.truth.position.time_s, walk.truth.position[n]) for n in ("east_m", "north_m")]
+        for g in grids
+    ]
+    here = [float(g.log_likelihood_at(np.array([place]))[0]) for g, place in zip(grids, at, strict=True)]
+    even = [-np.log(g.log_likelihood.size) for g in grids]
+    assert np.mean(np.array(here) - even) > 1.0
+
+
 def test_what_the_map_never_heard_gives_no_fix(radio: RadioMap, walk: Recording) -> None:
     assert walk.wifi is not None
     strange = replace(walk.wifi, bssid=walk.wifi.bssid + 10**6)

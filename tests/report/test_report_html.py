@@ -22,6 +22,7 @@ from pdr_filter.io.describe import reading_report
 from pdr_filter.io.recording import Recording
 from pdr_filter.report import html, palette, trust
 from pdr_filter.report.html import html_report, write_report
+from pdr_filter.report.page_data import track_data
 from pdr_filter.tracks import Track
 from pdr_filter.values import CONTEXTS, Fix, FloorPassage, PositionFix
 
@@ -76,10 +77,10 @@ def test_the_page_has_every_part(page: str) -> None:
     assert Seen(page).titles[1:] == [
         "Where not to trust it",
         "Way",
-        "Height",
+        "Height (m)",
         "Contexts over time",
-        "Walking speed",
-        "Step lengths",
+        "Walking speed (m/s)",
+        "Step lengths (m)",
         "Heading",
         "How it was read",
     ]
@@ -374,3 +375,12 @@ def test_a_day_of_walking_is_a_page_of_less_than_one_and_a_half_megabytes(track:
 def test_drawing_needs_no_matplotlib() -> None:
     code = "import sys, pdr_filter.report.html; sys.exit('matplotlib' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.mark.parametrize("nowhere", [np.nan, np.inf, 1e9])
+def test_a_step_that_is_nowhere_on_earth_does_not_make_a_dot_of_the_others(track: Track, nowhere: float) -> None:
+    position_m = track.position_m.copy()
+    position_m[3] = nowhere
+    data = track_data(replace(track, position_m=position_m), None, None, 1)
+    assert data["number"] == [k for k in range(1, track.n_steps + 1) if k != 4]
+    assert max(map(abs, data["east"])) < 1e3

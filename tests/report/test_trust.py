@@ -4,13 +4,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from helpers import windows_of
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.report.trust import doubts
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, PositionFix, Samples, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, PositionFix, Samples, read_only
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 
@@ -89,6 +90,18 @@ def test_a_stretch_of_odd_windows_is_told_and_a_single_one_is_not(track: Track, 
     )
 
 
+@pytest.mark.parametrize("mode", ["calling", "bag"])
+def test_a_phone_at_the_ear_or_in_a_bag_is_said_to_turn_unseen_and_one_that_lies_still_is_not(
+    track: Track, mode: str
+) -> None:
+    prob = np.tile(np.where(np.array(CARRYING_MODES) == mode, 0.9, 0.025), (len(track.windows), 1))
+    loose = replace(track, windows=replace(track.windows, carrying_prob=read_only(prob)))
+    assert any("turns against the body" in sentence for sentence in doubts(loose))
+    rests = np.tile(np.where(np.array(CONTEXTS) == "stationary", 0.9, 0.02), (len(track.windows), 1))
+    still = replace(loose, windows=replace(loose.windows, context_prob=read_only(rests)))
+    assert not any("turns against the body" in sentence for sentence in doubts(still))
+
+
 def test_modes_between_which_the_filter_hesitates_are_named(track: Track) -> None:
     prob = np.array(track.mode_prob)
     middle = (track.time_s > 12.0) & (track.time_s < 24.0)
@@ -151,3 +164,52 @@ def test_a_recording_without_a_single_sample_that_can_be_used_begins_at_zero_and
     nothing = Recording("empty", Samples(np.arange(300) / 100, np.full((300, 3), np.nan)))
     track = pdr.track(nothing)
     assert (track.start_time_s, track.duration_s, track.n_steps) == (0.0, 0.0, 0)
+
+
+@pytest.mark.parametrize(("n", "end"), [(1, "to 5 s"), (2, "and from 12 to 17 s"), (12, "and 4 times more")])
+def test_one_sentence_says_all_the_times_of_a_doubt(track: Track, n: int, end: str) -> None:
+    time_s = np.arange(144.0)
+    windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (144, 1)))
+    strange = (time_s % 12 < 6) & (time_s < 12 * n)
+    doubted = replace(track, windows=replace(windows, unknown_share=strange.astype(float)))
+    [told] = doubts(doubted)
+    assert told.startswith("From 0 to 5 s")
+    assert told.split(" the motion is unlike")[0].endswith(end)
+
+
+def test_a_note_that_ends_with_a_full_stop_gets_no_second_one(track: Track) -> None:
+    told = replace(track, notes=("read as it was.", "one more")).report()
+    assert told.endswith("- Read as it was.\n- One more.")
+
+
+def test_a_gap_in_the_samples_is_time_in_no_context(track: Track) -> None:
+    time_s = np.array([1.0, 2.0, 3.0, 1003.0, 1004.0])
+    windows = windows_of(time_s, np.tile(np.eye(len(CONTEXTS))[STATIONARY], (5, 1)))
+    still = replace(track, windows=windows, start_time_s=0.0)
+    assert still.context_seconds()["stationary"] == 1.0 + 1.0 + 1.0 + 2.0 + 1.0  # a window is of two seconds
+
+
+@pytest.mark.parametrize(("soft_of_three", "told"), [(1, False), (2, True)])
+def test_a_stretch_is_quick_and_soft_where_most_of_its_steps_are(track: Track, soft_of_three: int, told: bool) -> None:
+    steps = track.steps.copy()
+    soft = np.arange(track.n_steps) % 3 < soft_of_three
+    steps.frequency_hz[:], steps.vertical_amplitude_mps2[:] = np.where(soft, 3.0, 1.8), 1.0
+    found = replace(track, steps=steps).is_quick_and_soft
+    assert (found[10:-10] == told).all()  # the ends stand for the steps that are not there
+
+
+@pytest.mark.parametrize(("lasting_s", "n_told"), [(15, 0), (25, 1)])
+def test_a_short_movement_without_steps_is_no_ride(track: Track, lasting_s: int, n_told: int) -> None:
+    later_s = float(track.time_s[-1]) + 10.0 + np.arange(60.0)
+    context = np.where(np.arange(60) < lasting_s, WALKING, STATIONARY)
+    moved = replace(track, windows=windows_of(later_s, np.eye(len(CONTEXTS))[context]))
+    assert sum("as in a vehicle" in told for told in doubts(moved)) == n_told
+
+
+@pytest.mark.parametrize(("height_m", "std_m", "is_level"), [(0.8, 0.1, True), (1.2, 0.1, False), (1.2, 0.7, True)])
+def test_a_metre_and_two_deviations_say_that_somebody_left_the_storey(
+    track: Track, height_m: float, std_m: float, is_level: bool
+) -> None:
+    none = np.zeros(track.n_steps)
+    high = replace(track, height_m=none - height_m, height_std_m=none + std_m, floor=none.astype(int))
+    assert high.is_level is is_level

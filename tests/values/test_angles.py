@@ -71,3 +71,10 @@ def test_turning_all_angles_turns_their_mean(angles_rad: list[float], turn_rad: 
 
 def test_the_mean_of_symmetric_angles_is_their_middle() -> None:
     assert circular_mean(3.0 + np.linspace(-1, 1, 7)) == pytest.approx(3.0)
+
+
+@pytest.mark.parametrize("unknown_rad", [np.nan, np.inf, -np.inf])
+def test_an_angle_that_is_not_known_stays_unknown_alone_and_among_others(unknown_rad: float) -> None:
+    with np.errstate(invalid="ignore"):
+        assert np.isnan(wrap_angle(unknown_rad))
+        np.testing.assert_equal(wrap_angle(np.array([unknown_rad, 1.0])), [np.nan, 1.0])

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+import pdr_filter as pdr
 from pdr_filter.values import HeadingFix, PositionFix, SpeedFix, Standstill
 
 FIXES: dict[str, Callable[[Any], object]] = {
@@ -51,3 +52,29 @@ def test_numbers_of_any_kind_become_floats() -> None:
 def test_a_number_in_quotes_is_none() -> None:
     with pytest.raises(ValueError, match="speed_mps of SpeedFix"):
         SpeedFix(0.0, "1.5", 0.1)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("far_m", [1e15, 1e300, np.inf, np.nan])
+def test_a_place_that_is_on_no_map_of_the_earth_is_refused(far_m: float) -> None:
+    with pytest.raises(ValueError, match="position_m"):
+        PositionFix(0.0, (far_m, 0.0), np.eye(2))
+
+
+@pytest.mark.parametrize("var", [1e-300, 1e200, 0.0, np.inf, np.nan])
+def test_a_variance_whose_square_or_inverse_is_no_number_is_refused(var: float) -> None:
+    with pytest.raises(ValueError, match="cov_m2"):
+        PositionFix(0.0, (0.0, 0.0), [[var, 0.0], [0.0, var]])
+    with pytest.raises(ValueError, match="std_rad"):
+        HeadingFix(0.0, 0.0, var)
+    with pytest.raises(ValueError, match="accuracy_m"):
+        PositionFix.from_lat_lon(0.0, 48.0, 11.0, (48.0, 11.0), accuracy_m=var)
+
+
+def test_the_farthest_and_least_sure_fixes_lead_to_positions_that_are_numbers() -> None:
+    walk = pdr.simulate.demo_walk()
+    places = [((1e9, -1e9), 1e24), ((-1e9, 1e9), 1e-24)]
+    fixes = [PositionFix(20.0 + 20.0 * k, at, var * np.eye(2)) for k, (at, var) in enumerate(places)]
+    with np.errstate(all="raise", under="ignore"):
+        track = pdr.track(walk, pdr.recipes.default().in_world_frame(), fixes=fixes)
+    assert np.isfinite(track.position_m).all()
+    assert np.isfinite(track.position_cov_m2).all()

@@ -72,3 +72,13 @@ def test_the_meta_data_of_a_recording_are_its_own() -> None:
     recording = pdr.Recording("a", Samples(TIME_S, np.zeros((10, 3))), meta=meta)
     meta["placement"] = "foot"
     assert recording.placement == "pocket"
+
+
+@pytest.mark.parametrize(
+    "values", [[["a"], ["b"]], [[object()], [1.0]], [[1.0, 2.0], [3.0]]], ids=["text", "object", "ragged"]
+)
+def test_what_are_no_numbers_is_refused_by_its_name(values: Any) -> None:
+    with pytest.raises(ValueError, match=r"^values must be"):
+        Samples([0.0, 1.0], values)  # type: ignore[arg-type]
+    with pytest.raises(ValueError, match=r"^specific_force_mps2 must be"):
+        pdr.OnlineFilter().push([0.0, 1.0], values)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from typing import Any
 
 import numpy as np
 import pytest
@@ -68,3 +69,9 @@ def test_rows_that_do_not_belong_together_are_refused() -> None:
         Wifi(np.zeros(2), np.zeros(1, dtype=int), np.zeros(2), np.zeros(2))
     with pytest.raises(ValueError, match="48 bits"):
         wifi([0.0], [1 << 48])
+
+
+@pytest.mark.parametrize("bssid", [[1.5], [np.nan], ["06:74:9c:2e:95:ea"]], ids=["fraction", "nan", "text"])
+def test_an_address_that_is_no_whole_number_is_refused(bssid: list[Any]) -> None:
+    with pytest.raises(ValueError, match="bssid must be whole numbers"):
+        Wifi(np.zeros(1), np.array(bssid), np.zeros(1), np.zeros(1))

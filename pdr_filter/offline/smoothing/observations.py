@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -85,6 +86,24 @@ class Observations:
                     "those of the samples"
                 )
         return inside
+
+
+def check_options(
+    fixes: Sequence[object], loop_closures: object, start_heading_std_rad: float | None, anchor_interval_s: float
+) -> None:
+    """ValueError for what `smooth` cannot use."""
+    wrong = [fix for fix in fixes if not isinstance(fix, PositionFix)]
+    if wrong:
+        raise ValueError(
+            f"fixes in hindsight must be PositionFix, got {wrong[0]!r}: headings are given as known_headings, speeds "
+            "and standstills to pdr_filter.track alone"
+        )
+    if isinstance(loop_closures, str) and loop_closures != "wifi":
+        raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
+    if start_heading_std_rad is not None and not 0 <= start_heading_std_rad < np.inf:
+        raise ValueError(f"start_heading_std_rad must be 0 or more, got {start_heading_std_rad}: leave it out")
+    if not anchor_interval_s > 0:
+        raise ValueError(f"anchor_interval_s must be positive, got {anchor_interval_s}")
 
 
 def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix]:

@@ -27,7 +27,7 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     step_motion,
 )
-from pdr_filter.filter.step_length import StepLengths
+from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
 from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
@@ -91,7 +91,8 @@ def increments(
 
     directions = Directions.of(modes)
     device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
-    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var, directions, mode_prob)
+    of_pauses = PAUSE_STD_M**2 * np.asarray(steps.from_rest)[:, None] * moves
+    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var + of_pauses, directions, mode_prob)
     displacement = np.einsum("km,kma->ka", mode_prob, move.displacement_m)
     apart = move.displacement_m - displacement[:, None]
     cov = (

@@ -9,11 +9,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
 
-from pdr_filter.calibration import Calibration
+from pdr_filter.calibration import Calibration, load_calibration
 from pdr_filter.config import Config, on_plan
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import (
@@ -28,17 +29,34 @@ from pdr_filter.gnss import independent
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight, knowing_the_device
-from pdr_filter.offline.smoothing.observations import FloorChange, KnownHeading, LoopClosure, Observations
+from pdr_filter.offline.smoothing.observations import (
+    FloorChange,
+    KnownHeading,
+    LoopClosure,
+    Observations,
+    check_options,
+)
 from pdr_filter.offline.smoothing.on_plan import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from pdr_filter.recording_run import collected, default_config, outputs
+from pdr_filter.recording_run import collected, given_or_default, outputs
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.tracks import Track
-from pdr_filter.values import BoolArray, FloatArray, IntArray, PositionFix, Table, read_only, table, wrap_angle
+from pdr_filter.values import (
+    BoolArray,
+    Fix,
+    FloatArray,
+    GridFix,
+    IntArray,
+    PositionFix,
+    Table,
+    read_only,
+    table,
+    wrap_angle,
+)
 
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
@@ -91,8 +109,8 @@ class Smoothed:
 
 def smooth(
     recording: Recording,
-    fixes: Sequence[PositionFix] = (),
-    calibration: Calibration | None = None,
+    fixes: Sequence[Fix] = (),
+    calibration: Calibration | str | Path | None = None,
     *,
     config: Config | None = None,
     loop_closures: Sequence[LoopClosure] | Literal["wifi"] = (),
@@ -113,11 +131,12 @@ def smooth(
     ----------
     recording : Recording
         From `read`.
-    fixes : sequence of PositionFix
+    fixes : sequence of PositionFix; on a plan of any fixes
         In any order. Those outside the recording are not used; ValueError if all are. Locations whose errors are alike
         count as `pdr_filter.gnss.independent` has it.
-    calibration : Calibration, optional
-        Step lengths of the person of the recording (its subject); those of the recipe if not given.
+    calibration : Calibration or path, optional
+        Step lengths of the person of the recording (its subject), or where one was saved; those of the recipe if not
+        given.
     config : Config, optional
         A recipe; the default recipe if not given.
     loop_closures : sequence of LoopClosure, or "wifi"
@@ -151,17 +170,25 @@ def smooth(
             "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
             "start_heading_std_rad beside plan: leave them out"
         )
+    check_options(fixes, loop_closures, start_heading_std_rad, anchor_interval_s)
+    config = given_or_default(recording, config)
     recording, fixes = one_clock(recording, fixes)
     if isinstance(loop_closures, str):
         loop_closures = wifi_loop_closures(recording)
-    config = config or default_config(recording)
     if calibration is not None:
+        calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = calibration.config(config, recording.subject)
     config = knowing_the_device(recording, config)
-    if plan is not None and fixes:
+    if plan is not None and any(not isinstance(fix, GridFix) for fix in fixes):
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
-    observed = Observations(independent(fixes), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    places = [fix for fix in fixes if isinstance(fix, PositionFix)]
+    if config.on_plan is None and len(places) < len(fixes):
+        raise ValueError(
+            "without a floor plan fixes must be PositionFix, got others: give plan too, a heading as a KnownHeading, "
+            "and Wi-Fi as RadioMap.fixes"
+        )
+    observed = Observations(independent(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:

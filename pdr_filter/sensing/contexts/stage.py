@@ -18,7 +18,7 @@ from pdr_filter.sensing.contexts.irregular import GATE, GATE_ACCELEROMETER, irre
 from pdr_filter.sensing.features.barometric import Climb, climb_log_evidence
 from pdr_filter.sensing.features.sliding import SlidingWindows, W, X
 from pdr_filter.sensing.features.windows import FeatureWindow
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, read_only, replace
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, check_numbers, frozen, read_only, replace
 
 # Half a minute to a minute between changes of the carrying mode, at a window a second.
 CARRYING_STAY_PROB = 0.98
@@ -273,11 +273,14 @@ def follow_mode(
 
     t has `stay_prob` on its diagonal and shares the rest alike.
     """
-    known = prior > 0
-    leave = (1 - stay_prob) / max(int(known.sum()) - 1, 1)
-    predicted = np.where(known, before * (stay_prob - leave) + leave, 0.0)
-    predicted *= (np.maximum(window_prob, 1e-9) / np.where(known, prior, 1.0)) ** exponent
-    return read_only(predicted / predicted.sum())
+    of_mode = list(zip(before.tolist(), window_prob.tolist(), prior.tolist(), strict=True))
+    leave = (1 - stay_prob) / max(sum(r > 0 for _, _, r in of_mode) - 1, 1)
+    # so few numbers are quicker in plain ones
+    after = [
+        (p * (stay_prob - leave) + leave) * (max(w, 1e-9) / r) ** exponent if r > 0 else 0.0 for p, w, r in of_mode
+    ]
+    total = sum(after)
+    return frozen(np.array([p / total for p in after]))
 
 
 def with_climb(window: WindowContext, climb: Climb | None) -> WindowContext:

@@ -93,13 +93,16 @@ class SlidingWindows(ABC, Generic[W, X]):
         """New state and the windows that became complete, each with the number of its last sample."""
 
     def cut(
-        self, buffer: WindowBuffer, time_s: FloatArray, signals: FloatArray
+        self, buffer: WindowBuffer, time_s: FloatArray, *signals: FloatArray
     ) -> tuple[WindowBuffer, list[SampleWindow]]:
-        """What is left of the buffer and of further signals (R, N), and the windows that became complete.
+        """What is left of the buffer and of further signals, R in all of (r, N), and the windows that became complete.
 
         `time_s` (N,) is the middle of each sample's interval.
         """
-        rows = np.concatenate([buffer.rows, np.vstack([time_s, signals])], axis=1)
+        n_rows, n_old = buffer.rows.shape
+        rows = np.empty((n_rows, n_old + len(time_s)))
+        rows[:, :n_old] = buffer.rows
+        np.concatenate([time_s[None], *signals], out=rows[:, n_old:])
         half_s = 0.5 / self.rate_hz
         windows: list[SampleWindow] = []
         start, n = 0, self.window_samples

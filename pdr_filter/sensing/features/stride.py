@@ -86,10 +86,32 @@ def _harmonics(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
     return np.ascontiguousarray(basis * root[:, None] / scale), np.ascontiguousarray(to_coefficients)
 
 
+# Columns of `_harmonics` that are the same read backwards, and those that change their sign: cosines and sines.
+_EVEN, _ODD = [0, *range(1, 2 * N_HARMONICS, 2)], [*range(2, 2 * N_HARMONICS + 1, 2)]
+
+
 @cache
-def _side_by_side(n: int, rate_hz: float) -> FloatArray:
-    """The first of `_harmonics` for all stride frequencies beside each other, (N, S * K)."""
-    return np.ascontiguousarray(_harmonics(n, rate_hz)[0].swapaxes(0, 1).reshape(n, -1))
+def _side_by_side(n: int, rate_hz: float) -> tuple[FloatArray, FloatArray]:
+    """The later half of the first of `_harmonics` for all stride frequencies beside each other: cosines and sines."""
+    later = _harmonics(n, rate_hz)[0][:, n // 2 :].copy()
+    if n % 2:
+        later[:, 0] *= 0.5  # the sample in the middle is its own mirror image
+    even, odd = (later[:, :, column].swapaxes(0, 1).reshape(later.shape[1], -1) for column in (_EVEN, _ODD))
+    return np.ascontiguousarray(even), np.ascontiguousarray(odd)
+
+
+def _of_all_strides(lines: FloatArray, rate_hz: float) -> FloatArray:
+    """Parts (W, S, L, K) of tapered lines (W, L, N) at all stride frequencies, window by window.
+
+    A line less its mirror image has no cosines, and their sum no sines: half of the work.
+    """
+    n_windows, n_lines, n = lines.shape
+    later, earlier = lines[:, :, n // 2 :], lines[:, :, (n - 1) // 2 :: -1]
+    even, odd = _side_by_side(n, rate_hz)
+    parts = np.empty((n_windows, len(STRIDES_HZ), n_lines, 2 * N_HARMONICS + 1))
+    for columns_, folded, matrix in ((_EVEN, later + earlier, even), (_ODD, later - earlier, odd)):
+        parts[..., columns_] = (folded @ matrix).reshape(n_windows, n_lines, len(STRIDES_HZ), -1).swapaxes(1, 2)
+    return parts
 
 
 def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> FloatArray:
@@ -101,11 +123,7 @@ def features_of(windows: FloatArray, swing: SwingLines, rate_hz: float) -> Float
     taper = hann_taper(n)
     scale = np.sqrt((lines * lines * taper).sum(axis=2) / taper.sum()) + _FLOOR
     to_parts, to_coefficients = _harmonics(n, rate_hz)
-    side_by_side = _side_by_side(n, rate_hz)
-
-    both = np.ascontiguousarray((lines / scale[:, :, None])[:, [VERTICAL, SWING]])
-    # all stride frequencies in one product, window by window: (W, S, 2, K)
-    parts = (both @ side_by_side).reshape(n_windows, 2, len(STRIDES_HZ), -1).swapaxes(1, 2)
+    parts = _of_all_strides((lines / scale[:, :, None])[:, [VERTICAL, SWING]], rate_hz)
     explained = (parts * parts).sum(axis=3)
     power = _power(parts @ to_coefficients)
     in_step = np.stack([power[:, :, 0, 1::2].sum(axis=2), power[:, :, 1, 0::2].sum(axis=2)], axis=2)

@@ -115,19 +115,20 @@ class FeatureWindows(SlidingWindows[WindowState, FeatureWindow]):
         low_passed, zi = np.zeros((1, len(force))), None
         if self._sos is not None:
             low_passed, zi = filtered(self._sos, force[None], state.zi)
-        signals = np.concatenate(
-            [
-                [block.angular_rate_known.astype(float), force],
-                low_passed,
-                [specific_force_magnitude(block.angular_rate_radps), specific_force_magnitude(block.magnetic_field_ut)],
-                attitude.vertical_mps2[None],
-                attitude.horizontal_mps2.T,
-                block.angular_rate_radps.T,
-                attitude.up_sensor.T,
-                block.specific_force_mps2.T,
-            ]
+        buffer, windows = self.cut(
+            state.buffer,
+            block.time_s,
+            block.angular_rate_known.astype(float)[None],
+            force[None],
+            low_passed,
+            specific_force_magnitude(block.angular_rate_radps)[None],
+            specific_force_magnitude(block.magnetic_field_ut)[None],
+            attitude.vertical_mps2[None],
+            attitude.horizontal_mps2.T,
+            block.angular_rate_radps.T,
+            attitude.up_sensor.T,
+            block.specific_force_mps2.T,
         )
-        buffer, windows = self.cut(state.buffer, block.time_s, signals)
         if not windows:
             return WindowState(zi, buffer), []
         samples = np.stack([w.samples for w in windows])

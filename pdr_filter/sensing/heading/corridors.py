@@ -21,7 +21,6 @@ import numpy as np
 from pdr_filter.values import FloatArray, check_numbers, replace, wrap_angle
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
-_IDENTITY = np.eye(4)
 _RIGHT_ANGLE = 0.5 * math.pi
 
 
@@ -150,11 +149,14 @@ class Corridors:
         return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
-        transition = _IDENTITY.copy()
-        transition[_DRIFT, _RATE], transition[_DRIFT, _SCALE] = elapsed_s, turned_rad
-        cov = transition @ state.cov @ transition.T
-        cov[:, _DRIFT, _DRIFT] += self.wander_rad_per_sqrt_s**2 * elapsed_s
-        return state.mean @ transition.T, cov
+        """The bank later on: drift + elapsed time times rate + turn times scale, and all else as it was."""
+        later = np.array([1.0, elapsed_s, 0.0, turned_rad])
+        mean, cov = state.mean.copy(), state.cov.copy()
+        mean[:, _DRIFT] = mean @ later
+        cov[:, _DRIFT, :] = row = later @ cov
+        cov[:, :, _DRIFT] = row
+        cov[:, _DRIFT, _DRIFT] = row @ later + self.wander_rad_per_sqrt_s**2 * elapsed_s
+        return mean, cov
 
     def _see(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
         """State after a step of a straight part, whose leg is in a new direction or goes on."""
@@ -162,7 +164,7 @@ class Corridors:
         gain = state.cov[:, _DRIFT] + state.cov[:, _AXIS]
         spread = gain[:, _DRIFT] + gain[:, _AXIS]
         away = heading_rad - (state.mean[:, _DRIFT] + state.mean[:, _AXIS])
-        away = away - _RIGHT_ANGLE * np.round(away / _RIGHT_ANGLE)
+        away = away - _RIGHT_ANGLE * np.rint(away / _RIGHT_ANGLE)
         variance = spread + self.step_std_rad**2
         log_in = self._log_likelihood(away, variance)
         log_any = np.logaddexp(log_in, self._log_outlier)
@@ -197,5 +199,5 @@ class Corridors:
 
 
 def _log_sum(log_weight: FloatArray) -> float:
-    largest = log_weight.max()
-    return float(largest + np.log(np.exp(log_weight - largest).sum()))
+    largest = float(log_weight.max())
+    return largest + math.log(float(np.add.reduce(np.exp(log_weight - largest))))

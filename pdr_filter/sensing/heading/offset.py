@@ -17,14 +17,12 @@ from __future__ import annotations
 
 import cmath
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
-import numpy as np
+from pdr_filter.sensing.heading.vectors import Vector
 
-from pdr_filter.values import FloatArray
-
-OFFSET, FRAME, SYSTEMATIC = range(3)
-OF_STRIDES, OF_AXIS = np.array([1.0, 1.0, 1.0]), np.array([1.0, 1.0, 0.0])
+# What strides and the axis measure has so much of the systematic error in it.
+OF_STRIDES, OF_AXIS = 1.0, 0.0
 # An angle that could be anything is uniform on the circle.
 UNKNOWN_STD_RAD = math.pi / math.sqrt(3.0)
 UNKNOWN_VAR_RAD2 = UNKNOWN_STD_RAD**2
@@ -36,61 +34,63 @@ _DEFINED_RAD2 = math.radians(1.0) ** 2
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Offset:
-    """Mean (3,) and covariance (3, 3) of offset, frame and systematic error, rad."""
+    """Mean and covariance of offset o, frame g and systematic error s, rad."""
 
-    mean: FloatArray = field(default_factory=lambda: np.zeros(3))
-    cov: FloatArray = field(default_factory=lambda: np.diag([_DEFINED_RAD2, _NO_IDEA_RAD2, 0.0]))
+    mean: Vector = (0.0, 0.0, 0.0)
+    # oo, og, os, gg, gs, ss
+    cov: tuple[float, float, float, float, float, float] = (_DEFINED_RAD2, 0.0, 0.0, _NO_IDEA_RAD2, 0.0, 0.0)
+
+    @property
+    def offset_rad(self) -> float:
+        """The heading offset in the track's frame."""
+        return self.mean[0]
 
     @property
     def var_rad2(self) -> float:
-        """Variance of the heading offset in the track's frame."""
-        return float(self.cov[OFFSET, OFFSET])
+        """Its variance."""
+        return self.cov[0]
 
     @property
     def shown_rad(self) -> float:
         """The angle from the device's zero to the walking direction, as strides and axis show it."""
-        return float(self.mean @ OF_AXIS)
+        return self.mean[0] + self.mean[1]
 
     @property
     def shown_var_rad2(self) -> float:
         """Its variance; that of a uniform angle at most."""
-        (offset_var, covariance, _), (_, frame_var, _), _ = self.cov.tolist()
-        return min(offset_var + 2.0 * covariance + frame_var, UNKNOWN_VAR_RAD2)
+        oo, og, _, gg, _, _ = self.cov
+        return min(oo + 2.0 * og + gg, UNKNOWN_VAR_RAD2)
 
     def wandered(self, var_rad2: float, stay: float, systematic_rad2: float) -> Offset:
         """After a while: the phone was turned a little against the body, and strides are off by something else.
 
         `stay` is the share of the systematic error that is left, and `systematic_rad2` the variance that it keeps.
         """
-        keep = np.array([1.0, 1.0, stay])
-        cov = self.cov * (keep[:, None] * keep)
-        cov[OFFSET, OFFSET] += var_rad2
-        cov[SYSTEMATIC, SYSTEMATIC] += (1.0 - stay * stay) * systematic_rad2
-        return Offset(self.mean * keep, cov)
+        (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
+        ss = stay * stay * ss + (1.0 - stay * stay) * systematic_rad2
+        return Offset((o, g, stay * s), (oo + var_rad2, og, stay * os, gg, stay * gs, ss))
 
-    def seen(self, of: FloatArray, toward: complex, var_rad2: float) -> Offset:
+    def seen(self, of: float, toward: complex, var_rad2: float) -> Offset:
         """After a direction was seen: `of` says of which sum, `toward` points there, with a length of 1 on average.
 
         The mean goes to the direction of the sum of two von Mises likelihoods, e^(ia) / V + toward / r, which is that
         of a Kalman filter where both are narrow; a vector that is shorter than usual counts less.
         """
-        predicted_rad = float(self.mean @ of)
-        gain = self.cov @ of
-        variance = float(gain @ of)
-        turn = toward * cmath.exp(-1j * predicted_rad)
-        innovation_rad = cmath.phase(1.0 / variance + turn / var_rad2)
-        mean = self.mean + gain / variance * innovation_rad
-        return Offset(mean, self.cov - gain[:, None] * gain / (variance + var_rad2))
+        (o, g, s), (oo, og, os, gg, gs, ss) = self.mean, self.cov
+        of_o, of_g, of_s = oo + og + of * os, og + gg + of * gs, os + gs + of * ss
+        variance = of_o + of_g + of * of_s
+        turn = toward * cmath.exp(-1j * (o + g + of * s))
+        shift = cmath.phase(1.0 / variance + turn / var_rad2) / variance
+        # what is learnt of each, P h / (h' P h + r)
+        total = variance + var_rad2
+        k_o, k_g, k_s = of_o / total, of_g / total, of_s / total
+        cov = (oo - k_o * of_o, og - k_o * of_g, os - k_o * of_s, gg - k_g * of_g, gs - k_g * of_s, ss - k_s * of_s)
+        return Offset((o + of_o * shift, g + of_g * shift, s + of_s * shift), cov)
 
     def moved(self, offset_rad: float, var_rad2: float, systematic_rad2: float) -> Offset:
         """In another place: the offset goes there with a variance more, and strides are off by something else."""
-        cov = self.cov.copy()
-        cov[SYSTEMATIC], cov[:, SYSTEMATIC] = 0.0, 0.0
-        cov[SYSTEMATIC, SYSTEMATIC] = systematic_rad2
-        cov[OFFSET, OFFSET] += var_rad2
+        oo, og, _, gg, _, _ = self.cov
+        oo += var_rad2
         # no angle is less known than a uniform one
-        if cov[OFFSET, OFFSET] > UNKNOWN_VAR_RAD2:
-            scale = math.sqrt(UNKNOWN_VAR_RAD2 / cov[OFFSET, OFFSET])
-            cov[OFFSET] *= scale
-            cov[:, OFFSET] *= scale
-        return Offset(np.array([offset_rad, self.mean[FRAME], 0.0]), cov)
+        scale = math.sqrt(min(UNKNOWN_VAR_RAD2 / oo, 1.0))
+        return Offset((offset_rad, self.mean[1], 0.0), (scale * scale * oo, scale * og, 0.0, gg, 0.0, systematic_rad2))

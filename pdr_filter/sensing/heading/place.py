@@ -8,12 +8,11 @@ however it is called.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-
-import numpy as np
+from dataclasses import dataclass
 
 from pdr_filter.sensing.heading.strides import Stride
-from pdr_filter.values import CARRYING_MODES, FloatArray, check_numbers, replace
+from pdr_filter.sensing.heading.vectors import Vector
+from pdr_filter.values import CARRYING_MODES, check_numbers, replace
 
 _SWINGING = CARRYING_MODES.index("swinging")
 _MAY_SWING = (-1, _SWINGING, CARRYING_MODES.index("pocket"))
@@ -29,6 +28,7 @@ _NOISE_MPS2, _LEAK = 0.05, 0.06
 _SWAY_LEAK = 0.3
 # A hand that is said to swing may have more at step frequency than one that nobody speaks of, and need not lift.
 _LABELLED_STEP_SHARE = 1.3
+_Plane = tuple[float, float]
 
 
 @dataclass(frozen=True, eq=False)
@@ -38,14 +38,16 @@ class Place:
     start_s: float
     carrying_mode: int  # -1 unknown
     old_mode: int  # of the place before, which is still said of this one for some seconds; -1 none
-    up: FloatArray  # (3,) mean up direction of its strides, sensor frame
+    up: Vector  # mean up direction of its strides, sensor frame
     n_strides: int = 0
-    # Sums over strides. Rows: motion at stride frequency in phase, at step frequency in phase and 90 degrees ahead.
-    vectors: FloatArray = field(default_factory=lambda: np.zeros((3, 2)))  # forward and right of the axis
-    products: FloatArray = field(default_factory=lambda: np.zeros((3, 3)))  # of the rows with each other
+    # Sums over strides of vectors forward and right of the axis: motion at stride frequency in phase, at step frequency
+    # in phase and 90 degrees ahead.
+    vectors: tuple[_Plane, _Plane, _Plane] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))
+    squares: Vector = (0.0, 0.0, 0.0)  # of their squared lengths
+    product: float = 0.0  # of the inner products of the two at step frequency
     weight: float = 0.0  # strides
     # Means of squared amplitudes: horizontal once and twice a stride, vertical once.
-    powers: FloatArray = field(default_factory=lambda: np.zeros(3))
+    powers: Vector = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -83,27 +85,38 @@ class StrideAgreement:
         """The place after one stride more."""
         n_strides = place.n_strides + 1
         stay = math.exp(-elapsed_s / self.memory_s)
+        (af, ar), (bf, br), (cf, cr) = place.vectors
+        (aa, bb, cc), (p, q, r), (a, b, c) = place.squares, place.powers, stride.vectors
+        new_p, new_q, new_r = stride.powers
+        share = 1.0 / min(float(n_strides), _POWER_STRIDES)
         return replace(
             place,
             n_strides=n_strides,
-            vectors=stay * place.vectors + stride.vectors,
-            products=stay * place.products + stride.vectors @ stride.vectors.T,
+            vectors=(
+                (stay * af + a.real, stay * ar + a.imag),
+                (stay * bf + b.real, stay * br + b.imag),
+                (stay * cf + c.real, stay * cr + c.imag),
+            ),
+            squares=(stay * aa + _inner(a, a), stay * bb + _inner(b, b), stay * cc + _inner(c, c)),
+            product=stay * place.product + _inner(b, c),
             weight=stay * place.weight + 1.0,
-            powers=place.powers + (stride.powers - place.powers) / min(float(n_strides), _POWER_STRIDES),
+            powers=(p + share * (new_p - p), q + share * (new_q - q), r + share * (new_r - r)),
         )
 
-    def mix(self, place: Place) -> FloatArray:
-        """Which of the stride's vectors point ahead."""
+    def mix(self, place: Place) -> Vector:
+        """How much of each of the stride's vectors points ahead: of that at stride frequency all or nothing."""
         if self._swings(place):
-            return np.array([1.0, 0.0, 0.0])
+            return (1.0, 0.0, 0.0)
         ahead_rad = self._phase_ahead(place)
-        return np.array([0.0, math.cos(ahead_rad), math.sin(ahead_rad)])
+        return (0.0, math.cos(ahead_rad), math.sin(ahead_rad))
 
-    def agreement(self, place: Place, mix: FloatArray) -> tuple[float, float]:
+    def agreement(self, place: Place, mix: Vector) -> tuple[float, float]:
         """Mean squared length of the vectors, and the share of it that they have in common, 0 to 1."""
-        forward, right = (float(v) for v in mix @ place.vectors / place.weight)
-        length2 = float(mix @ place.products @ mix) / place.weight
-        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * float(place.powers[0])
+        (a, b, c), (aa, bb, cc) = mix, place.squares
+        (af, ar), (bf, br), (cf, cr) = place.vectors
+        forward, right = (a * af + b * bf + c * cf) / place.weight, (a * ar + b * br + c * cr) / place.weight
+        length2 = (a * a * aa + b * b * bb + c * c * cc + 2.0 * b * c * place.product) / place.weight
+        leak2 = _NOISE_MPS2**2 + (_LEAK**2 + (_SWAY_LEAK / place.weight) ** 2) * place.powers[0]
         n = 0.5 * place.weight  # overlapping by half, n strides are worth half of n
         # n vectors that have nothing in common have a mean of length2 / n, squared
         shared2 = max(n * (forward * forward + right * right - leak2) - length2, 0.0) / max(n - 1.0, 1.0)
@@ -116,17 +129,21 @@ class StrideAgreement:
         if place.carrying_mode not in _MAY_SWING or stride_power < self.swinging_mps2**2:
             return False
         # Steps that agree on a direction: the hand knows nothing of them, a pocket does.
-        in_phase_sum, length2 = place.vectors[1], place.products[1, 1]
-        agree = float(in_phase_sum @ in_phase_sum) > self.swinging_agreement * place.weight * float(length2)
+        (_, (forward, right), _), (_, length2, _) = place.vectors, place.squares
+        agree = forward * forward + right * right > self.swinging_agreement * place.weight * length2
         if place.carrying_mode == _SWINGING:
             is_pocket = agree and place.n_strides >= _SETTLED_STRIDES
-            return not is_pocket and bool(step_power <= _LABELLED_STEP_SHARE**2 * stride_power)
+            return not is_pocket and step_power <= _LABELLED_STEP_SHARE**2 * stride_power
         lifts = lift_power >= self.swinging_lift**2 * stride_power
-        return not agree and bool(lifts and step_power <= self.swinging_step_share**2 * stride_power)
+        return not agree and lifts and step_power <= self.swinging_step_share**2 * stride_power
 
     def _phase_ahead(self, place: Place) -> float:
         """By how much this person's phase is ahead of the usual one: where |a cos x + b sin x| is largest."""
-        a, b = place.vectors[1], place.vectors[2]
-        ahead_rad = 0.5 * math.atan2(2.0 * float(a @ b), float(a @ a) - float(b @ b))
+        _, (af, ar), (bf, br) = place.vectors
+        ahead_rad = 0.5 * math.atan2(2.0 * (af * bf + ar * br), af * af + ar * ar - (bf * bf + br * br))
         limit_rad = self.max_phase_rad * place.weight / (place.weight + self.phase_strides)
         return min(max(ahead_rad, -limit_rad), limit_rad)
+
+
+def _inner(a: complex, b: complex) -> float:
+    return a.real * b.real + a.imag * b.imag

@@ -14,6 +14,7 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
+from pdr_filter.sensing.heading.vectors import Vector, across, combined, cross, dot
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 # Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
@@ -22,31 +23,31 @@ _TWO_STRIDES_S = 1.4
 _SLOW_STEP_MPS2 = 2.0
 # y is up rather than forward beyond 60 degrees.
 _UPRIGHT = math.sin(math.radians(60.0))
-_AHEAD, _UPRIGHT_AHEAD = np.array([0.0, 1.0, 0.0]), np.array([0.0, 0.0, -1.0])
+_AHEAD, _UPRIGHT_AHEAD = (0.0, 1.0, 0.0), (0.0, 0.0, -1.0)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Stride:
-    """What one stride shows. Angles are clockwise, vectors (forward, right) of the reference axis, m/s2."""
+    """What one stride shows. Angles are clockwise, vectors forward + i right of the reference axis, m/s2."""
 
-    up: FloatArray  # (3,) mean, sensor frame
-    axis: FloatArray  # (3,) the reference axis, sensor frame
+    up: Vector  # mean, sensor frame
+    axis: Vector  # the reference axis, sensor frame
     axis_heading_rad: float  # its mean direction in the attitude's frame, clockwise from north
     device_heading_rad: float  # mean
     pointing_rad: float  # where the phone points, from the axis
     runs: bool
-    vectors: FloatArray  # (3, 2) as in `Place`
-    powers: FloatArray  # (3,) squared amplitudes: horizontal once and twice a stride, vertical once
+    vectors: tuple[complex, complex, complex]  # as in `Place`
+    powers: Vector  # squared amplitudes: horizontal once and twice a stride, vertical once
 
     @property
     def axis_offset_rad(self) -> float:
         """The reference axis, clockwise from where the device heads."""
         return self.axis_heading_rad - self.device_heading_rad
 
-    def about(self, axis: FloatArray) -> Stride:
-        """The same about another axis (3,) across up."""
-        turn_rad = math.atan2(float(self.axis @ cross(axis, self.up)), float(self.axis @ axis))
-        turned = (self.vectors.view(np.complex128) * cmath.rect(1.0, turn_rad)).view(np.float64)
+    def about(self, axis: Vector) -> Stride:
+        """The same about another axis across up."""
+        turn_rad = math.atan2(dot(self.axis, cross(axis, self.up)), dot(self.axis, axis))
+        (a, b, c), turn = self.vectors, cmath.rect(1.0, turn_rad)
         return Stride(
             up=self.up,
             axis=axis,
@@ -54,7 +55,7 @@ class Stride:
             device_heading_rad=self.device_heading_rad,
             pointing_rad=self.pointing_rad + turn_rad,
             runs=self.runs,
-            vectors=turned,
+            vectors=(a * turn, b * turn, c * turn),
             powers=self.powers,
         )
 
@@ -87,8 +88,9 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
     n = np.diff(ends)
     ups = np.add.reduceat(samples.up, starts, axis=1).T
     ups = ups / np.sqrt(ups[:, 0] * ups[:, 0] + ups[:, 1] * ups[:, 1] + ups[:, 2] * ups[:, 2])[:, None]
-    axes = [pointing_axis(up) for up in ups]
-    frames = np.array([[axis, cross(axis, up), up] for axis, up in zip(axes, ups, strict=True)])
+    up_of: list[Vector] = [(x, y, z) for x, y, z in ups.tolist()]
+    axes = [pointing_axis(up) for up in up_of]
+    frames = np.array([[axis, cross(axis, up), up] for axis, up in zip(axes, up_of, strict=True)])
     forward, right = in_mean_frame(samples.force_mps2, samples.up, frames, ends)
     # Both, the device's and the attitude's, are one vector, so their angle is that of the axis, clockwise from north.
     # Where there is no horizontal force, none is known, and the samples around decide.
@@ -99,16 +101,16 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
     once, twice = harmonics(np.stack([forward, right, samples.vertical_mps2]), ends, rate_hz)
     runs = is_running | (np.abs(twice[:, 2]) > phases.running_mps2)
     phase_rad = np.where(runs, phases.running_rad, phases.walking_rad)
-    vectors = [in_phase(once, np.zeros(len(n))), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)]
-    powers = [power(once[:, :2]), power(twice[:, :2]), power(once[:, 2:])]
+    vectors = in_phase(once, np.zeros(len(n))), in_phase(twice, phase_rad), in_phase(twice, phase_rad + 0.5 * np.pi)
+    powers = power(once[:, :2]), power(twice[:, :2]), power(once[:, 2:])
     rows = zip(
-        ups,
+        up_of,
         axes,
         np.arctan2(across_, along).tolist(),
         (heading / n).tolist(),
         runs.tolist(),
-        np.stack(vectors, axis=1),
-        np.stack(powers, axis=1),
+        zip(*(vector.tolist() for vector in vectors), strict=True),
+        zip(*(power_of.tolist() for power_of in powers), strict=True),
         strict=True,
     )
     return [
@@ -116,20 +118,21 @@ def strides_of(samples: StrideSamples, is_running: BoolArray, rate_hz: float, ph
     ]
 
 
-def pointing_axis(up: FloatArray) -> FloatArray:
-    """Horizontal unit vector (3,) along which somebody who reads holds the phone: y, or -z if it stands upright."""
+def pointing_axis(up: Vector) -> Vector:
+    """Horizontal unit vector along which somebody who reads holds the phone: y, or -z if it stands upright."""
     return across(_AHEAD if abs(up[1]) < _UPRIGHT else _UPRIGHT_AHEAD, up)
 
 
-def carry_axis(axis: FloatArray, up: FloatArray, new_up: FloatArray) -> FloatArray:
-    """The axis (3,), across `up`, turned by the shortest way from `up` to `new_up`.
+def carry_axis(axis: Vector, up: Vector, new_up: Vector) -> Vector:
+    """The axis, across `up`, turned by the shortest way from `up` to `new_up`.
 
     v' = v - (m . v) / (1 + u . m) (u + m) turns v, across u, by the shortest way from u to m.
     """
-    cosine = float(up @ new_up)
+    cosine = dot(up, new_up)
     if cosine < -0.99:
         return pointing_axis(new_up)  # turned over: no way is the shortest
-    return across(axis - float(new_up @ axis) / (1.0 + cosine) * (up + new_up), new_up)
+    between = combined(1.0, up, 1.0, new_up)
+    return across(combined(1.0, axis, -dot(new_up, axis) / (1.0 + cosine), between), new_up)
 
 
 def in_mean_frame(
@@ -168,12 +171,13 @@ def harmonics(
     return np.where(is_double, twice, once), np.where(is_double, four_times, twice)
 
 
-def in_phase(amplitudes: NDArray[np.complex128], phase_rad: FloatArray) -> FloatArray:
-    """Part (K, 2) of horizontal amplitudes, m/s2, in phase with the vertical ones advanced by angles (K,)."""
+def in_phase(amplitudes: NDArray[np.complex128], phase_rad: FloatArray) -> NDArray[np.complex128]:
+    """Part (K,) of horizontal amplitudes, forward + i right, m/s2, in phase with the vertical ones advanced by (K,)."""
     horizontal, vertical = amplitudes[:, :2], amplitudes[:, 2]
     size = np.abs(vertical)
     direction = vertical / np.where(size > 0, size, 1.0) * np.exp(1j * phase_rad)
-    return np.ascontiguousarray((horizontal * direction.conj()[:, None]).real)
+    shared = (horizontal * direction.conj()[:, None]).real
+    return shared[:, 0] + 1j * shared[:, 1]
 
 
 def power(amplitudes: NDArray[np.complex128]) -> FloatArray:
@@ -192,15 +196,3 @@ def _waves(n: int) -> FloatArray:
     # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
     waves[:, 1:] -= np.outer(part, part @ waves[:, 1:] / (part @ part))
     return (2.0 / n * waves).view(np.float64)
-
-
-def cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross product of two vectors (3,): np.cross takes ten times as long."""
-    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
-    return np.array([y * w - z * v, z * u - x * w, x * v - y * u])
-
-
-def across(axis: FloatArray, up: FloatArray) -> FloatArray:
-    """Unit vector (3,): the part of an axis across up."""
-    flat = axis - float(axis @ up) * up
-    return flat / math.sqrt(float(flat @ flat))

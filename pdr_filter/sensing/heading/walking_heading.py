@@ -28,7 +28,7 @@ import numpy as np
 from pdr_filter.sensing.attitude import AttitudeBlock
 from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
-from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, OFFSET, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
+from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
 from pdr_filter.sensing.heading.place import Place, StrideAgreement
 from pdr_filter.sensing.heading.reported import Reported
 from pdr_filter.sensing.heading.strides import (
@@ -36,9 +36,9 @@ from pdr_filter.sensing.heading.strides import (
     Stride,
     StrideSamples,
     carry_axis,
-    cross,
     strides_of,
 )
+from pdr_filter.sensing.heading.vectors import Vector, combined, cross, dot, unit
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -78,9 +78,10 @@ _N_FORMERS = 3
 # Strides over which the up direction of a place is averaged.
 _UP_STRIDES = 8.0
 # Strides that are described at once: their samples fit into a cache.
-_MAX_GROUP = 16
+_MAX_GROUP = 32
 # Classifiers of carrying modes look at some seconds, and follow slowly.
 _LABEL_LAG_S = 10.0
+_NOWHERE = (0.0, 0.0, 0.0)
 # People turn while nothing is known of it: 3 degrees in a second, as a random walk.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
 
@@ -91,8 +92,8 @@ class Former:
 
     left_s: float
     n_strides: int
-    up: FloatArray  # (3,) mean up direction of its last stride, sensor frame
-    direction: FloatArray  # (3,) of walking, across it
+    up: Vector  # mean up direction of its last stride, sensor frame
+    direction: Vector  # of walking, across it
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +104,8 @@ class WalkingHeadingState:
     start_s: float  # its first sample
     signals: FloatArray  # (14, H)
     contacts_s: tuple[float, ...]  # the last two
-    up: FloatArray | None  # (3,) mean up direction of the last stride; None before the first
-    axis: FloatArray  # (3,) unit, across `up`: the reference axis, sensor frame
+    up: Vector | None  # mean up direction of the last stride; None before the first
+    axis: Vector  # unit, across `up`: the reference axis, sensor frame
     place: Place | None
     offset: Offset  # without what is believed for the moment only
     shown: Offset  # with that
@@ -117,8 +118,8 @@ class WalkingHeadingState:
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
-    direction: FloatArray  # (3,) the same in the sensor frame, across `direction_up`
-    direction_up: FloatArray  # (3,) mean up direction of that stride
+    direction: Vector  # the same in the sensor frame, across `direction_up`
+    direction_up: Vector  # mean up direction of that stride
     formers: tuple[Former, ...]  # the last three
 
     def fits(self, n_samples: int) -> bool:
@@ -190,7 +191,7 @@ class WalkingHeading:
             signals=np.empty((_N_ROWS, 0)),
             contacts_s=(),
             up=None,
-            axis=np.zeros(3),
+            axis=_NOWHERE,
             place=None,
             offset=Offset(),
             shown=Offset(),
@@ -203,8 +204,8 @@ class WalkingHeading:
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
-            direction=np.zeros(3),
-            direction_up=np.zeros(3),
+            direction=_NOWHERE,
+            direction_up=_NOWHERE,
             formers=(),
         )
 
@@ -233,7 +234,9 @@ class WalkingHeading:
             gap_s = block.gap_before_s if math.isfinite(block.gap_before_s) else 0.0
             reported = state.reported.after_loss(float(self.drift.unmeasured_rad2(gap_s)))
             state = replace(state, start_s=float(block.time_s[0]), reported=reported)
-        new = np.empty((_N_ROWS, len(block.time_s)))
+        n_old, n_new = state.signals.shape[1], len(block.time_s)
+        signals = np.empty((_N_ROWS, n_old + n_new))
+        signals[:, :n_old], new = state.signals, signals[:, n_old:]
         new[_TIME], new[_FORCE], new[_UP] = block.time_s, block.specific_force_mps2.T, attitude.up_sensor.T
         new[_EAST], new[_NORTH] = attitude.horizontal_mps2.T
         new[_VERTICAL], new[_HEADING] = attitude.vertical_mps2, attitude.device_heading_rad
@@ -242,8 +245,7 @@ class WalkingHeading:
             new[_ERROR], new[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
         else:
             new[_ERROR], new[_ERROR_VAR] = 0.0, 0.0
-        signals = np.concatenate([state.signals, new], axis=1)
-        state = replace(state, n_samples=n_before + new.shape[1], signals=signals)
+        state = replace(state, n_samples=n_before + n_new, signals=signals)
         at = [known - n_before for known, _ in steps]
         state, result = self._annotated(
             state, steps, contexts.context[at].tolist(), contexts.carrying_mode[at].tolist()
@@ -305,7 +307,7 @@ class WalkingHeading:
         offset, shown, trust = self._believe(place, state.offset, stride, elapsed_s)
         shown = self._with_axis(place, shown, stride, trust)
         angle_rad = shown.shown_rad - stride.axis_offset_rad
-        offset_rad = float(shown.mean[OFFSET])
+        offset_rad = shown.offset_rad
         state = replace(
             state,
             place=place,
@@ -314,7 +316,7 @@ class WalkingHeading:
             trust=trust,
             walking_rad=stride.device_heading_rad + offset_rad,
             walking_s=step.time_s,
-            direction=math.cos(angle_rad) * stride.axis + math.sin(angle_rad) * cross(stride.axis, stride.up),
+            direction=combined(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
             direction_up=stride.up,
         )
         if change_std_rad > 0 or step.heading_unknown_s > 0:
@@ -332,9 +334,11 @@ class WalkingHeading:
         self, state: WalkingHeadingState, step: Step, samples: FloatArray | None
     ) -> tuple[WalkingHeadingState, Step]:
         """The step with what the heading has lost by the bias since the last stride, as the filter's random walk."""
-        if samples is None or not samples[_ERROR_VAR].any():
+        if samples is None:
             return state, step
         var_rad2 = float(samples[_ERROR_VAR, -1])
+        if var_rad2 == 0 and not samples[_ERROR_VAR].any():
+            return state, step
         lost = max(var_rad2 - state.of_bias_var_rad2, 0.0)
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
         std = math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))
@@ -409,16 +413,16 @@ class WalkingHeading:
         if before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
             return replace(state, offset=offset), Place(time_s, carrying_mode, -1, stride.up), 0.0
-        is_moved = math.acos(min(max(float(before.up @ stride.up), -1.0), 1.0)) > self.max_tilt_rad
+        is_moved = math.acos(min(max(dot(before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
         label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
-            up = before.up + (stride.up - before.up) / _UP_STRIDES
-            return state, replace(before, up=up / math.sqrt(float(up @ up)), carrying_mode=label), 0.0
+            up = unit(combined(1.0 - 1.0 / _UP_STRIDES, before.up, 1.0 / _UP_STRIDES, stride.up))
+            return state, replace(before, up=up, carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Place(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
-        moved_rad, turned_var = float(offset.mean[OFFSET]), UNKNOWN_VAR_RAD2
+        moved_rad, turned_var = offset.offset_rad, UNKNOWN_VAR_RAD2
         if not math.isnan(state.walking_rad):
             turned_var = self.change_std_rad**2 + _TURN_VAR_RAD2_PER_S * (time_s - state.walking_s)
             moved_rad = state.walking_rad - stride.device_heading_rad
@@ -435,16 +439,14 @@ class WalkingHeading:
     def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
         """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
         alike = [
-            f
-            for f in formers
-            if time_s - f.left_s < self.away_s and float(f.up @ stride.up) > math.cos(self.max_tilt_rad)
+            f for f in formers if time_s - f.left_s < self.away_s and dot(f.up, stride.up) > math.cos(self.max_tilt_rad)
         ]
         if not alike:
             return None
         former = max(alike, key=lambda f: f.n_strides)
         direction = carry_axis(former.direction, former.up, stride.up)
         right = cross(stride.axis, stride.up)
-        return math.atan2(float(direction @ right), float(direction @ stride.axis))
+        return math.atan2(dot(direction, right), dot(direction, stride.axis))
 
     def _systematic_rad2(self, stride: Stride) -> float:
         is_vague = stride.runs or stride.up[2] > 0.5
@@ -475,11 +477,16 @@ class WalkingHeading:
             return offset, offset, share
         # half of what is not shared is across the direction, and two overlapping strides count as one
         is_young = place.n_strides <= _YOUNG_STRIDES
-        vectors, weight = (place.vectors, place.weight) if is_young else (stride.vectors, 1.0)
-        forward, right = (float(v) for v in mix @ vectors / weight)
-        toward = complex(forward, right) / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
+        vectors, weight = (_as_complex(place), place.weight) if is_young else (stride.vectors, 1.0)
+        ahead = (mix[0] * vectors[0] + mix[1] * vectors[1] + mix[2] * vectors[2]) / weight
+        toward = ahead / math.sqrt(share * length2) * cmath.rect(1.0, stride.axis_offset_rad)
         shown = offset.seen(OF_STRIDES, toward, (1.0 - share) / share / weight)
         return (offset if place.n_strides < _YOUNG_STRIDES else shown), shown, share
+
+
+def _as_complex(place: Place) -> tuple[complex, complex, complex]:
+    a, b, c = place.vectors
+    return complex(*a), complex(*b), complex(*c)
 
 
 def _with_shown(state: WalkingHeadingState, step: Step, on_axes: bool = False) -> Step:

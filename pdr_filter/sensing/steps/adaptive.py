@@ -121,7 +121,7 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
         first: FloatArray = np.asarray(np.convolve(smooth, slope), dtype=float)
         return np.pad(smooth, 2), np.pad(first, 1), np.asarray(np.convolve(first, slope), dtype=float)
 
-    @property
+    @cached_property
     def _n_before(self) -> int:
         """Samples before a contact that enter."""
         return round(self.before_s * self.rate_hz) + len(self._power_low_pass) // 2
@@ -129,6 +129,10 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
     @property
     def _delay_samples(self) -> int:
         """Samples after a contact that enter."""
+        return self._n_after
+
+    @cached_property
+    def _n_after(self) -> int:
         return round(self.after_s * self.rate_hz) + len(self._power_low_pass) // 2
 
     @property
@@ -153,19 +157,19 @@ class AdaptiveStepDetector(ResponseStepDetector[AdaptiveDetectorState]):
 
     def _response(self, line: FloatArray) -> FloatArray:
         rms, *of_sine = self._rms(line[0], (self._power_low_pass, *self._derivatives))
-        frequency_hz = np.clip(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0], _BANK_HZ[-1])
-        frequency_hz = np.maximum(frequency_hz, self._sine_hz(*of_sine))
-        return np.stack([self._transform(line[0], frequency_hz), rms, frequency_hz])
+        frequency_hz = np.maximum(self.frequency_at_1_mps2_hz * rms**self.frequency_exponent, _BANK_HZ[0])
+        frequency_hz = np.maximum(np.minimum(frequency_hz, _BANK_HZ[-1]), self._sine_hz(*of_sine))
+        return np.array([self._transform(line[0], frequency_hz), rms, frequency_hz])
 
-    @property
+    @cached_property
     def _n_around(self) -> int:
         """Samples that R is taken over."""
         return round(self.before_s * self.rate_hz) + round(self.after_s * self.rate_hz) + 1
 
     def _rms(self, line: FloatArray, kernels: Sequence[FloatArray]) -> FloatArray:
         """Standard deviations (K, N) of the filtered signal around each sample that has enough samples around it."""
-        smooth = np.stack([np.convolve(line, kernel, mode="valid") for kernel in kernels])
-        mean, square = running_sums(np.stack([smooth, smooth * smooth]), self._n_around) / self._n_around
+        smooth = np.array([np.convolve(line, kernel, mode="valid") for kernel in kernels])
+        mean, square = running_sums(np.array([smooth, smooth * smooth]), self._n_around) / self._n_around
         return np.sqrt(np.maximum(square - mean * mean, 0.0))
 
     def _sine_hz(self, position: FloatArray, speed: FloatArray, acceleration: FloatArray) -> FloatArray:

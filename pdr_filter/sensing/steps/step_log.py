@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import lru_cache
+from functools import cached_property, lru_cache
 from math import exp, floor, hypot, inf, log
 
 import numpy as np
@@ -73,7 +73,7 @@ class StepLog:
     max_interval_s: float = 2.0
     first_step_s: float = 0.6
 
-    @property
+    @cached_property
     def _n_kept(self) -> int:
         return round(self.latency_s * self.rate_hz) + 1 + int(np.ceil(self.max_interval_s * self.rate_hz))
 
@@ -85,12 +85,15 @@ class StepLog:
         """State with the samples of a block; call before their contacts are given, and `trim` after."""
         magnitude = specific_force_magnitude(block.specific_force_mps2)
         unknown_before = state.signals[4, -1] if state.signals.shape[1] else 0.0
-        unknown = unknown_before + np.cumsum(~block.angular_rate_known)
-        bias_std = attitude.yaw_bias_std_radps if len(attitude.yaw_bias_std_radps) else np.zeros(len(magnitude))
-        new = np.stack(
-            [block.time_s, magnitude, attitude.vertical_mps2, attitude.device_heading_rad, unknown, bias_std]
+        n_before, bias_std = state.signals.shape[1], attitude.yaw_bias_std_radps
+        signals = np.empty((len(state.signals), n_before + len(magnitude)))
+        signals[:, :n_before], new = state.signals, signals[:, n_before:]
+        new[_TIME], new[_MAGNITUDE], new[_VERTICAL] = block.time_s, magnitude, attitude.vertical_mps2
+        new[_HEADING], new[_UNKNOWN] = (
+            attitude.device_heading_rad,
+            unknown_before + np.cumsum(~block.angular_rate_known),
         )
-        signals = np.concatenate([state.signals, new], axis=1)
+        new[_BIAS_STD] = bias_std if len(bias_std) else 0.0
         return replace(state, n_samples=state.n_samples + len(magnitude), signals=signals)
 
     def trim(self, state: StepLogState) -> StepLogState:

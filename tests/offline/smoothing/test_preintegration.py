@@ -7,6 +7,7 @@ import pytest
 from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
+from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, grow_over_gap
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
@@ -65,18 +66,21 @@ def test_a_turned_and_scaled_walk_has_the_turned_and_scaled_sum_and_covariance()
     np.testing.assert_allclose(two.total_cov[0], own_frame @ one.total_cov[0] @ own_frame.T, atol=1e-12)
 
 
-def test_an_increment_is_the_step_of_the_filter() -> None:
+@pytest.mark.parametrize("from_rest", [False, True])
+def test_an_increment_is_the_step_of_the_filter(from_rest: bool) -> None:
     step = replace(
         Step(1.0, 1.5, 0.5, 2.0, 4.0, 3.0, -3.0, 13.0, 7.0, 1.5, 0.0, 0.7),
         heading_unknown_s=0.2,
         yaw_bias_std_radps=0.01,
+        from_rest=from_rest,
     )
     mode = Mode(
         "sideways", "sideways", known_length(0.7, 0.06), 1.5, heading_drift_rad_per_sqrt_s=0.02, extra_noise_m=0.05
     )
     noise = MotionNoise()
     found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
-    length_m, length_var_m2 = np.array([0.7]), np.array([0.06**2])
+    model = PedestrianModel((mode,), np.ones((1, 1)), noise=noise)
+    length_m, length_var_m2 = np.array([0.7]), model.own_var_m2(step, np.array([0.7]))
     ahead = advance(np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, length_var_m2, Directions.of([mode]), noise)
     mean, added_cov = ahead.mean, ahead.Q
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
