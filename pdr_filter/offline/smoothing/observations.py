@@ -12,7 +12,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
-from pdr_filter.values import BoolArray, PositionFix
+from pdr_filter.values import BoolArray, PositionFix, check_fix
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 
@@ -89,15 +89,22 @@ class Observations:
 
 
 def check_options(
-    fixes: Sequence[object], loop_closures: object, start_heading_std_rad: float | None, anchor_interval_s: float
+    fixes: Sequence[object],
+    has_plan: bool,
+    loop_closures: object,
+    start_heading_std_rad: float | None,
+    anchor_interval_s: float,
 ) -> None:
     """ValueError for what `smooth` cannot use."""
-    wrong = [fix for fix in fixes if not isinstance(fix, PositionFix)]
-    if wrong:
-        raise ValueError(
-            f"fixes in hindsight must be PositionFix, got {wrong[0]!r}: headings are given as known_headings, speeds "
-            "and standstills to pdr_filter.track alone"
-        )
+    for fix in fixes:
+        if has_plan:
+            check_fix(fix, has_plan)
+        elif not isinstance(fix, PositionFix):
+            raise ValueError(
+                f"without a floor plan fixes in hindsight must be PositionFix, got {fix!r}: give plan too; a heading "
+                "is one of known_headings, Wi-Fi is that of RadioMap.fixes, speeds and standstills are for "
+                "pdr_filter.track"
+            )
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
     if start_heading_std_rad is not None and not 0 <= start_heading_std_rad < np.inf:

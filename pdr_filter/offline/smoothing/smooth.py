@@ -170,8 +170,9 @@ def smooth(
             "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
             "start_heading_std_rad beside plan: leave them out"
         )
-    check_options(fixes, loop_closures, start_heading_std_rad, anchor_interval_s)
     config = given_or_default(recording, config)
+    has_plan = plan is not None or config.on_plan is not None
+    check_options(fixes, has_plan, loop_closures, start_heading_std_rad, anchor_interval_s)
     recording, fixes = one_clock(recording, fixes)
     if isinstance(loop_closures, str):
         loop_closures = wifi_loop_closures(recording)
@@ -183,11 +184,6 @@ def smooth(
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
     places = [fix for fix in fixes if isinstance(fix, PositionFix)]
-    if config.on_plan is None and len(places) < len(fixes):
-        raise ValueError(
-            "without a floor plan fixes must be PositionFix, got others: give plan too, a heading as a KnownHeading, "
-            "and Wi-Fi as RadioMap.fixes"
-        )
     observed = Observations(independent(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
