@@ -18,8 +18,7 @@ from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.modes import context_modes, context_transitions, height_notes
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.filter.step_length import bounce_fit, scale_std
-from pdr_filter.io import limits
-from pdr_filter.io.recording import Recording, Subject
+from pdr_filter.io.recording import Recording, Subject, check_height
 from pdr_filter.papers.guo2018.recipe import guo2018 as guo2018
 from pdr_filter.papers.martinelli2018.recipe import magnitude_contexts
 from pdr_filter.papers.martinelli2018.recipe import martinelli2018 as martinelli2018
@@ -120,13 +119,6 @@ def for_recording(name: str, recording: Recording) -> Config:
     if name == "zhou2019" and recording.is_on_foot:
         return zhou2019(recording.subject, placement="foot")
     return RECIPES[name](recording.subject)
-
-
-def check_height(height_m: float) -> None:
-    """ValueError unless it is the height of a person in metres, a child's included."""
-    low, high = limits.HEIGHT_RANGE_M
-    if not low <= height_m <= high:
-        raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m}")
 
 
 def check_name(name: str) -> None:

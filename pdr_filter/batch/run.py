@@ -18,8 +18,9 @@ from pdr_filter.calibration import load_calibration
 from pdr_filter.filter.weighting import WEIGHTINGS
 from pdr_filter.io.folders import recordings_of
 from pdr_filter.io.formats import read
+from pdr_filter.io.recording import check_height
 from pdr_filter.placing import GnssUse
-from pdr_filter.recipes import check_height, check_name, for_recording
+from pdr_filter.recipes import check_name, for_recording
 
 
 def track(

@@ -120,7 +120,7 @@ def _rmse_m(known: Table, track: Track) -> float:
     import pdr_filter as pdr
 
     reference_m = np.column_stack([known["east_m"], known["north_m"]])
-    at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"])
+    at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"], track.start_position_m)
     return pdr.evaluate.position_rmse_m(at_m, reference_m, "all")
 
 

@@ -13,6 +13,13 @@ from pdr_filter.io.texts import printable
 from pdr_filter.values import Samples, Table, Wifi
 
 
+def check_height(height_m: float) -> None:
+    """ValueError unless it is the height of a person in metres, a child's included."""
+    low, high = limits.HEIGHT_RANGE_M
+    if not low <= height_m <= high:
+        raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m}")
+
+
 @dataclass(frozen=True, slots=True)
 class Subject:
     """The pedestrian, as far as known."""
@@ -88,6 +95,7 @@ class Recording:
 
     def of_height(self, height_m: float) -> Recording:
         """The same recording of a person of this height: step lengths follow it."""
+        check_height(height_m)
         subject = {**(self.meta.get("subject") or {}), "height_m": height_m}
         return replace(self, meta={**self.meta, "subject": subject})
 

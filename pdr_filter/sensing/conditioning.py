@@ -293,17 +293,18 @@ class Conditioner:
 
 
 def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:
-    """Rows (N, 10) of time, force, rate and field that can be used, a wild field being NaN.
+    """Rows (N, 10) of time, force, rate and field that can be used, a wild rate and a wild field being NaN.
 
     Also how many were not finite, how many implausible, and how many had a wild field.
     """
     finite, beyond = np.isfinite(raw[:, :4]), np.abs(raw) > _LIMITS  # of NaN nothing is
     if finite.all() and not beyond.any():
         return raw, 0, 0, 0
-    is_finite, wild_field = finite.all(axis=1), beyond[:, _FIELD].any(axis=1)
-    wild = is_finite & beyond[:, _MOTION].any(axis=1)
-    raw[wild_field, _FIELD] = np.nan
-    return raw[is_finite & ~wild], int((~is_finite).sum()), int(wild.sum()), int(wild_field.sum())
+    wild_force, wild_rate, wild_field = (beyond[:, part].any(axis=1) for part in (_FORCE, _RATE, _FIELD))
+    is_finite = finite.all(axis=1)
+    n_wild = int((is_finite & (wild_force | wild_rate)).sum())
+    raw[wild_rate, _RATE] = raw[wild_field, _FIELD] = np.nan
+    return raw[is_finite & ~wild_force], int((~is_finite).sum()), n_wild, int(wild_field.sum())
 
 
 def _hold(time_s: FloatArray, values: FloatArray, last: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:

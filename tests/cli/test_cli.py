@@ -345,7 +345,7 @@ def test_compare_has_recipes_the_truth_a_page_of_all_and_json(walk: Path, tmp_pa
         track = pdr.track(recording, pdr.recipes.for_recording(name, recording))
         assert (row["track"], row["n_steps"]) == (name, track.n_steps)
         known = recording.truth.position
-        at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"])
+        at_m = pdr.evaluate.positions_at(track.time_s, track.position_m, known["time_s"], track.start_position_m)
         reference_m = np.column_stack([known["east_m"], known["north_m"]])
         assert row["rmse_m"] == pytest.approx(pdr.evaluate.position_rmse_m(at_m, reference_m, "all"))
     (page,) = tmp_path.glob("*.compare.html")

@@ -371,6 +371,17 @@ def test_impossible_values_are_left_out_and_counted() -> None:
     assert_same_shape_and_near(joined(blocks), clean)
 
 
+@pytest.mark.parametrize("bad", [np.inf, 1e9])
+def test_a_gyroscope_that_shows_nothing_possible_counts_as_none(bad: float) -> None:
+    """And does not take the accelerometer with it."""
+    time_s = np.arange(300) / 100
+    force = linear(time_s)
+    _, without = condition(Conditioner(), [imu(time_s, force)])
+    state, found = condition(Conditioner(), [imu(time_s, force, np.full((300, 3), bad))])
+    assert_same_bits(joined(found), joined(without))
+    assert state.report.n_implausible == 300
+
+
 def assert_same_shape_and_near(found: dict[str, np.ndarray], expected: dict[str, np.ndarray]) -> None:
     for name, values in expected.items():
         np.testing.assert_allclose(found[name], values, atol=1e-9)
