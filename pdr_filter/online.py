@@ -121,7 +121,7 @@ class OnlineFilter:
         angular_rate_radps, magnetic_field_ut : (N, 3), optional
             At the same times; NaN rows, or nothing, where there is no measurement.
         """
-        if any(stream.n_received for stream in self.state.merger.streams):
+        if self.state.merger.has_received:
             raise ValueError(
                 "push takes samples that are merged, and this filter takes sensors apart: use one of the two"
             )
@@ -329,6 +329,9 @@ class OnlineFilter:
             raise ValueError("these bytes hold a state of another configuration; save the filter again")
         if not serialise.same_count(content["state"].sensing, content["state"].sensing.n_samples):
             raise ValueError("these bytes hold a state whose parts have counted other samples; save the filter again")
+        merger = content["state"].merger
+        if merger.has_received and not merger.is_used and content["state"].sensing.conditioner.report.n_received:
+            raise ValueError("these bytes hold samples that came merged and apart; save the filter again")
         loaded.state = content["state"]
         _try(loaded)
         return loaded

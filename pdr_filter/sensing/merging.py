@@ -70,6 +70,11 @@ class MergerState:
         return self.streams[SENSORS.index(sensor)]
 
     @property
+    def has_received(self) -> bool:
+        """Whether any samples came."""
+        return any(stream.n_received for stream in self.streams)
+
+    @property
     def is_used(self) -> bool:
         """Whether samples of the accelerometer came through here."""
         return self.stream("accelerometer").n_received > 0

@@ -87,8 +87,11 @@ def file_of(name: str, recording: Recording, folder: Path) -> Path:
             return write_zip(folder / "good.zip", matlab_mobile_files(recording))
         if form == "json":
             path = folder / "good.json"
-            rows = zip(recording.accelerometer.time_s.tolist(), recording.accelerometer.values.tolist(), strict=True)
-            path.write_text("\n".join(json.dumps({"timestamp": 1000 + t, "accelerometer": f}) for t, f in rows))
+            force, rate = recording.accelerometer, recording.gyroscope
+            assert rate is not None
+            rows = zip(force.time_s.tolist(), force.values.tolist(), rate.values.tolist(), strict=True)
+            names = ("timestamp", "accelerometer", "gyroscope")
+            path.write_text("\n".join(json.dumps(dict(zip(names, (1000 + t, f, r), strict=True))) for t, f, r in rows))
             return path
         if form == "mat":
             return write_mat(folder / "good.mat", recording)

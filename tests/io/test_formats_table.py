@@ -157,7 +157,8 @@ LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sen
 WIFI = "test_wifi_files.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
 GENERIC, HOSTILE, TABLES = "test_generic_csv.py", "test_hostile_files.py", "test_tables.py"
-MATLAB, ROS = "test_matlab.py", "test_ros_bag.py"
+MATLAB, ROS, JSON = "test_matlab.py", "test_ros_bag.py", "test_json_tables.py"
+WRAPPED, DATES = "test_wrapped.py", "test_dates.py"
 
 # Format and trap as in the table of the docs, and the tests that fail if it is stepped into.
 TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
@@ -192,6 +193,9 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (FUZZ, "test_a_zip_bomb_is_refused_before_it_is_unpacked"),
         (FUZZ, "test_a_member_that_points_outside_the_zip_is_refused"),
         (HOSTILE, "test_a_zip_that_unpacks_to_more_than_sensors_can_is_refused"),
+    ],
+    ("all", "7z, rar and tar archives, PDF, web pages, pointers of git LFS"): [
+        (WRAPPED, "test_what_is_given_in_place_of_a_recording_is_named")
     ],
     ("all", "pipes, devices, links out of the folder in place of a file"): [
         (HOSTILE, "test_a_pipe_a_device_or_a_link_in_place_of_a_file_is_refused_soon"),
@@ -298,10 +302,26 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (TABLES, "test_the_walk_comes_back"),
         (TABLES, "test_the_gyroscope_is_checked_with_how_gravity_turns"),
     ],
-    ("tables", "dates and clock times, with or without a zone; midnight"): [
+    ("tables", "dates and clock times, with or without a zone, `mm:ss.000`; midnight, the full hour"): [
         (TABLES, "test_dates_are_read_however_they_are_written"),
         (TABLES, "test_a_clock_goes_on_at_midnight"),
+        (DATES, "test_minutes_and_seconds_go_on_at_the_full_hour"),
     ],
+    ("tables", "times that a spreadsheet rounded (`mm:ss.0`, `18:23`, `1.7E+18`)"): [
+        (TABLES, "test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened"),
+        (LOGGER, "test_times_that_a_spreadsheet_rounded_are_replaced_by_the_seconds_elapsed"),
+    ],
+    ("tables", "nanoseconds since the phone was started, as large as milliseconds since 1970"): [
+        (TABLES, "test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate")
+    ],
+    ("tables", "decimal commas between commas; a header that is there again"): [
+        (TABLES, "test_decimal_commas_between_commas_are_refused_with_what_to_export"),
+        (TABLES, "test_a_header_that_is_there_again_is_two_recordings"),
+    ],
+    ("SensorLog", "location on another clock, a magnetometer with the phone's own field beside one without"): [
+        (JSON, "test_the_walk_comes_back")
+    ],
+    ("JSON", "cut off in the middle of an object"): [(JSON, "test_what_is_cut_off_is_left_out_with_a_note")],
     ("tables", "declared milliseconds at 2 Hz"): [(TABLES, "test_milliseconds_that_are_declared_are_believed_at_2_hz")],
     ("tables", "the sign of an app on two systems"): [
         (TABLES, "test_the_sign_that_nothing_shows_is_noted_and_can_be_said"),
@@ -391,6 +411,6 @@ def test_the_small_sensors_of_get_sensor_data_are_read(tmp_path: Path) -> None:
 
 def test_every_refusal_of_the_docs_names_a_format_that_is_read() -> None:
     known = {"all", "Sensor Logger", "phyphox", "GetSensorData", "indoor-location", "CoreMotion", "RoNIN", "any CSV"}
-    known |= {"tables", "MATLAB", "ROS 2"}
+    known |= {"tables", "MATLAB", "ROS 2", "SensorLog", "JSON"}
     assert {trap[0] for trap in TRAPS} == known
     assert re.search(r"`pdr\.read\(path, format=\"phyphox\"\)`", DOCS)
