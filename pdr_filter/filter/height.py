@@ -34,7 +34,17 @@ from pdr_filter.filter.vertical import AIR, CLIMBED, DOWN, DRIFT, JUMP, LIFT, N_
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
-from pdr_filter.values import CONTEXTS, FloatArray, FloorPassage, GridFix, Note, Origin, PositionFix, replace
+from pdr_filter.values import (
+    CONTEXTS,
+    FloatArray,
+    FloorPassage,
+    GridFix,
+    Note,
+    Origin,
+    PositionFix,
+    repetition,
+    replace,
+)
 
 # No lift and hardly an escalator takes longer; a cabin, a train and a cable car do.
 LONGEST_RIDE_S = 120.0
@@ -81,7 +91,7 @@ class Altitude:
         One that is not as expected counts less, as with Student's t (`turn.scatter`).
         """
         assert fix.altitude_m is not None and fix.altitude_std_m is not None
-        var = fix.repetition(self.last_s) * fix.altitude_std_m**2 + height_var_m2
+        var = repetition(fix, self.last_s) * fix.altitude_std_m**2 + height_var_m2
         altitude_m = fix.altitude_m - height_m
         if math.isinf(self.var_m2):
             return Altitude(altitude_m, var, fix.time_s)

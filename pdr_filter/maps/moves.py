@@ -9,7 +9,7 @@ import numpy as np
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
 from pdr_filter.filter.pedestrian import TRAIL_STEPS, PedestrianState
-from pdr_filter.values import FloatArray, GridFix, IntArray, PositionFix, Step, wrap_angle
+from pdr_filter.values import FloatArray, IntArray, Step, wrap_angle
 
 EAST, NORTH, OFFSET, SCALE, TURN, THROUGH = range(6)
 
@@ -65,11 +65,3 @@ def turned(
         q = (1.0 - gain) * q
     x[:, OFFSET] += np.sqrt(q) * z
     return log_weight
-
-
-def as_many(fix: PositionFix | GridFix, last_s: float) -> float:
-    """How many fixes whose error lasts say together as much as one alone (`filter.fixes`)."""
-    if fix.correlation_s == 0 or math.isinf(last_s):
-        return 1.0
-    left = min(math.exp(-abs(fix.time_s - last_s) / fix.correlation_s), 0.999)
-    return (1 + left) / (1 - left)

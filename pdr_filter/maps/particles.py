@@ -40,7 +40,6 @@ from pdr_filter.maps.moves import (
     SCALE,
     THROUGH,
     TURN,
-    as_many,
     backwards,
     led_on,
     rotated,
@@ -60,6 +59,7 @@ from pdr_filter.values import (
     OnPlan,
     PositionFix,
     check_numbers,
+    repetition,
     wrap_angle,
 )
 
@@ -261,11 +261,11 @@ class ParticleFilter:
             state, _ = _weighed(state, -0.5 * (error / fix.std_rad) ** 2)
         elif isinstance(fix, GridFix):
             there = fix.log_likelihood_at(backwards(x, state.way[-1, 1:3] - then[:2]))
-            state, _ = _weighed(state, there / as_many(fix, state.last_grid_s))
+            state, _ = _weighed(state, there / repetition(fix, state.last_grid_s))
             state = replace(state, last_grid_s=fix.time_s)
         else:
             error = backwards(x, state.way[-1, 1:3] - then[:2]) - fix.position_m
-            cov = as_many(fix, state.last_fix_s) * fix.cov_m2
+            cov = repetition(fix, state.last_fix_s) * fix.cov_m2
             state, _ = _weighed(state, -0.5 * ((error @ np.linalg.inv(cov)) * error).sum(axis=1))
             state = replace(state, last_fix_s=fix.time_s)
         state = replace(state, parent=np.arange(len(state.weight)))

@@ -29,6 +29,7 @@ from pdr_filter.values.fixes import (
     Standstill,
     check_fix,
     received_s,
+    repetition,
 )
 from pdr_filter.values.floor_passage import FloorPassage, HowClimbed
 from pdr_filter.values.heading_drift import HeadingDrift
@@ -101,6 +102,7 @@ __all__ = [
     "median",
     "read_only",
     "received_s",
+    "repetition",
     "replace",
     "rigid_fit",
     "step_table",

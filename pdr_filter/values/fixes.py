@@ -74,16 +74,6 @@ class PositionFix:
         """Variance of one axis, the mean of both."""
         return 0.5 * float(np.trace(self.cov_m2))
 
-    def repetition(self, last_s: float) -> float:
-        """By how much the variance must be multiplied for this fix and one before it to count as independent.
-
-        Of correlated fixes at intervals t the mean is (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of
-        independent ones, r = exp(-t / T): any number of them in a time T is one witness. One where none was before.
-        """
-        if self.correlation_s == 0 or math.isinf(last_s):
-            return 1.0
-        return 1.0 / math.tanh(max(abs(self.time_s - last_s), _SAME_S) / (2.0 * self.correlation_s))
-
     @classmethod
     def from_lat_lon(
         cls,
@@ -156,6 +146,17 @@ class GridFix:
         inside = (row >= 0) & (row < n_rows) & (column >= 0) & (column < n_columns)
         index = np.where(inside, row * n_columns + column, 0).astype(np.int64)
         return np.where(inside, self.log_likelihood.ravel()[index], self.log_likelihood.min())
+
+
+def repetition(fix: PositionFix | GridFix, last_s: float) -> float:
+    """By how much the variance must be multiplied for a fix and one before it to count as independent.
+
+    Of correlated fixes at intervals t the mean is (1 + r) / (1 - r) = coth(t / 2T) times as uncertain as that of
+    independent ones, r = exp(-t / T): any number of them in a time T is one witness. One where none was before.
+    """
+    if fix.correlation_s == 0 or math.isinf(last_s):
+        return 1.0
+    return 1.0 / math.tanh(max(abs(fix.time_s - last_s), _SAME_S) / (2.0 * fix.correlation_s))
 
 
 @dataclass(frozen=True, slots=True)

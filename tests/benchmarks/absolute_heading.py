@@ -294,7 +294,7 @@ def made_fixes(walk: Walk) -> list[PositionFix]:
     for k in range(1, len(time_s)):
         error[k] = r * error[k - 1] + np.sqrt(1 - r * r) * error[k]
     place_m = np.column_stack([np.interp(time_s, walk.time_s, walk.points_m[:, k]) for k in (0, 1)]) + error
-    # as `gnss.position_fixes` has it
+    # as `gnss.independent` has it
     shared = 1.0 / np.tanh(10.0 / 40.0)
     variances = 25.0 * np.where(np.arange(len(time_s)) > 0, shared, 1.0)
     return [PositionFix(t, p, v * np.eye(2)) for t, p, v in zip(time_s, place_m, variances, strict=True)]
