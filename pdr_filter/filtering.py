@@ -5,6 +5,7 @@ from __future__ import annotations
 from bisect import bisect_right, insort
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
+from itertools import repeat
 from operator import attrgetter
 
 import numpy as np
@@ -18,7 +19,7 @@ from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.tracker import Passage, TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.maps.particles import ParticleState
-from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
+from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
 from pdr_filter.sensing.merging import Merged, MergerState, Sensor, StreamMerger
@@ -252,17 +253,19 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
 
 def _process(config: Config, state: State, events: list[tuple[float, Event]]) -> tuple[State, Output]:
     output = Output()
+    windows = [event for _, event in events if isinstance(event, WindowContext)]
+    contexts = iter(with_climbs(windows, [climb_at(state.climbs, window.time_s) for window in windows]))
+    of_height = iter(height.window_log_evidence(windows, config.model)) if state.climbs else repeat(None)
     for known_s, event in events:
         state, used = _use_due_fixes(config, state, known_s)
         output.fixes.extend(used)
         state = _with_pressure(config, state, known_s, output)
         if isinstance(event, WindowContext):
-            known = height.on_window(state.height, event, config.model)
-            context = with_climb(event, climb_at(state.climbs, event.time_s))
+            known = height.on_window(state.height, event, next(of_height))
+            context = next(contexts)
             output.windows.append(context)
             tracker, brought = config.tracker.on_window(state.tracker, context)
-            seen = state.seen.plus(context)
-            state = replace(state, tracker=tracker, height=known, seen=seen, window=context)
+            state = replace(state, tracker=tracker, height=known, seen=state.seen.plus(context), window=context)
         elif isinstance(event, Gap):
             tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
             if config.on_plan is not None:

@@ -32,7 +32,7 @@ from pdr_filter.notes import notes_of
 from pdr_filter.placing import GnssUse, NorthUse, is_placed, uses_location, with_north, with_north_of_attitude
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.conditioning import merge_streams
-from pdr_filter.sensing.contexts.stage import WindowContext, with_climb
+from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.front_end import Event, Sensing
@@ -272,7 +272,8 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     recording, _ = one_clock(recording)
     climbs = _climbs(config, recording)
     events = sensed_events(config.sensing, recording)
-    return _windows([with_climb(e, climb_at(climbs, e.time_s)) for e in events if isinstance(e, WindowContext)])
+    windows = [event for event in events if isinstance(event, WindowContext)]
+    return _windows(with_climbs(windows, [climb_at(climbs, window.time_s) for window in windows]))
 
 
 def _climbs(config: Config, recording: Recording) -> tuple[Climb, ...]:

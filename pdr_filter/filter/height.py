@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -152,22 +153,30 @@ def initial_height() -> HeightState:
     return HeightState(Known(*vertical.initial()))
 
 
-def on_window(state: HeightState, window: WindowContext, model: PedestrianModel) -> HeightState:
-    """State with what a window's motion says of stairs; the climb rate must not be in it, which is pressure."""
-    state = replace(state, stairs_unknown_share=window.stairs_unknown_share)
-    if not state.recent or not np.isfinite(window.prob).all():
-        return state
+def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
+    """Log evidence (W, 7) of what windows' motion says of stairs; the climb rate, which is pressure, is not in it."""
+    if not windows:
+        return np.zeros((0, N_MODES))
     said = context_log_evidence(
-        to_be_told_apart(window.prob, window.stairs_unknown_share),
-        window.training_prior,
+        np.array([to_be_told_apart(w.prob, w.stairs_unknown_share) for w in windows]),
+        np.array([w.training_prior for w in windows]),
         model.evidence_exponent,
         model.evidence_floor,
         model.prior_exponent,
     )
-    on_foot, standing = float(said[_ON_FOOT].max()), float(said[_STANDING])
-    either = max(on_foot, standing)
-    of_modes = [either, on_foot, said[_UPSTAIRS], said[_DOWNSTAIRS], standing, either, standing]
-    return replace(state, log_evidence=state.log_evidence + np.array(of_modes))
+    on_foot, standing = said[:, _ON_FOOT].max(axis=1), said[:, _STANDING]
+    either, up, down = np.maximum(on_foot, standing), said[:, _UPSTAIRS], said[:, _DOWNSTAIRS]
+    of_modes = np.column_stack([either, on_foot, up, down, standing, either, standing])
+    of_modes[~np.isfinite(of_modes).all(axis=1)] = 0.0  # a window without probabilities
+    return of_modes
+
+
+def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArray | None) -> HeightState:
+    """State with a window and, where there is a barometer, its `window_log_evidence` (7,)."""
+    if log_evidence is not None and state.recent:
+        log_evidence = state.log_evidence + log_evidence
+        return replace(state, stairs_unknown_share=window.stairs_unknown_share, log_evidence=log_evidence)
+    return replace(state, stairs_unknown_share=window.stairs_unknown_share)
 
 
 def on_pressure(

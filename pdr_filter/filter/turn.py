@@ -23,7 +23,7 @@ from numpy.random import Generator
 
 from pdr_filter.filter.alignment import Alignment, Place, turned_cov
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
-from pdr_filter.values import FloatArray, read_only, wrap_angle
+from pdr_filter.values import ComplexArray, FloatArray, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -63,15 +63,6 @@ _ASTRAY_PROB = 0.05
 _ASTRAY_DENSITY = _ASTRAY_PROB / (2.0 * math.pi)
 
 
-def _rotations(angle_rad: FloatArray) -> FloatArray:
-    """R (A, 2, 2) for columns east, north, clockwise."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return np.stack([np.stack([c, s], axis=-1), np.stack([-s, c], axis=-1)], axis=-2)
-
-
-_ROTATIONS = _rotations(_ANGLES_RAD)
-
-
 # e^(i angle) and its square, whose means are all that places need to know of a density.
 _TURNS_AND_SQUARES = np.column_stack([_TURNS, _TURNS**2])
 
@@ -106,10 +97,9 @@ class Compass:
 
     def density(self, angle_rad: FloatArray) -> FloatArray:
         """Density at turns (A,): normal, but for the compasses that point anywhere."""
-        away = np.abs(angle_rad - self.angle_rad) % (2.0 * math.pi)
-        away = np.minimum(away, 2.0 * math.pi - away)
+        away = math.pi - np.abs(np.abs(angle_rad - self.angle_rad) - math.pi)  # both are angles of one turn
         peak = (1.0 - _ASTRAY_PROB) / math.sqrt(2.0 * math.pi * self.var_rad2)
-        return peak * np.exp(-0.5 * away**2 / self.var_rad2) + _ASTRAY_DENSITY
+        return peak * np.exp((-0.5 / self.var_rad2) * (away * away)) + _ASTRAY_DENSITY
 
     def weighed(self, angle_rad: float) -> tuple[float, float]:
         """Information about a turn near an angle, and by how much the angle is too large for it."""
@@ -137,9 +127,10 @@ class OpenTurn:
         """The density with what a compass says."""
         if compass is None:
             return self
-        both = np.stack([self.prob, self.normal_prob]) * compass.density(_ANGLES_RAD)
-        prob, normal_prob = both / both.sum(axis=1, keepdims=True)
-        return replace(self, prob=prob, normal_prob=normal_prob)
+        density = compass.density(_ANGLES_RAD)
+        prob, normal_prob = _normalised(self.prob * density), _normalised(self.normal_prob * density)
+        centres_m = self.track_centre_m, self.world_centre_m
+        return OpenTurn(prob, normal_prob, *centres_m, self.centre_var_m2, self.drawn)
 
     @property
     def is_narrow(self) -> bool:
@@ -209,7 +200,8 @@ class _Fit(NamedTuple):
     projected: FloatArray  # (N, N) inverse covariance of the errors along one axis with the best shift taken off
     of_each: FloatArray  # (N,) how much each counts in the best shift: one in sum
     shift_var_m2: float
-    track: FloatArray  # (N, 2)
+    world: ComplexArray  # (N,) the fixes, north + i east
+    track: ComplexArray  # (N,) where the track was
     of_north: FloatArray  # (A,) squared angle over the variance of what is known of the north
     squares: FloatArray  # (A,) of the errors over their covariance, and of the north
 
@@ -222,11 +214,17 @@ def _fitted(pairs: Sequence[PairedPoint], north_var_rad2: float) -> _Fit:
     of_each = weight.sum(axis=0)
     information = float(of_each.sum())
     projected = weight - of_each[:, None] * of_each / information
-    track_m = np.array([p.track_m for p in pairs])
-    away = _turned_back(pairs, _ROTATIONS) - track_m
+    world, track = _complex([p.world_m for p in pairs]), _complex([p.track_m for p in pairs])
+    away = np.outer(world, _TURNS.conj()) - track[:, None]
     of_north = _ANGLES_RAD**2 / north_var_rad2
-    squares = ((projected @ away) * away).sum(axis=(1, 2)) + of_north
-    return _Fit(tuple(pairs), projected, of_each / information, 1.0 / information, track_m, of_north, squares)
+    squares = ((projected @ away) * away.conj()).real.sum(axis=0) + of_north
+    return _Fit(tuple(pairs), projected, of_each / information, 1.0 / information, world, track, of_north, squares)
+
+
+def _complex(east_north_m: Sequence[FloatArray]) -> ComplexArray:
+    """North + i east (N,), which a turn clockwise multiplies with e^(i angle)."""
+    east_m, north_m = np.array(east_north_m).T
+    return north_m + 1j * east_m
 
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
@@ -261,7 +259,8 @@ def _open_turn(fit: _Fit) -> OpenTurn:
 
 def _centres(fit: _Fit) -> tuple[FloatArray, FloatArray]:
     """The place of the track that the best shift keeps whatever the turn, and the same in the world."""
-    return fit.of_each @ fit.track, fit.of_each @ np.array([p.world_m for p in fit.pairs])
+    track, world = complex(fit.of_each @ fit.track), complex(fit.of_each @ fit.world)
+    return np.array([track.imag, track.real]), np.array([world.imag, world.real])
 
 
 def n_free(pairs: Sequence[PairedPoint]) -> int:
@@ -278,8 +277,11 @@ def scatter(squares: float, n_errors: int, n_before: int = 0) -> float:
 
 
 def _normalised_exp(log_prob: FloatArray) -> FloatArray:
-    prob = np.exp(log_prob - log_prob.max())
-    return prob / prob.sum()
+    return _normalised(np.exp(log_prob - log_prob.max()))
+
+
+def _normalised(prob: FloatArray) -> FloatArray:
+    return prob / np.add.reduce(prob)
 
 
 def align(
@@ -287,8 +289,8 @@ def align(
 ) -> Alignment | None:
     """The alignment that the pairs show, or None while they leave the turn open.
 
-    From the most probable turn of the density by Gauss-Newton; with e_i the fixes turned back into the frame of the
-    start, d e_i / d angle = (-e_north, e_east). Shift and angle are independent at the weighted centre. A compass
+    From the most probable turn of the density by Gauss-Newton; with e_i = w_i e^(-i angle) the fixes turned back into
+    the frame of the start, d e_i / d angle = -i e_i. Shift and angle are independent at the weighted centre. A compass
     counts with the probability that it does not point anywhere.
     """
     fit = _fitted(pairs, north_var_rad2)
@@ -297,14 +299,13 @@ def align(
         return None
     angle_rad, information, too_sure = float(_ANGLES_RAD[turn.prob.argmax()]), 1.0, 1.0
     for _ in range(5):
-        back = _turned_back(pairs, _rotations(np.array([angle_rad])))[0]
-        slope = np.stack([-back[:, 1], back[:, 0]], axis=1)
+        back = fit.world * cmath.rect(1.0, -angle_rad)
+        slope, left = -1j * back, back - fit.track
         of_compass, too_large_rad = (0.0, 0.0) if compass is None else compass.weighed(angle_rad)
-        left = back - fit.track
-        too_sure = scatter(float((fit.projected @ left * left).sum()), n_free(pairs))
+        too_sure = scatter(float(np.vdot(left, fit.projected @ left).real), n_free(pairs))
         of_fixes = fit.projected @ slope / too_sure
-        information = float((of_fixes * slope).sum()) + 1.0 / north_var_rad2 + of_compass
-        pull = float((of_fixes * left).sum()) + angle_rad / north_var_rad2
+        information = float(np.vdot(of_fixes, slope).real) + 1.0 / north_var_rad2 + of_compass
+        pull = float(np.vdot(of_fixes, left).real) + angle_rad / north_var_rad2
         angle_rad -= (pull + of_compass * too_large_rad) / information
     return Alignment(angle_rad, 1.0 / information, *_centres(fit), too_sure * fit.shift_var_m2, n_steps)
 
@@ -347,8 +348,3 @@ def _agreeing(pairs: tuple[PairedPoint, ...], north_var_rad2: float, n_sure: int
         others = (fit.pairs[:k] + fit.pairs[k + 1 :] for k in range(n_sure, n))
         fit = min((_fitted(some, north_var_rad2) for some in others), key=lambda some: some.squares.min())
     return fit
-
-
-def _turned_back(pairs: Sequence[PairedPoint], rotations: FloatArray) -> FloatArray:
-    """The fixes turned back by each rotation, (A, N, 2)."""
-    return np.array([p.world_m for p in pairs]) @ rotations

@@ -77,7 +77,7 @@ def weighted_distances(distance_m: FloatArray, context_prob: FloatArray, thresho
 def context_log_evidence(
     context_prob: FloatArray, training_prior: FloatArray, exponent: float, floor: float, prior_exponent: float = 1.0
 ) -> FloatArray:
-    """Log evidence of each context, shape (C,): exponent (log max(p, floor) - prior_exponent log prior).
+    """Log evidence of each context, shape (..., C): exponent (log max(p, floor) - prior_exponent log prior).
 
     The classifier gives p(context | features), so it is divided by the prior of its training set to leave what the
     features say. The exponent tempers it, because overlapping windows repeat the same second of data: with hop over
@@ -86,7 +86,7 @@ def context_log_evidence(
     out. A context that the classifier was not trained on (prior zero) gets the floor against an even prior: unlikely,
     not impossible.
     """
-    prior = np.where(training_prior > 0, training_prior, 1.0 / len(training_prior))
+    prior = np.where(training_prior > 0, training_prior, 1.0 / training_prior.shape[-1])
     return exponent * (np.log(np.maximum(context_prob, floor)) - prior_exponent * np.log(prior))
 
 

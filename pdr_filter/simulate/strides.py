@@ -17,9 +17,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from pdr_filter.values import BoolArray, FloatArray
-
-ComplexArray = NDArray[np.complex128]
+from pdr_filter.values import BoolArray, ComplexArray, FloatArray
 
 N_HARMONICS = 20  # of the stride: 19 Hz at two steps a second
 N_CHANNELS = 6

@@ -3,6 +3,7 @@
 from pdr_filter.values.angles import circular_mean, heading_from_yaw, wrap_angle, yaw_from_heading
 from pdr_filter.values.arrays import (
     BoolArray,
+    ComplexArray,
     FloatArray,
     IntArray,
     Table,
@@ -58,6 +59,7 @@ __all__ = [
     "TRUSTED",
     "BoolArray",
     "Cluster",
+    "ComplexArray",
     "Fix",
     "FixOutcome",
     "FixResult",

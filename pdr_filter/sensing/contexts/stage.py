@@ -283,17 +283,22 @@ def follow_mode(
     return frozen(np.array([p / total for p in after]))
 
 
-def with_climb(window: WindowContext, climb: Climb | None) -> WindowContext:
-    """The window with the climb rate of a barometer, if there is one, as evidence for stairs.
+def with_climbs(windows: Sequence[WindowContext], climbs: Sequence[Climb | None]) -> list[WindowContext]:
+    """The windows with the climb rates of a barometer, where there are some, as evidence for stairs.
 
     Motion and pressure are independent, so that their likelihoods multiply. Windows of the barometer overlap: the most
     that one can say is bounded, and draughts, which last for seconds, are in its standard deviation.
     """
-    if climb is None:
-        return window
-    evidence = climb_log_evidence(climb.climb_rate_mps, climb.std_mps)
-    prob = update_prob(to_be_told_apart(window.prob, window.stairs_unknown_share), evidence)
-    return replace(window, prob=prob, climb_rate_mps=climb.climb_rate_mps)
+    both = [(window, climb) for window, climb in zip(windows, climbs, strict=True) if climb is not None]
+    if not both:
+        return list(windows)
+    rates_mps, std_mps = np.array([(climb.climb_rate_mps, climb.std_mps) for _, climb in both]).T
+    told = np.array([to_be_told_apart(window.prob, window.stairs_unknown_share) for window, _ in both])
+    prob = iter(update_prob(told, climb_log_evidence(rates_mps, std_mps)))
+    return [
+        window if climb is None else replace(window, prob=next(prob), climb_rate_mps=climb.climb_rate_mps)
+        for window, climb in zip(windows, climbs, strict=True)
+    ]
 
 
 # Step frequency in Hz of people in each context, mean and standard deviation between and within them: medians of people
@@ -332,9 +337,9 @@ def with_cadence(window: WindowContext, frequency_hz: float) -> WindowContext:
 
 
 def update_prob(prob: FloatArray, log_evidence: FloatArray) -> FloatArray:
-    """p_k ~ p_k exp(e_k); what is impossible stays impossible."""
-    relative = prob * np.exp(log_evidence - log_evidence.max())
-    return relative / relative.sum()
+    """p_k ~ p_k exp(e_k), shape (..., K); what is impossible stays impossible."""
+    relative = prob * np.exp(log_evidence - log_evidence.max(axis=-1, keepdims=True))
+    return relative / relative.sum(axis=-1, keepdims=True)
 
 
 @lru_cache

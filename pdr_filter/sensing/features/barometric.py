@@ -16,6 +16,7 @@ from bisect import bisect_left, bisect_right
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from pdr_filter.values import CONTEXTS, STANDARD_GRAVITY_MPS2, BoolArray, FloatArray, IntArray, check_numbers
 
@@ -215,19 +216,19 @@ _MEAN_MPS, _VAR_MPS2 = np.array(
 ).T
 
 
-def climb_log_evidence(climb_rate_mps: float, std_mps: float) -> FloatArray:
-    """Log likelihood of a climb rate in each of `CONTEXTS`, (6,), up to a constant common to all.
+def climb_log_evidence(climb_rate_mps: ArrayLike, std_mps: ArrayLike) -> FloatArray:
+    """Log likelihood of climb rates (...) in each of `CONTEXTS`, (..., 6), up to a constant common to all.
 
     log((1 - e) N(v; m_c, s_c^2 + std^2) + e / (2 v_max)): upstairs 0.27 +- 0.08 m/s, downstairs -0.27 +- 0.08 m/s, the
     others 0 +- 0.06 m/s, and with probability e = 0.1 anything that a lift does. At the speed of a lift all contexts
     are equally likely, and the other sensors distinguish standing from stairs. A slow lift (0.5 m/s) is still 1 nat for
     stairs, each lift passes their rate on the way to its own, and an escalator keeps it: so the evidence is bounded,
     and must not be the only one. A rate with a large `std_mps` is no evidence.
-
     """
-    if not (math.isfinite(climb_rate_mps) and std_mps >= 0):
+    rate, std = np.asarray(climb_rate_mps, dtype=float)[..., None], np.asarray(std_mps, dtype=float)[..., None]
+    if not (np.isfinite(rate) & (std >= 0)).all():
         raise ValueError(f"climb_rate_mps must be finite and std_mps at least zero, got {climb_rate_mps}, {std_mps}")
-    var = _VAR_MPS2 + std_mps**2
-    away = climb_rate_mps - _MEAN_MPS
+    var = _VAR_MPS2 + std**2
+    away = rate - _MEAN_MPS
     density = np.exp(-0.5 * away * away / var) / np.sqrt(2 * math.pi * var)
     return np.log((1 - OUTLIER_SHARE) * density + OUTLIER_SHARE / (2 * LIFT_MAX_MPS))

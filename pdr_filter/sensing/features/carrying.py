@@ -16,12 +16,9 @@ from __future__ import annotations
 from functools import cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdr_filter.sensing.features.invariant import about_mean, columns, hann_taper, in_groups, mean_square
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
-
-ComplexArray = NDArray[np.complex128]
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, ComplexArray, FloatArray
 
 ATTITUDE: tuple[str, ...] = (
     "screen_up",

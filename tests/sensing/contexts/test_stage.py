@@ -10,7 +10,7 @@ from pdr_filter.classifiers.familiarity import Familiarity
 from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.classifiers.softmax import SoftmaxRegression
 from pdr_filter.papers.martinelli2018.features import TABLE_II
-from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_cadence, with_climb
+from pdr_filter.sensing.contexts.stage import ContextModels, WindowContext, with_cadence, with_climbs
 from pdr_filter.sensing.features.barometric import Climb
 from pdr_filter.sensing.features.windows import ATTITUDE_FREE, FeatureWindow
 from pdr_filter.values import CARRYING_MODES, CONTEXTS
@@ -174,7 +174,7 @@ def test_a_window_unlike_all_stairs_in_training_is_walking_even_in_a_pocket() ->
     ("rate_mps", "context"), [(0.3, "upstairs"), (-0.3, "downstairs"), (0.0, "walking"), (0.06, "walking")]
 )
 def test_a_barometer_decides_where_motion_cannot_tell_stairs(rate_mps: float, context: str) -> None:
-    told = with_climb(in_place(GUARDED, HAND), Climb(2.0, rate_mps, 0.013, 40, 0.0, 0.03))
+    told = with_climbs([in_place(GUARDED, HAND)], [Climb(2.0, rate_mps, 0.013, 40, 0.0, 0.03)])[0]
     assert CONTEXTS[told.prob.argmax()] == context
     assert told.prob.max() > 0.6
     assert told.prob.sum() == pytest.approx(1.0)
@@ -183,5 +183,5 @@ def test_a_barometer_decides_where_motion_cannot_tell_stairs(rate_mps: float, co
 def test_a_barometer_that_is_sure_of_level_ground_outvotes_motion_that_is_not_sure_of_stairs() -> None:
     context = in_place(GUARDED, POCKET, first=0.3)
     assert CONTEXTS[context.prob.argmax()] == "upstairs"
-    assert CONTEXTS[with_climb(context, Climb(2.0, 0.0, 0.013, 40, 0.0, 0.03)).prob.argmax()] == "walking"
-    assert with_climb(context, None) is context
+    assert CONTEXTS[with_climbs([context], [Climb(2.0, 0.0, 0.013, 40, 0.0, 0.03)])[0].prob.argmax()] == "walking"
+    assert with_climbs([context], [None])[0] is context
