@@ -16,7 +16,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.classifiers.model import to_be_told_apart
-from pdr_filter.filter import imm, vertical
+from pdr_filter.filter import vertical
 from pdr_filter.filter.floors import (
     LEVEL_STD_M,
     Climbing,
@@ -31,7 +31,7 @@ from pdr_filter.filter.floors import (
 )
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.turn import scatter
-from pdr_filter.filter.vertical import AIR, CLIMBED, DOWN, DRIFT, JUMP, LIFT, N_MODES, SLOPED, UP
+from pdr_filter.filter.vertical import DOWN, DRIFT, JUMP, LIFT, N_MODES, UP
 from pdr_filter.filter.weighting import context_log_evidence
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.features.barometric import RISER_M, Climb
@@ -104,11 +104,9 @@ class Altitude:
 
 @dataclass(frozen=True, eq=False)
 class Known:
-    """What is known of the height at one time: estimates of the modes, their sum, and the storeys."""
+    """What is known of the height at one time: moments of the modes (`vertical`), their sum, and the storeys."""
 
-    mean: FloatArray  # (7, 4)
-    cov: FloatArray  # (7, 4, 4)
-    prob: FloatArray  # (7,)
+    moments: FloatArray  # (7, 5, 5)
     climbed_m: float = 0.0
     height_m: float = 0.0  # above the start
     height_var_m2: float = 0.0
@@ -122,7 +120,7 @@ class Known:
     @property
     def height_std_m(self) -> float:
         """Standard deviation of the height."""
-        return math.sqrt(max(self.height_var_m2, 0.0))
+        return _std(self.height_var_m2)
 
 
 @dataclass(frozen=True, eq=False)
@@ -150,7 +148,7 @@ class HeightState:
 
 def initial_height() -> HeightState:
     """State at the start, whose height is zero."""
-    return HeightState(Known(*vertical.initial()))
+    return HeightState(Known(vertical.initial()))
 
 
 def window_log_evidence(windows: Sequence[WindowContext], model: PedestrianModel) -> FloatArray:
@@ -270,37 +268,35 @@ def _after(second: Second, model: PedestrianModel) -> Known:
         elapsed_s = 1.0
     log_evidence = second.log_evidence.copy()
     log_evidence[[LIFT, DRIFT]] += n_steps * model.step_log_odds_stationary
-    mean, cov, prob = vertical.after_second(
-        known.mean, known.cov, known.prob, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
+    moments = vertical.after_second(
+        known.moments, elapsed_s, n_steps, climb.height_m, climb.height_std_m**2, log_evidence
     )
-    x, P = imm.combine(mean, cov, prob)
-    rides = float(prob[LIFT])
+    now, prob = vertical.combined(moments), moments[:, 0, 0].tolist()
+    rides = prob[LIFT]
     ride = (known.ride or (climb.time_s, known.climbed_m)) if rides > 0.5 else None
     if ride is not None and climb.time_s - ride[0] > LONGEST_RIDE_S:
-        return _in_vehicle(known, climb.time_s, x, P, ride[1])
-    way = followed(
-        known.floors, climb.time_s, elapsed_s, float(x[CLIMBED]), float(prob[UP] + prob[DOWN]), rides, n_steps
-    )
+        return _in_vehicle(known, climb.time_s, moments, ride[1])
+    way = followed(known.floors, climb.time_s, elapsed_s, now.climbed_m, prob[UP] + prob[DOWN], rides, n_steps)
     level = known_level(way, climb.time_s)
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
-        if (level.climbed_m - x[CLIMBED]) ** 2 < _LEVEL_GATE * (P[CLIMBED, CLIMBED] + variance):
-            mean, cov = vertical.at_level(mean, cov, level.climbed_m, variance)
-            x, P = imm.combine(mean, cov, prob)  # pyright: ignore[reportConstantRedefinition]
-            level = Level(level.floor, float(x[CLIMBED]), _climbed_std(P))
+        if (level.climbed_m - now.climbed_m) ** 2 < _LEVEL_GATE * (now.climbed_var_m2 + variance):
+            moments = vertical.at_level(moments, level.climbed_m, variance)
+            now = vertical.combined(moments)
+            level = Level(level.floor, now.climbed_m, _std(now.climbed_var_m2))
         way = with_level(way, level)
     else:
-        way = learnt(way, climb.time_s, float(x[CLIMBED]), _climbed_std(P))
-    first_air_m = float(x[AIR]) if np.isnan(known.first_air_m) else known.first_air_m
+        way = learnt(way, climb.time_s, now.climbed_m, _std(now.climbed_var_m2))
+    first_air_m = now.air_m if math.isnan(known.first_air_m) else known.first_air_m
     return Known(
-        mean=mean,
-        cov=cov,
-        prob=prob,
-        **_sum(x, P),
+        moments=moments,
+        climbed_m=now.climbed_m,
+        height_m=now.height_m,
+        height_var_m2=now.height_var_m2,
         pressure_s=climb.time_s,
         ride=ride,
         first_air_m=first_air_m,
-        most_air_m=known.most_air_m if prob[JUMP] > 0.5 else max(known.most_air_m, abs(float(x[AIR]) - first_air_m)),
+        most_air_m=known.most_air_m if prob[JUMP] > 0.5 else max(known.most_air_m, abs(now.air_m - first_air_m)),
         floors=way,
     )
 
@@ -312,35 +308,29 @@ def _climbed(
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
     of_stairs = on_stairs * (RISER_M**2 + _RISER_STD_M**2) - rise_m**2
     climbed_var = _FLIGHT_STEPS * max(of_stairs, 0.0)
-    mean, cov = known.mean.copy(), known.cov.copy()
-    mean[:, CLIMBED] += rise_m
-    cov[:, CLIMBED, CLIMBED] += climbed_var
-    cov[:, SLOPED, SLOPED] += unseen_var
-    climbed_m = known.climbed_m + rise_m
-    way = followed(known.floors, step_s, elapsed_s, climbed_m, on_stairs, 0.0, 1)
+    moments = vertical.after_step(known.moments, rise_m, climbed_var, unseen_var)
+    now = vertical.combined(moments)
+    way = followed(known.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1)
     return replace(
         known,
-        mean=mean,
-        cov=cov,
-        climbed_m=climbed_m,
-        height_m=known.height_m + rise_m,
-        height_var_m2=known.height_var_m2 + climbed_var + unseen_var,
-        floors=learnt(way, step_s, climbed_m, math.sqrt(max(float(known.prob.dot(cov[:, CLIMBED, CLIMBED])), 0.0))),
+        moments=moments,
+        climbed_m=now.climbed_m,
+        height_m=now.height_m,
+        height_var_m2=now.height_var_m2,
+        floors=learnt(way, step_s, now.climbed_m, _std(now.climbed_var_m2)),
     )
 
 
-def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before_m: float) -> Known:
+def _in_vehicle(known: Known, now_s: float, moments: FloatArray, before_m: float) -> Known:
     """What is known when a ride was none: the height is that before it, and nothing of the air."""
-    then, then_cov = vertical.with_air_unknown(x, P)
-    then[CLIMBED] = before_m
-    mean, cov, prob = vertical.alike(then, then_cov)
-    floor = known.floors.climbing.from_floor
+    moments = vertical.with_air_unknown(moments, before_m)
+    then, floor = vertical.combined(moments), known.floors.climbing.from_floor
     return replace(
         known,
-        mean=mean,
-        cov=cov,
-        prob=prob,
-        **_sum(then, then_cov),
+        moments=moments,
+        climbed_m=then.climbed_m,
+        height_m=then.height_m,
+        height_var_m2=then.height_var_m2,
         pressure_s=now_s,
         ride=None,
         calm_in_s=CALM_S,
@@ -348,12 +338,5 @@ def _in_vehicle(known: Known, now_s: float, x: FloatArray, P: FloatArray, before
     )
 
 
-def _climbed_std(P: FloatArray) -> float:
-    return math.sqrt(max(float(P[CLIMBED, CLIMBED]), 0.0))
-
-
-def _sum(x: FloatArray, P: FloatArray) -> dict[str, float]:
-    """What is climbed, and the height with its variance, of combined estimates."""
-    variance = P[CLIMBED, CLIMBED] + P[SLOPED, SLOPED] + 2.0 * P[CLIMBED, SLOPED]
-    climbed_m = float(x[CLIMBED])
-    return {"climbed_m": climbed_m, "height_m": climbed_m + float(x[SLOPED]), "height_var_m2": float(variance)}
+def _std(variance: float) -> float:
+    return math.sqrt(max(variance, 0.0))

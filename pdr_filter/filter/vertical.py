@@ -1,28 +1,33 @@
 """How somebody moves up and down in a second of the barometer: seven modes, their estimates and their arithmetic.
 
-The state of each mode is [climbed, its rate, sloped, air]: metres climbed on stairs, lifts and escalators, how fast,
-metres that level ground and slopes led up, and what the air added to the height that the pressure shows, weather and
-draughts. The barometer measures climbed + sloped + air.
+The state of each mode is x = (climbed, its rate, sloped, air): metres climbed on stairs, lifts and escalators, how
+fast, metres that level ground and slopes led up, and what the air added to the height that the pressure shows, weather
+and draughts. The barometer measures climbed + sloped + air.
 
 The modes are level ground, where nothing moves but the air; a slope, on which steps lead up or down little by little;
 stairs up and down, a riser a step; a lift, or an escalator, that moves somebody who makes no steps, at a rate that
 lasts; a jump of the air, a door or a fan, all at once; and a drift of the air about somebody who sits, as in the cabin
 of an aeroplane. They are mixed as those of the track are (`imm`), once for each second.
+
+What is known is the moments p E[y y'] of each mode, y = (1, x) and p its probability, (7, 5, 5): mixing modes adds
+moments up, a prediction y = G y turns them to G E[y y'] G', and their sum over the modes is what is known of x. That
+takes half of the calls that means, covariances and probabilities take.
 """
 
 from __future__ import annotations
 
 import math
+from functools import lru_cache
+from typing import NamedTuple
 
 import numpy as np
 
-from pdr_filter.filter import imm
 from pdr_filter.sensing.features.barometric import RISER_M
 from pdr_filter.values import FloatArray, read_only
 
-CLIMBED, RATE, SLOPED, AIR = range(4)
+_ONE, _CLIMBED, _RATE, _SLOPED, _AIR = range(5)
 LEVEL, SLOPE, UP, DOWN, LIFT, JUMP, DRIFT = range(7)
-N_MODES, N_STATES = 7, 4
+N_MODES, _SIZE = 7, 5
 
 # The mean pressure of a second differs from that of the seconds around it by 0.12 m, and by 0.025 m a root second more
 # the further they are (ipin21, one storey in two minutes).
@@ -70,8 +75,8 @@ def _transitions() -> FloatArray:
 
 
 _TRANSITIONS = _transitions()
-_PRESSURE = read_only(np.array([1.0, 0.0, 1.0, 1.0]))  # what the states add up to
-_CLIMBED = read_only(np.eye(N_STATES)[CLIMBED])
+# Moments of a mode that was ruled out are divided by its probability later on.
+_LEAST_LOG_PROB = -400.0
 
 
 def _entries(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatArray:
@@ -83,93 +88,131 @@ def _entries(at: dict[tuple[int, ...], float], shape: tuple[int, ...]) -> FloatA
 
 # Of each mode: which states last (a rate in a lift only), what a step climbs, the variances of each prediction, and
 # those that grow with its time, where nobody makes steps and where somebody does.
+_SHAPE = (N_MODES, _SIZE, _SIZE)
 _LASTS = _entries(
-    {(m, s, s): 1.0 for m in range(N_MODES) for s in range(N_STATES) if s != RATE or m == LIFT},
-    (N_MODES, N_STATES, N_STATES),
+    {(m, s, s): 1.0 for m in range(N_MODES) for s in range(_SIZE) if s != _RATE or m == LIFT},
+    _SHAPE,
 )
-_RISEN = _entries({(UP, CLIMBED): RISER_M, (DOWN, CLIMBED): -RISER_M}, (N_MODES, N_STATES))
-_AT_ONCE = {(m, CLIMBED, CLIMBED): STAIRS_STD_M**2 for m in (UP, DOWN)} | {(JUMP, AIR, AIR): JUMP_STD_M**2}
-_BY_TIME = {(m, AIR, AIR): AIR_WALK_M**2 + (m == DRIFT) * DRIFT_M**2 for m in range(N_MODES)}
-_NOISE = _entries(_AT_ONCE, (N_MODES, N_STATES, N_STATES))
-_WALK = tuple(
-    _entries(more, (N_MODES, N_STATES, N_STATES))
-    for more in (_BY_TIME, _BY_TIME | {(SLOPE, SLOPED, SLOPED): SLOPE_MPS**2})
-)
+_RISEN = _entries({(UP, _CLIMBED, _ONE): RISER_M, (DOWN, _CLIMBED, _ONE): -RISER_M}, _SHAPE)
+_AT_ONCE = {(m, _CLIMBED, _CLIMBED): STAIRS_STD_M**2 for m in (UP, DOWN)} | {(JUMP, _AIR, _AIR): JUMP_STD_M**2}
+_BY_TIME = {(m, _AIR, _AIR): AIR_WALK_M**2 + (m == DRIFT) * DRIFT_M**2 for m in range(N_MODES)}
+_NOISE = _entries(_AT_ONCE, _SHAPE)
+_WALK = tuple(_entries(more, _SHAPE) for more in (_BY_TIME, _BY_TIME | {(SLOPE, _SLOPED, _SLOPED): SLOPE_MPS**2}))
 
 
-def initial() -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means (7, 4), covariances (7, 4, 4) and mode probabilities (7,) at the start, whose height is zero."""
-    return alike(np.zeros(N_STATES), np.diag([0.0, 0.0, 0.0, _UNKNOWN_M2]))
+class Estimate(NamedTuple):
+    """What is known of the height, whatever the mode."""
+
+    climbed_m: float
+    climbed_var_m2: float
+    height_m: float  # climbed + sloped
+    height_var_m2: float
+    air_m: float
 
 
-def alike(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """The same of somebody on level ground, with one mean (4,) and covariance (4, 4) in each mode."""
-    return np.tile(x, (N_MODES, 1)), np.tile(P, (N_MODES, 1, 1)), np.eye(N_MODES)[LEVEL]
+def initial() -> FloatArray:
+    """Moments (7, 5, 5) at the start, whose height is zero."""
+    moments = np.zeros(_SHAPE)
+    moments[LEVEL, _ONE, _ONE], moments[LEVEL, _AIR, _AIR] = 1.0, _UNKNOWN_M2
+    return moments
 
 
-def with_air_unknown(x: FloatArray, P: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A mean (4,) and a covariance (4, 4) without a rate, where nothing is known of the air any more."""
-    x, cov = x.copy(), P.copy()
-    x[RATE] = 0.0
-    cov[[RATE, AIR], :] = 0.0
-    cov[:, [RATE, AIR]] = 0.0
-    cov[AIR, AIR] = _UNKNOWN_M2
-    return x, cov
+def combined(moments: FloatArray) -> Estimate:
+    """What moments say of the height."""
+    (_, climbed_m, _, sloped_m, air_m), climbed, _, sloped, _ = np.add.reduce(moments).tolist()
+    climbed_var, sloped_var = climbed[_CLIMBED] - climbed_m**2, sloped[_SLOPED] - sloped_m**2
+    height_var = climbed_var + sloped_var + 2.0 * (climbed[_SLOPED] - climbed_m * sloped_m)
+    return Estimate(climbed_m, climbed_var, climbed_m + sloped_m, height_var, air_m)
+
+
+def with_air_unknown(moments: FloatArray, climbed_m: float) -> FloatArray:
+    """Moments of somebody on level ground who climbed so much, where nothing is known of the air any more."""
+    total = np.add.reduce(moments)
+    x, cov = total[_ONE].copy(), total - np.outer(total[_ONE], total[_ONE])
+    x[_CLIMBED], x[_RATE] = climbed_m, 0.0
+    cov[[_RATE, _AIR], :] = 0.0
+    cov[:, [_RATE, _AIR]] = 0.0
+    cov[_AIR, _AIR] = _UNKNOWN_M2
+    known = np.zeros(_SHAPE)
+    known[LEVEL] = cov + np.outer(x, x)
+    return known
 
 
 def after_second(
-    mean: FloatArray,
-    cov: FloatArray,
-    prob: FloatArray,
-    elapsed_s: float,
-    n_steps: int,
-    height_m: float,
-    height_var_m2: float,
-    log_evidence: FloatArray,
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Means, covariances and probabilities after a second in which somebody made steps and the pressure was read.
+    moments: FloatArray, elapsed_s: float, n_steps: int, height_m: float, height_var_m2: float, log_evidence: FloatArray
+) -> FloatArray:
+    """Moments after a second in which somebody made steps and the pressure was read.
 
-    `log_evidence` (7,) is what else is known of the modes.
+    `log_evidence` (7,) is what else is known of the modes. Times are those of a tenth of a second, which is less than
+    draughts do.
     """
-    mean, cov, prob = imm.mix(mean, cov, prob, _TRANSITIONS)
-    mean, cov = _predict(mean, cov, elapsed_s, n_steps)
-    mean, cov, log_likelihood = _measured(mean, cov, _PRESSURE, height_m, DRAUGHT_STD_M**2 + height_var_m2)
-    log_likelihood = log_likelihood + log_evidence
-    log_likelihood[LIFT] += _log_prob_rides(float(mean[LIFT, RATE]), float(cov[LIFT, RATE, RATE]))
+    G, Q = _moves(round(elapsed_s, 1), n_steps)
+    mixed = _TRANSITIONS.T.dot(moments.reshape(N_MODES, -1)).reshape(_SHAPE)
+    prob = mixed[:, _ONE, _ONE]
+    moved = G @ (mixed / prob[:, None, None]) @ G.swapaxes(1, 2) + Q
+    updated, log_likelihood = _measured(moved, _pressure(height_m), DRAUGHT_STD_M**2 + height_var_m2)
+    log_likelihood += log_evidence
+    rate_mps = float(updated[LIFT, _ONE, _RATE])
+    log_likelihood[LIFT] += _log_prob_rides(rate_mps, float(updated[LIFT, _RATE, _RATE]) - rate_mps**2)
     if n_steps == 0:
         log_likelihood[UP : DOWN + 1] += _NO_STEP_ON_STAIRS
-    return mean, cov, imm.update_mode_prob(prob, log_likelihood)
+    log_posterior = np.log(prob) + log_likelihood
+    relative = np.exp(np.maximum(log_posterior - log_posterior.max(), _LEAST_LOG_PROB))
+    return updated * (relative / np.add.reduce(relative))[:, None, None]
 
 
-def at_level(mean: FloatArray, cov: FloatArray, climbed_m: float, var_m2: float) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances of somebody who is on a level that is known."""
-    mean, cov, _ = _measured(mean, cov, _CLIMBED, climbed_m, var_m2)
-    return mean, cov
+def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped_var_m2: float) -> FloatArray:
+    """Moments after a step that climbed something, of which nothing was measured."""
+    moved = moments.copy()
+    if rise_m != 0.0:
+        moved[:, _CLIMBED] += rise_m * moved[:, _ONE]
+        moved[:, :, _CLIMBED] += rise_m * moved[:, :, _ONE]
+    prob = moments[:, _ONE, _ONE]
+    moved[:, _CLIMBED, _CLIMBED] += climbed_var_m2 * prob
+    moved[:, _SLOPED, _SLOPED] += sloped_var_m2 * prob
+    return moved
 
 
-def _predict(mean: FloatArray, cov: FloatArray, elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
-    """Mixed estimates led on by a time: x = F x + n c, P = F P F' + Q."""
+def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray:
+    """Moments of somebody who is on a level that is known."""
+    prob = moments[:, _ONE, _ONE, None, None]
+    updated, _ = _measured(moments / prob, np.array([climbed_m, -1.0, 0.0, 0.0, 0.0]), var_m2)
+    return updated * prob
+
+
+def _pressure(height_m: float) -> FloatArray:
+    """What the pressure shows less what the states add up to, as a factor of y."""
+    return np.array([height_m, -1.0, 0.0, -1.0, -1.0])
+
+
+@lru_cache(maxsize=64)
+def _moves(elapsed_s: float, n_steps: int) -> tuple[FloatArray, FloatArray]:
+    """G and Q (7, 5, 5) of a prediction over some time."""
     lifted_s = min(elapsed_s, _LONGEST_LIFT_S)
-    F, Q = _LASTS.copy(), _NOISE + elapsed_s * _WALK[n_steps > 0]
-    F[LIFT, CLIMBED, RATE] = lifted_s
+    G, Q = _LASTS + n_steps * _RISEN, _NOISE + elapsed_s * _WALK[n_steps > 0]
+    G[LIFT, _CLIMBED, _RATE] = lifted_s
     to_climbed, to_rate = 0.5 * LIFT_ACCELERATION_MPS2 * lifted_s**2, LIFT_ACCELERATION_MPS2 * lifted_s
-    Q[LIFT, CLIMBED, CLIMBED] = to_climbed**2
-    Q[LIFT, CLIMBED, RATE] = Q[LIFT, RATE, CLIMBED] = to_climbed * to_rate
-    Q[LIFT, RATE, RATE] = to_rate**2
-    mean = (F @ mean[:, :, None])[:, :, 0] + n_steps * _RISEN
-    return mean, F @ cov @ F.swapaxes(1, 2) + Q
+    Q[LIFT, _CLIMBED, _CLIMBED] = to_climbed**2
+    Q[LIFT, _CLIMBED, _RATE] = Q[LIFT, _RATE, _CLIMBED] = to_climbed * to_rate
+    Q[LIFT, _RATE, _RATE] = to_rate**2
+    return read_only(G), read_only(Q)
 
 
-def _measured(
-    mean: FloatArray, cov: FloatArray, h: FloatArray, value: float, variance: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Updated means, covariances and log likelihoods (7,) of a number h x: `imm.update` without its matrices."""
-    innovation = value - mean @ h
-    Ph = cov @ h
-    S = Ph @ h + variance
-    K = Ph / S[:, None]
-    log_likelihood = -0.5 * (innovation**2 / S + np.log(S))
-    return mean + K * innovation[:, None], cov - K[:, :, None] * Ph[:, None, :], log_likelihood
+def _measured(moments: FloatArray, of_y: FloatArray, variance: float) -> tuple[FloatArray, FloatArray]:
+    """Updated moments E[y y'] and log likelihoods (7,) where of_y' y, the innovation, is zero but for a variance.
+
+    With c the covariance of y and the innovation, S that of the innovation and k = c / S, the mean becomes
+    m - k innovation and the covariance P - k c' (Kalman).
+    """
+    mean, product = moments[:, :, _ONE], moments @ of_y
+    innovation = product[:, _ONE]
+    c = product - mean * innovation[:, None]
+    S = c @ of_y + variance
+    k = c / S[:, None]
+    updated = mean - k * innovation[:, None]
+    moments = moments - mean[:, :, None] * mean[:, None, :] - k[:, :, None] * c[:, None, :]
+    moments += updated[:, :, None] * updated[:, None, :]
+    return moments, -0.5 * (innovation * innovation / S + np.log(S))
 
 
 def _log_prob_rides(rate_mps: float, var: float) -> float:
