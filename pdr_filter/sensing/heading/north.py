@@ -16,6 +16,7 @@ witness.
 from __future__ import annotations
 
 import math
+from bisect import bisect_right
 from dataclasses import dataclass
 
 import numpy as np
@@ -122,17 +123,18 @@ class MagneticNorth:
     ) -> tuple[MagneticNorthState, list[tuple[int, Step]]]:
         """The same for steps that a gap or the end revealed."""
         result: list[tuple[int, Step]] = []
+        times: list[float] = state.readings[:, _TIME].tolist()
         for number, step in steps:
-            state = self._at_step(state, step)
+            state = self._at_step(state, step, times)
             result.append((number, replace(step, north_rad=state.north_rad, north_std_rad=state.north_std_rad)))
         return state, result
 
-    def _at_step(self, state: MagneticNorthState, step: Step) -> MagneticNorthState:
-        """State with the readings of a step."""
+    def _at_step(self, state: MagneticNorthState, step: Step, times: list[float]) -> MagneticNorthState:
+        """State with the readings of a step, whose times are given."""
         if step.heading_unknown_s > 0:  # and with it what was north in the attitude's frame
             state = replace(self.init(), samples=state.samples, readings=state.readings, used_s=state.used_s)
-        before_s = max(step.time_s - step.duration_s, state.used_s)
-        first, end = np.searchsorted(state.readings[:, _TIME], [before_s, step.time_s], side="right").tolist()
+        first = bisect_right(times, max(step.time_s - step.duration_s, state.used_s))
+        end = bisect_right(times, step.time_s)
         if end > first:
             state = self._with_readings(state, state.readings[first:end])
         return self._solved(state) if state.n_fresh > _MORE * state.n else state
