@@ -103,6 +103,11 @@ def columns_of(time: str, force: str, rate: str, **more: np.ndarray) -> dict[str
     return {time: TIME_S} | axes(force, FORCE) | axes(rate, RATE) | more
 
 
+def seconds_and_nanoseconds() -> tuple[list[str], list[str]]:
+    ticks = [1_787_923_304_123_456_789 + round(t * 1e9) for t in TIME_S.tolist()]
+    return [str(tick // 10**9) for tick in ticks], [str(tick % 10**9) for tick in ticks]
+
+
 BOTH = "accelerometer gyroscope"
 # Of phyphox in other languages: time, acceleration, gyroscope, and the names of their files.
 LANGUAGES = {
@@ -237,6 +242,20 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         },
         BOTH,
     ),
+    **{
+        f"ROS, seconds and nanoseconds as {seconds} and {nanoseconds}": (
+            lambda s=seconds, ns=nanoseconds: {
+                "imu.csv": table_text(
+                    {"seq": np.arange(len(TIME_S))}
+                    | dict(zip((s, ns), seconds_and_nanoseconds(), strict=True))
+                    | axes("angular_velocity.%", RATE)
+                    | axes("linear_acceleration.%", FORCE)
+                )
+            },
+            BOTH,
+        )
+        for seconds, nanoseconds in (("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec"))
+    },
     "CoreMotion of any app": (
         lambda: {
             "motion.csv": table_text(

@@ -50,6 +50,28 @@ def test_a_zip_alone_in_a_folder_is_read(tmp_path: Path) -> None:
     assert_walk(read(tmp_path / "export"))
 
 
+def in_folders(name: str) -> dict[str, str]:
+    """The files of each sensor in a folder that is called after it."""
+    folders = {member: Path(member).stem for member in FILES if not member.startswith("meta/")}
+    return {f"{folder}/{name.format(folder=folder)}": FILES[member] for member, folder in folders.items()}
+
+
+@pytest.mark.parametrize("name", ["data.csv", "{folder}.csv"])
+def test_a_folder_for_each_sensor_is_one_recording(tmp_path: Path, name: str) -> None:
+    files = in_folders(name)
+    write_folder(tmp_path / "walk", files)
+    assert recordings_in(tmp_path / "walk") == [tmp_path / "walk"]
+    assert_walk(read(tmp_path / "walk"))
+    assert_walk(read(write_zip(tmp_path / "walk.zip", files)))
+    assert_walk(read(write_zip(tmp_path / "around.zip", files, folder="a/")))
+
+
+def test_walks_with_a_folder_for_each_sensor_are_as_many(tmp_path: Path) -> None:
+    for walk in ("a", "b"):
+        write_folder(tmp_path / "walks" / walk, in_folders("data.csv"))
+    assert recordings_in(tmp_path / "walks") == [tmp_path / "walks" / walk for walk in ("a", "b")]
+
+
 def test_a_folder_around_several_recordings_names_them(tmp_path: Path) -> None:
     for name in ("a", "b"):
         write_folder(tmp_path / "export" / name, FILES)
