@@ -11,7 +11,7 @@ import struct
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
@@ -229,7 +229,7 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
     try:
         archive = zipfile.ZipFile(file)
     except _ZIP_ERRORS as error:
-        raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
+        raise RecordingError(f"{path}: a zip file that is damaged or cut off; copy or export it again") from error
     with archive:
         members = Members(path, archive)
         zips = zips_among(members.names)
@@ -291,8 +291,8 @@ def read_toml(path: Path) -> dict[str, Any]:
 def _files_below(path: Path) -> dict[str, Path]:
     """Files in a folder, its `meta` and folders of sensors, by path; not deeper: it may be anybody's home folder."""
     found: dict[str, Path] = {}
-    of_sensors = [entry for entry in path.iterdir() if quantity_of_file(entry.name)[0] and not entry.is_symlink()]
-    for folder in (path, path / "meta", *of_sensors):
+    below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
+    for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
         if folder.is_dir():
             for entry in folder.iterdir():
                 if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
@@ -305,19 +305,25 @@ def _files_below(path: Path) -> dict[str, Path]:
 
 
 def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
-    """Names of the files in folders that are called after their one sensor, as if they lay beside these folders."""
+    """Where folders are called after their sensors, names of the files alone in one, as if they lay beside it."""
     by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
     for name in map(PurePosixPath, names):
-        if name.suffix.lower() in _TABLES and quantity_of_file(name.parent.name)[0]:
+        if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
             by_folder.setdefault(name.parent, []).append(name)
     found: dict[str, str] = {}
     for parent in {folder.parent for folder in by_folder}:
         folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
-        sensors = {quantity_of_file(folder.name)[0] for folder in folders}
-        if len(sensors) > 1 and {ACCELERATION, LINEAR} & sensors and all(len(files) == 1 for files in folders.values()):
-            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, (file,) in folders.items()}
+        alone = {folder: files[0] for folder, files in folders.items() if len(files) == 1}
+        if _are_of_sensors(folder.name for folder in alone):
+            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, file in alone.items()}
             found |= {name: to for name, to in flat.items() if to not in names}
     return found
+
+
+def _are_of_sensors(folders: Iterable[str]) -> bool:
+    """Whether folders are called after an accelerometer and another sensor."""
+    sensors = {quantity_of_file(name)[0] for name in folders} - {""}
+    return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
 
 
 def _most_unpacked(size: int) -> int:

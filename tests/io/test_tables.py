@@ -442,6 +442,12 @@ def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path:
     assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
 
 
+def test_columns_that_were_not_used_are_named(tmp_path: Path) -> None:
+    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Rotation %", RATE)
+    (tmp_path / "walk.csv").write_text(table_text(columns))
+    assert "columns not used: Rotation x, Rotation y, Rotation z" in reading_report(read(tmp_path / "walk.csv")).lines()
+
+
 def test_a_header_that_is_there_again_is_two_recordings(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(2 * table_text(columns_of("time", "acc%", "gyro%")))
     assert f"line {len(TIME_S) + 2}: the header is there again" in refusal(tmp_path / "walk.csv").replace(

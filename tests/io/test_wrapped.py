@@ -15,6 +15,7 @@ from app_files import (
     phyphox_files,
     phyphox_sheets,
     refusal,
+    sensor_logger_files,
     write_folder,
     write_mat,
     write_zip,
@@ -48,6 +49,22 @@ def test_a_zip_alone_in_a_folder_is_read(tmp_path: Path) -> None:
     (tmp_path / "export").mkdir()
     write_zip(tmp_path / "export" / "walk.zip", FILES)
     assert_walk(read(tmp_path / "export"))
+
+
+def test_what_lies_beside_the_folders_of_sensors_in_one_of_its_own_is_read(tmp_path: Path) -> None:
+    files = sensor_logger_files(WALK)
+    read_together = read(write_folder(tmp_path / "together", files))
+    apart = {f"{Path(name).stem}/{name}": text for name, text in files.items()}
+    for path in (write_folder(tmp_path / "apart", apart), write_zip(tmp_path / "apart.zip", apart)):
+        recording = read(path)
+        assert recording.streams.keys() == read_together.streams.keys()
+        assert recording.notes == read_together.notes
+
+
+def test_a_zip_that_is_cut_off_is_said_to_be_one(tmp_path: Path) -> None:
+    path = write_zip(tmp_path / "walk.zip", FILES)
+    path.write_bytes(path.read_bytes()[:-30])
+    assert "a zip file that is damaged or cut off" in refusal(path)
 
 
 def in_folders(name: str) -> dict[str, str]:
