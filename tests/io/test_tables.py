@@ -442,6 +442,13 @@ def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path:
     assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
 
 
+@pytest.mark.parametrize("end", ["\r\r\n", "\n\n"])
+def test_a_blank_line_after_each_changes_nothing(tmp_path: Path, end: str) -> None:
+    text = table_text(columns_of("time", "acc%", "gyro%"))
+    (tmp_path / "walk.csv").write_bytes(text.replace("\n", end).encode())
+    assert_same_streams(read(tmp_path / "walk.csv"), WALK, BOTH, time_s=1e-6, rtol=1e-9)
+
+
 def test_columns_that_were_not_used_are_named(tmp_path: Path) -> None:
     columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Rotation %", RATE)
     (tmp_path / "walk.csv").write_text(table_text(columns))
