@@ -291,8 +291,8 @@ class Calibration:
     def _parameter_lines(self) -> list[str]:
         rows, n_people = self.segments, len(self.subject_ids)
         lines = [
-            f"{len(rows)} segments, {rows.distance_m.sum():.0f} m, {len(set(rows.recording))} recordings, "
-            + how_many(n_people, "person", "people"),
+            f"{how_many(len(rows), 'segment')}, {rows.distance_m.sum():.0f} m, "
+            f"{how_many(len(set(rows.recording)), 'recording')}, {how_many(n_people, 'person', 'people')}",
             "",
             f"{'context':<12}{'segments':>9}  {'model':<28}{'population: k +- std (people differ by)'}",
         ]

@@ -19,6 +19,7 @@ from pdr_filter.notes import notes_of
 from pdr_filter.sensing.merging import SENSORS
 from pdr_filter.sensing.steps.gate import StepGateState
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, FloatArray, OnPlan, Step, as_plain, read_only
+from pdr_filter.values.uncertainty import worst_std_m
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -69,10 +70,16 @@ class Now:
     lost_s: float  # in these
     notes: tuple[str, ...]
 
+    @property
+    def position_std_m(self) -> float:
+        """Standard deviation of the position in the worst direction."""
+        return float(worst_std_m(self.position_cov_m2))
+
     def to_dict(self) -> dict[str, Any]:
-        """The fields as JSON has them: None for what is not finite, contexts and carrying modes by their names."""
+        """The fields and `position_std_m` as JSON has them: None for what is not finite, probabilities by names."""
         return {
             **as_plain(self),
+            "position_std_m": as_plain(self.position_std_m),
             "context_prob": as_plain(dict(zip(CONTEXTS, self.context_prob, strict=True))),
             "carrying_prob": as_plain(dict(zip(CARRYING_MODES, self.carrying_prob, strict=True))),
         }

@@ -31,7 +31,7 @@ class Track(TrackRows):
     >>> import pdr_filter as pdr
     >>> track = pdr.track(pdr.simulate.demo_walk())
     >>> east_m, north_m = track.end_position_m
-    >>> within_m = track.uncertainty_95_m[-1]  # with a probability of 95 %
+    >>> std_m = track.position_std_m[-1]  # in the worst direction
     >>> sorted(name for name, seconds in track.context_seconds().items() if seconds > 5)
     ['downstairs', 'stationary', 'upstairs', 'walking']
     >>> track.to_csv("walk.csv").name

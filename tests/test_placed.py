@@ -15,7 +15,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report.geometry import ellipse_axes
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import RADIUS_68, RADIUS_95, HeadingFix, Origin, PositionFix, Samples
-from pdr_filter.values.uncertainty import uncertainty_95_m
+from pdr_filter.values.uncertainty import worst_std_m
 
 HERE = (48.137, 11.575)
 
@@ -51,23 +51,23 @@ def test_the_radii_hold_68_and_95_percent_of_a_round_normal() -> None:
     assert chi2.cdf(RADIUS_95**2, 2) == pytest.approx(0.95, abs=1e-5)
 
 
-def test_the_uncertainty_is_the_longer_half_axis_of_the_ellipse_that_is_drawn() -> None:
+def test_the_ellipse_that_is_drawn_holds_95_percent_by_the_deviation_in_its_worst_direction() -> None:
     cov_m2 = random_cov_m2()
-    np.testing.assert_allclose(uncertainty_95_m(cov_m2), ellipse_axes(cov_m2)[0][:, 1], rtol=1e-9)
+    np.testing.assert_allclose(RADIUS_95 * worst_std_m(cov_m2), ellipse_axes(cov_m2)[0][:, 1], rtol=1e-9)
 
 
-def test_95_percent_or_more_of_all_positions_are_within_the_uncertainty() -> None:
+def test_no_direction_has_a_larger_standard_deviation_than_the_worst() -> None:
     rng = np.random.default_rng(1)
+    along = np.array([np.cos(angle := np.linspace(0.0, np.pi, 180)), np.sin(angle)])
     for cov_m2 in (np.eye(2), *random_cov_m2(5)):
         error_m = rng.multivariate_normal([0, 0], cov_m2, 40_000)
-        share = np.mean(np.linalg.norm(error_m, axis=1) < uncertainty_95_m(cov_m2))
-        assert 0.945 < share < 0.99
+        assert np.max(np.std(error_m @ along, axis=0)) == pytest.approx(worst_std_m(cov_m2), rel=0.02)
 
 
 def test_summary_report_and_words_say_the_same_of_the_end(alone: pdr.Track) -> None:
-    end_m = alone.uncertainty_95_m[-1]
-    assert alone.summary()["end_uncertainty_95_m"] == pytest.approx(end_m, abs=1e-3)
-    assert alone.how_sure == f"within {end_m:.1f} m (95 %)"
+    end_m = np.sqrt(np.linalg.eigvalsh(alone.position_cov_m2[-1])[-1])
+    assert alone.summary()["end_std_m"] == pytest.approx(end_m, abs=1e-3)
+    assert alone.how_sure == f"± {end_m:.1f} m (one standard deviation, worst direction)"
     assert alone.how_sure in alone.report()
 
 
@@ -92,7 +92,7 @@ def test_an_unsure_turn_is_in_the_covariance_as_in_turns_that_are_drawn(alone: p
     grown = alone.turned(0.8, std_rad).position_cov_m2 - exact.position_cov_m2
     ends_m = np.array([alone.turned(0.8 + e).position_m[-1] for e in np.random.default_rng(2).normal(0, std_rad, 4000)])
     np.testing.assert_allclose(grown[-1], np.cov(ends_m.T), atol=0.05 * np.trace(grown[-1]))
-    np.testing.assert_array_equal(exact.uncertainty_95_m.round(9), alone.uncertainty_95_m.round(9))
+    np.testing.assert_array_equal(exact.position_std_m.round(9), alone.position_std_m.round(9))
 
 
 def test_a_track_that_knows_north_is_not_turned_again(alone: pdr.Track) -> None:
@@ -132,7 +132,7 @@ def test_what_an_origin_says_of_its_turn_and_shift_is_in_the_covariance(alone: p
     track = alone.placed(Origin(*HERE, turn_rad=0.4, turn_std_rad=0.1, position_std_m=3.0))
     expected = alone.turned(0.4, 0.1).position_cov_m2 + 9.0 * np.eye(2)
     np.testing.assert_allclose(track.position_cov_m2, expected)
-    assert "within 11 degrees (95 %)" in track.about_frame
+    assert "measured, ± 6 degrees." in track.about_frame
 
 
 def test_a_place_without_a_heading_says_that_north_is_not_known(walk: Recording) -> None:

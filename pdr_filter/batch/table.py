@@ -46,7 +46,7 @@ class Row(Task):
     duration_s: float | None = None
     end_east_m: float | None = None
     end_north_m: float | None = None
-    end_uncertainty_95_m: float | None = None  # `Track.uncertainty_95_m` of the end
+    end_std_m: float | None = None  # `Track.position_std_m` of the end: in the worst direction
     stationary_s: float | None = None
     walking_s: float | None = None
     upstairs_s: float | None = None
@@ -175,7 +175,7 @@ def row_of(task: Task, result: Track) -> Row:
         duration_s=float(result.duration_s),
         end_east_m=float(end_m[0]),
         end_north_m=float(end_m[1]),
-        end_uncertainty_95_m=float(result.uncertainty_95_m[-1]) if result.n_steps else None,
+        end_std_m=float(result.position_std_m[-1]) if result.n_steps else None,
         notes=_one_line("; ".join(result.notes)),
         **of_contexts,
     )

@@ -147,7 +147,7 @@ def smooth(
     console.print_tracks([track])
     typer.echo(
         f"{len(result.observations)} observations, {len(result.rejected)} not used; "
-        f"step scale {result.scale:.3f} ± {1.96 * result.scale_std:.3f} (95 %)"
+        f"step scale {result.scale:.3f} ± {result.scale_std:.3f}"
     )
     console.say_written(out)
     console.say_replaced(console.replaced_of(before))

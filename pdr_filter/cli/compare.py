@@ -125,9 +125,9 @@ def _rmse_m(known: Table, track: Track) -> float:
 
 
 def _print(compared: Sequence[Compared]) -> None:
-    columns = ["recording", "track", "steps", "distance", "against the last", "end east", "end north", "end apart"]
     has_truth = any(found.rmse_m for found in compared)
-    table = console.new_table(*columns, *(["off the truth"] if has_truth else []))
+    columns = ["recording", "track", "steps", "distance", "against the last", "end east", "end north", "± at the end"]
+    table = console.new_table(*columns, "end apart", *(["off the truth"] if has_truth else []))
     for found in compared:
         *_, reference = found.tracks.values()
         reference_end = reference.summary()
@@ -144,10 +144,12 @@ def _print(compared: Sequence[Compared]) -> None:
                 "" if is_reference else console.in_m(track.distance_m - reference.distance_m, "+.1f"),
                 console.in_m(end["end_east_m"]),
                 console.in_m(end["end_north_m"]),
+                console.in_m(end["end_std_m"]) if track.n_steps else "",
                 "" if is_reference else console.in_m((apart_east_m**2 + apart_north_m**2) ** 0.5),
                 *([console.in_m(found.rmse_m[name]) if found.rmse_m else ""] if has_truth else []),
                 end_section=is_reference,
             )
+    table.caption = console.SURE
     console.print_table(table)
     for found in compared:
         console.print_notes(list(found.tracks.values())[-1])

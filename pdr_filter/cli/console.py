@@ -191,6 +191,10 @@ def print_table(table: Table) -> None:
     console.print(table)
 
 
+# Below tables with a column "± at the end".
+SURE = "±: one standard deviation in the worst direction"
+
+
 def in_m(value: float, spec: str = "z.1f") -> str:
     """A length."""
     return f"{value:{spec}} m"
@@ -198,7 +202,7 @@ def in_m(value: float, spec: str = "z.1f") -> str:
 
 def print_tracks(tracks: Sequence[Track]) -> None:
     """A row for each track, their notes below."""
-    table = new_table("recording", "steps", "distance", "end east", "end north", "within (95 %)", "duration")
+    table = new_table("recording", "steps", "distance", "end east", "end north", "± at the end", "duration")
     table.add_column("contexts")
     for result in tracks:
         summary = result.summary()
@@ -209,10 +213,11 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             in_m(result.distance_m),
             in_m(summary["end_east_m"]),
             in_m(summary["end_north_m"]),
-            in_m(summary["end_uncertainty_95_m"]) if result.n_steps else "",
+            in_m(summary["end_std_m"]) if result.n_steps else "",
             f"{result.duration_s:.1f} s",
             ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
+    table.caption = SURE
     print_table(table)
     for result in tracks:
         print_notes(result)

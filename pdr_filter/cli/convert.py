@@ -28,7 +28,7 @@ def convert(
         Platform | None, typer.Option(help="Where the file was recorded, if nothing in it shows the sign.")
     ] = None,
     out: Annotated[
-        Path | None, typer.Option(help="Where the recording goes: NAME_recording.zip here if not given.")
+        Path | None, typer.Option(help="Where the recording goes: NAME_recording.zip beside FILE if not given.")
     ] = None,
 ) -> None:
     """Convert a file to a recording, and show what its columns were taken for and why.
@@ -37,6 +37,7 @@ def convert(
     Nothing that is there is overwritten.
     """
     from pdr_filter.io.any_table import read_guessed, read_mapped
+    from pdr_filter.io.archive import outside
     from pdr_filter.io.describe import reading_report
     from pdr_filter.io.detection import detect
     from pdr_filter.io.files import write_text
@@ -57,7 +58,7 @@ def convert(
             recording, text = found.recording, found.guess.mapping.toml()
         else:
             recording = read(file, platform=of_platform)
-        to = out or Path(f"{file_name(recording.name)}_recording.zip")
+        to = out or outside(file.absolute())[0].with_name(f"{file_name(recording.name)}_recording.zip")
         beside = to.with_suffix(".toml") if to.suffix else to.with_name(f"{to.name}.toml")
         for path in (to, *([beside] if text else [])):
             if path.exists():

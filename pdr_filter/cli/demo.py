@@ -120,7 +120,8 @@ def _facts(demo: Demo) -> Table:
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
     table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
-    table.add_row("  how sure", result.how_sure, "")
+    if result.n_steps:
+        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "one standard deviation, in the worst direction")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 from urllib.parse import quote
 
+from pdr_filter.cli import console
 from pdr_filter.io.files import write_text
 from pdr_filter.io.texts import printable
+from pdr_filter.values import how_many
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
@@ -35,10 +37,11 @@ img {{ width: 12em; display: block }}
 }}
 @media (prefers-color-scheme: dark) {{ body {{ color: #ddd; background: #16181c }} a {{ color: #8bf }} }}
 </style></head><body>
-<h1>{n} tracks</h1>
-<table><tr><th>recording</th><th>steps</th><th>distance</th><th>end within (95 %)</th><th>duration</th><th></th></tr>
+<h1>{n}</h1>
+<table><tr><th>recording</th><th>steps</th><th>distance</th><th>± at the end</th><th>duration</th><th></th></tr>
 {rows}
 </table>
+<p>{sure}</p>
 {failed}
 </body></html>
 """
@@ -49,16 +52,16 @@ def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: P
     rows = "\n".join(_row(name, track) for name, track in tracks.items())
     reasons = "".join(f"<li>{_text(reason)}</li>" for reason in failed.values())
     words = f"<h2>{len(failed)} could not be tracked</h2><ul>{reasons}</ul>" if failed else ""
-    return write_text(path, _PAGE.format(n=len(tracks), rows=rows, failed=words))
+    return write_text(path, _PAGE.format(n=how_many(len(tracks), "track"), rows=rows, sure=console.SURE, failed=words))
 
 
 def _row(name: str, track: Track) -> str:
     summary = track.summary()
     file = quote(name)
-    within = f"{summary['end_uncertainty_95_m']:.1f} m" if track.n_steps else ""
+    std = f"{summary['end_std_m']:.1f} m" if track.n_steps else ""
     return (
         f'<tr><td><a href="{file}.html">{_text(track.name)}</a></td><td>{track.n_steps}</td>'
-        f"<td>{track.distance_m:.1f} m</td><td>{within}</td><td>{track.duration_s:.0f} s</td>"
+        f"<td>{track.distance_m:.1f} m</td><td>{std}</td><td>{track.duration_s:.0f} s</td>"
         f'<td><a href="{file}.png"><img src="{file}.png" alt="the track"></a><a href="{file}.csv">table</a></td></tr>'
     )
 

@@ -29,7 +29,7 @@ class CarryingMode(StrEnum):
 
 
 def simulate(
-    out: Annotated[Path, typer.Option(help="Zip file, or a folder if it has no suffix.")] = Path("simulated_walk.zip"),
+    out: Annotated[Path, typer.Option(help="Zip file, or a folder if it has no suffix.")],
     seed: Annotated[int, typer.Option(min=0, help="The same seed gives the same walk.")] = 0,
     carrying_mode: Annotated[
         CarryingMode | None,

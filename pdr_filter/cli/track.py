@@ -199,8 +199,7 @@ def track(
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
-    The end is within the distance that is shown beside it with a probability of 95 % or more: the longer half axis of
-    its 95 % ellipse.
+    ± at the end is one standard deviation in the worst direction.
 
     A folder stands for all recordings in it: with --out each gets its table, picture and report, and index.html lists
     them. --jobs or --scheduler make one table in place of that, tracks.csv in the folder of --out: it grows as

@@ -12,13 +12,13 @@ from pdr_filter.cli.console import escape
 
 
 def train(
+    out: Annotated[Path, typer.Option(help="Folder for NAME.npz, NAME.json and transitions.json.")],
     data_dir: Annotated[
         Path | None, typer.Argument(help="Folder with one folder of recordings for each data set.")
     ] = None,
     sequences: Annotated[
         Path | None, typer.Option(help="Folder of labelled recordings in which people change what they do.")
     ] = None,
-    out: Annotated[Path, typer.Option(help="Folder for NAME.npz, NAME.json and transitions.json.")] = Path("models"),
 ) -> None:
     """Train the context models on labelled recordings, and estimate transitions and tempering from those that change.
 

@@ -7,6 +7,7 @@ names one with a folder of the data set's name. Downloads need `pip install "pdr
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
 import sys
@@ -25,6 +26,7 @@ from pdr_filter.io.recording import Recording
 _GITHUB = "https://raw.githubusercontent.com"
 _RAW = ".raw"  # in a folder of recordings what begins with a point is no recording
 _ATTRIBUTION = "ATTRIBUTION.txt"
+_CHECKSUMS = "SHA256SUMS"
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,8 +44,14 @@ class Dataset:
     plan: Callable[[Path], dict[str, Any]] | None = None  # its floor plan, GeoJSON in metres of its truth
 
     def about(self) -> str:
-        """Title, licence and attribution, as lines."""
-        return f"{self.title}\nlicence: {self.licence}\nattribution: {self.attribution}\nfrom: {self.home}\n"
+        """Title, licence, attribution and how far what comes is checked, as lines."""
+        checked = (
+            "checked: sha256 of each file"
+            if len(self.sha256) == len(self.files)
+            else f"checked: no sha256 is known yet, only the commit in the address; {_CHECKSUMS} has those of what came"
+        )
+        terms = f"licence: {self.licence}\nattribution: {self.attribution}"
+        return f"{self.title}\n{terms}\nfrom: {self.home}\n{checked}\n"
 
 
 _HUMOLIRE = (
@@ -97,7 +105,8 @@ def fetch(name: str, folder: str | Path | None = None) -> list[Path]:
 
     They are zips in the project's own format, with person, labels and truth as far as these are published, in
     `folder / name`; a floor plan, where there is one, is `maps/NAME.geojson` in the same folder. What was downloaded
-    is kept in `.raw` beside the zips.
+    is kept in `.raw` beside the zips, with its checksums in `SHA256SUMS`, as `sha256sum --check` reads them: no public
+    address could be reached when the table of data sets was written, so that there are none to compare with yet.
 
     Parameters
     ----------
@@ -153,6 +162,8 @@ def _write(name: str, dataset: Dataset, to: Path, plan: Path) -> None:
         content = dataset.plan(raw)
         content["properties"] |= terms
         write_text(plan, json.dumps(content))
+    sums = (f"{hashlib.sha256((raw / file).read_bytes()).hexdigest()}  {file}\n" for file in dataset.files)
+    write_text(raw / _CHECKSUMS, "".join(sums))
     write_text(to / _ATTRIBUTION, dataset.about())
 
 
@@ -173,6 +184,7 @@ def _download(name: str, dataset: Dataset, raw: Path) -> None:
                 raise ValueError(f"{name}: {url} is not what it was ({error}); tell us, and do not use it") from error
             except OSError as error:
                 if "404" in str(error) and dataset.or_home and home != dataset.or_home:
+                    print(f"{file} is not in that commit: its newest state is taken", file=sys.stderr)
                     continue
                 raise ConnectionError(
                     f"{name}: {url} cannot be had ({type(error).__name__}: {str(error)[:200]}); connect to the network "

@@ -57,6 +57,10 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         _fill(parsed, found.mapping, data)
     parsed.source = found.source
     parsed.found += found.evidence
+    used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
+    beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
+    if beside:
+        parsed.found.append(f"columns not used: {', '.join(dict.fromkeys(beside))[:300]}")
     parsed.notes[:] = list(dict.fromkeys([*found.notes, *parsed.notes]))
     parsed.is_unit_of_time_declared = found.is_time_declared
     try:

@@ -11,12 +11,13 @@ import struct
 import tomllib
 import zipfile
 import zlib
-from collections.abc import Generator, Iterator, Sequence
+from collections.abc import Generator, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
 
 from pdr_filter.io import limits
+from pdr_filter.io.columns import ACCELERATION, LINEAR, quantity_of_file
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.files import inside, open_regular, read_small
 
@@ -41,6 +42,7 @@ _OTHERS = {
     b"version https://git-lfs": "a pointer to a file in git LFS; get the file itself with git lfs pull",
 }
 _ABOUT = re.compile(r"(?i)(readme|licen[cs]e|notes?)[^/]*$|\.(md|pdf|html?|png|jpe?g|docx?|mp4|m4a)$|(^|/)\.[^/]*$")
+_TABLES = (".csv", ".txt", ".tsv", ".log", ".dat", ".json", ".jsonl", ".ndjson")
 _TAR_AT, _TAR = 257, b"ustar"
 _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
@@ -49,6 +51,7 @@ class Members:
     """The files of a recording: those of a zip or a folder, or one file alone, or in a gz. Nothing is unpacked to disk.
 
     `inside` is what a path names inside a file, which is no folder: of a zip a folder or a file, of a log a session.
+    Where each sensor has a folder of its own, its file is called as if it lay beside them, by the folder's name.
     Text in UTF-16 with a byte order mark comes as UTF-8.
     """
 
@@ -68,13 +71,16 @@ class Members:
             self._most = min(self._most, _most_unpacked(path.stat().st_size))
         name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
         self._files = _files_below(path) if self._is_folder else {name: path}
-        names = sorted(self._files if archive is None else self._infos)  # with forward slashes
+        names = list(self._files if archive is None else self._infos)  # with forward slashes
         if inside and archive is not None:
             names = [name for name in names if name == inside or name.startswith(f"{inside}/")]
             self.is_container = names != [inside]
             if not names:
                 raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
-        self.names = tuple(names)
+        flat = _without_sensor_folders(names)
+        self._files = {flat.get(name, name): file for name, file in self._files.items()}
+        self._infos = {flat.get(name, name): info for name, info in self._infos.items()}
+        self.names = tuple(sorted(flat.get(name, name) for name in names))
 
     def where(self, name: str) -> str:
         """How messages call a member."""
@@ -223,7 +229,7 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
     try:
         archive = zipfile.ZipFile(file)
     except _ZIP_ERRORS as error:
-        raise RecordingError(f"{path}: not a zip file, or a damaged one ({error}); copy it again") from error
+        raise RecordingError(f"{path}: a zip file that is damaged or cut off; copy or export it again") from error
     with archive:
         members = Members(path, archive)
         zips = zips_among(members.names)
@@ -283,9 +289,10 @@ def read_toml(path: Path) -> dict[str, Any]:
 
 
 def _files_below(path: Path) -> dict[str, Path]:
-    """Files in a folder and in its folder `meta`, by path inside it; not deeper: it may be anybody's home folder."""
+    """Files in a folder, its `meta` and folders of sensors, by path; not deeper: it may be anybody's home folder."""
     found: dict[str, Path] = {}
-    for folder in (path, path / "meta"):
+    below = [entry for entry in path.iterdir() if entry.is_dir() and not entry.is_symlink() and entry.name != "meta"]
+    for folder in (path, path / "meta", *(below if _are_of_sensors(entry.name for entry in below) else ())):
         if folder.is_dir():
             for entry in folder.iterdir():
                 if not entry.is_dir():  # a pipe or a device is refused when it is read, with its name
@@ -295,6 +302,28 @@ def _files_below(path: Path) -> dict[str, Path]:
                         f"{path}: more than {limits.MAX_MEMBERS} files; give the folder of one recording"
                     )
     return found
+
+
+def _without_sensor_folders(names: Sequence[str]) -> dict[str, str]:
+    """Where folders are called after their sensors, names of the files alone in one, as if they lay beside it."""
+    by_folder: dict[PurePosixPath, list[PurePosixPath]] = {}
+    for name in map(PurePosixPath, names):
+        if name.suffix.lower() in _TABLES and name.parent.name not in ("", "meta"):
+            by_folder.setdefault(name.parent, []).append(name)
+    found: dict[str, str] = {}
+    for parent in {folder.parent for folder in by_folder}:
+        folders = {folder: files for folder, files in by_folder.items() if folder.parent == parent}
+        alone = {folder: files[0] for folder, files in folders.items() if len(files) == 1}
+        if _are_of_sensors(folder.name for folder in alone):
+            flat = {str(file): str(parent / f"{folder.name}{file.suffix}") for folder, file in alone.items()}
+            found |= {name: to for name, to in flat.items() if to not in names}
+    return found
+
+
+def _are_of_sensors(folders: Iterable[str]) -> bool:
+    """Whether folders are called after an accelerometer and another sensor."""
+    sensors = {quantity_of_file(name)[0] for name in folders} - {""}
+    return len(sensors) > 1 and not sensors.isdisjoint((ACCELERATION, LINEAR))
 
 
 def _most_unpacked(size: int) -> int:

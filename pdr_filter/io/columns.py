@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
@@ -78,7 +79,8 @@ UNITS: dict[str, dict[str, float]] = {
 # Cyrillic m, s, rad, and uT as "mkT" and an l
 _LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_TIME = re.compile(r"(time|timestamps?|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
+_TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
+_WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
 _TIME_WORDS = {  # in other languages
     *("tiempo", "temps", "tempo", "tijd", "czas", "aika", "tid", "hora", "heure", "ora", "uhr", "zaman", "waktu"),
     *("\u0432\u0440\u0435\u043c\u044f", "\u6642\u9593", "\u65f6\u95f4", "\u6642\u523b", "\uc2dc\uac04"),
@@ -178,7 +180,15 @@ def is_time(name: str) -> bool:
     bare = _UNIT.sub("", name)
     stem = letters(bare)
     is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
-    return is_word or stem in ("t", "ts", "ms", "ns", "us", "s") or _TIME.search(stem) is not None
+    is_unit = any(re.fullmatch(pattern, stem) for pattern in _TIME_UNIT_WORDS.values())
+    return is_word or is_unit or stem in ("t", "ts") or _TIME.search(stem) is not None
+
+
+def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:
+    """The column with the nanoseconds of a column of whole seconds, as ROS has them: stamp.secs and stamp.nsecs."""
+    found = _WHOLE_SECONDS.fullmatch(fields[place])
+    names = [] if found is None else [f"{found[1]}{nano}{found[2]}".lower() for nano in ("n", "nano")]
+    return next((i for i, name in enumerate(fields) if name.lower() in names), None)
 
 
 def has_time_unit(name: str) -> bool:

@@ -39,7 +39,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
     if folder.is_file():
         return _each_of(folder)
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    if _is_one(folder, [path for path in inside if not path.is_dir()]):
+    if _is_one(folder):
         return [folder]
     found: list[Path] = []
     for path in inside:
@@ -69,11 +69,11 @@ def only_recording_in(path: Path) -> Path:
     return path
 
 
-def _is_one(folder: Path, files: list[Path]) -> bool:
+def _is_one(folder: Path) -> bool:
     """Whether the files of a folder are one recording: others in it are left out, with a note."""
-    names = [path.name for path in files]
     try:
-        return "." in recordings_among(Members(folder), names, detect_file)
+        members = Members(folder)
+        return "." in recordings_among(members, [name for name in members.names if name[0] != "."], detect_file)
     except Exception:
         return False  # something is wrong with one of them, which its row will say
 

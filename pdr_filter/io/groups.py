@@ -17,6 +17,7 @@ from pdr_filter.io.columns import (
     has_time_unit,
     is_time,
     letters,
+    nanoseconds_of,
     quantity_of_file,
     time_unit_of,
 )
@@ -45,6 +46,8 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
+    nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
+    times = [i for i in times if i not in nanoseconds]
     times = times or [i for i, name in enumerate(sheet.fields) if has_time_unit(name)][:1]
     if not is_named:
         columns, times = _without_names(sheet, times)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.columns import GRAVITY, LINEAR, TIME_UNITS
+from pdr_filter.io.columns import GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheets import Sheet
@@ -28,8 +28,14 @@ class SheetData:
     notes: list[str]
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
 
+    def __post_init__(self) -> None:
+        beside = {nanoseconds_of(self.sheet.fields, place) for place in self.places}
+        self.places = tuple(sorted({*self.places, *(place for place in beside if place is not None)}))
+
     def ticks(self, time: int) -> IntArray | FloatArray:
-        """A column of times: whole numbers if only these hold it."""
+        """A column of times, with the nanoseconds in the one beside it: whole numbers if only these hold it."""
+        if (nanoseconds := nanoseconds_of(self.sheet.fields, time)) is not None:
+            return self.values((time, nanoseconds), time) @ [1.0, 1e-9]
         exact = self._exact(time)
         return self._rows(exact).whole if exact is not None else self.values((time,), time)[:, 0]
 

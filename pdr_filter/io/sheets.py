@@ -205,7 +205,9 @@ def _lines(head: bytes) -> list[str]:
 
 def _layout(lines: list[str], separator: str) -> _Found | None:
     """Where the table begins if this separates its fields; None if it does not."""
-    split = [_split(line, separator) for line in lines[: _LINES_TRIED + _LINES_COMPARED]]
+    # Line ends that were converted twice leave a blank line after each.
+    places = [i for i, line in enumerate(lines) if line.strip()][: _LINES_TRIED + _LINES_COMPARED]
+    split = [_split(lines[i], separator) for i in places]
     for first, (row, after) in enumerate(pairwise(split[: _LINES_TRIED + 1])):
         n = len(row)
         if n < 2 or len(after) != n or not (_is_row(row) and _is_row(after)):
@@ -228,7 +230,8 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
         elif at and header and len(split[at - 1]) == len(header) and len({*header}) < len(header):
             header = [f"{above} {name}".strip() for above, name in zip(_merged(split[at - 1]), header, strict=True)]
         header = (header + [""] * n)[:n] if header else []
-        return _Found(separator, "," if has_comma else ".", first, row, at, header, (round(share, 2), n))
+        at_header = None if at is None else places[at]
+        return _Found(separator, "," if has_comma else ".", places[first], row, at_header, header, (round(share, 2), n))
     return None
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import html
 from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -103,7 +104,7 @@ def read_plan(
         storeys = tuple(_storey(floor, part) for floor, part in of_floor.items())
     except ValueError as error:
         raise ValueError(f"{path}: {error}") from None
-    name = str(content.get("name") or path.stem)
+    name = html.unescape(str(content.get("name") or path.stem))  # some exports write &amp;
     return name, storeys, here, tuple(dict.fromkeys(notes))
 
 
@@ -115,7 +116,7 @@ def _drawn(number: int, feature: Any, floor: Any, notes: list[str]) -> _Drawn:
     properties: Any = feature.get("properties") or {} if isinstance(feature, dict) else None
     if not isinstance(properties, dict):
         raise ValueError(f"feature {number} is no feature with properties, got {str(feature)[:60]}; delete it")
-    name, word = str(properties.get("name") or ""), str(properties.get("type") or "").lower()
+    name, word = html.unescape(str(properties.get("name") or "")), str(properties.get("type") or "").lower()
     which = f"feature {number}" + (f" ({name!r})" if name else "")
     if not word:
         raise ValueError(f'{which} has no property "type"; give it one of {", ".join(_KINDS)}')

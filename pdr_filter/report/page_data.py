@@ -18,8 +18,6 @@ from pdr_filter.report import palette
 from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
 
-# Half width of the 95 % interval in standard deviations.
-_INTERVAL_95 = 1.96
 # Rows of all tracks of a page together: 120 bytes a step and 25 a window or a point make less than 1.3 MB.
 _MAX_STEPS, _MAX_WINDOWS, _MAX_POINTS = 8000, 4000, 2000
 # Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
@@ -46,7 +44,8 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "walked": _column(track.walked_m[shown], 1),
         "heading": _column(np.degrees(track.walking_heading_rad[shown]) % 360.0, 1),
         "speed": _column(track.smoothed_speed_mps[shown], 2),
-        "speed_half": _column(_INTERVAL_95 * track.smoothed_speed_std_mps[shown], 2),
+        "speed_std": _column(track.smoothed_speed_std_mps[shown], 3),
+        "std": _column(np.where(np.isfinite(major_m), track.position_std_m[shown], np.nan), 2),
         "major": _column(major_m, 2),
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),
@@ -60,7 +59,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
     }
     if not track.is_level:
         data["height"] = _column(track.height_m[shown], 2)
-        data["height_half"] = _column(_INTERVAL_95 * track.height_std_m[shown], 2)
+        data["height_std"] = _column(track.height_std_m[shown], 3)
         data["floor"] = track.floor[shown].tolist()
     if any(places := [_places(track, row) for row in shown]):
         data["places"] = places

@@ -16,7 +16,7 @@ from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.on_plan import Cluster
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.step import steps_of
-from pdr_filter.values.uncertainty import uncertainty_95_m
+from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.values.windows import Windows
 
 if TYPE_CHECKING:
@@ -91,12 +91,12 @@ class TrackRows:
         return float(self.walked_m[-1]) if self.n_steps else 0.0
 
     @property
-    def uncertainty_95_m(self) -> FloatArray:
-        """How far off each position may be, shape (K,): within this distance with a probability of 95 % or more.
+    def position_std_m(self) -> FloatArray:
+        """Standard deviation of each position in the worst direction, shape (K,).
 
-        The longer half axis of the 95 % ellipse that `plot` draws. Reports, tables and summaries say it of the end.
+        Reports, tables and summaries say it of the end. The ellipses that `plot` draws hold 95 %: 2.45 times as long.
         """
-        return uncertainty_95_m(self.position_cov_m2)
+        return worst_std_m(self.position_cov_m2)
 
     @property
     def end_position_m(self) -> FloatArray:
@@ -105,8 +105,10 @@ class TrackRows:
 
     @property
     def how_sure(self) -> str:
-        """`uncertainty_95_m` of the end, in the words of all reports."""
-        return f"within {self.uncertainty_95_m[-1]:.1f} m (95 %)" if self.n_steps else "no step, no position"
+        """`position_std_m` of the end, in the words of all reports."""
+        if not self.n_steps:
+            return "no step, no position"
+        return f"± {self.position_std_m[-1]:.1f} m (one standard deviation, worst direction)"
 
     @property
     def latitude_deg(self) -> FloatArray:
@@ -189,7 +191,7 @@ class TrackRows:
         place, sure = self.origin, ""
         at = "" if place is None else f" at {place.latitude_deg:.6f}, {place.longitude_deg:.6f}"
         if place is not None and place.turn_std_rad is not None:
-            sure = f", within {min(1.96 * degrees(place.turn_std_rad), 180.0):.0f} degrees (95 %)"
+            sure = f", ± {min(degrees(place.turn_std_rad), 180.0):.0f} degrees"
         if self.frame == "north":
             zero = "the origin of the fixes" if self.start_position_m.any() else "the start of the walk"
             return f"East and north are metres from {zero}{at}; north is true north as it was given or measured{sure}."
@@ -304,7 +306,7 @@ class TrackRows:
             "duration_s": round(self.duration_s, 3),
             "end_east_m": round(float(end[0]), 3),
             "end_north_m": round(float(end[1]), 3),
-            "end_uncertainty_95_m": round(float(self.uncertainty_95_m[-1]), 3) if self.n_steps else None,
+            "end_std_m": round(float(self.position_std_m[-1]), 3) if self.n_steps else None,
             "frame": self.frame,
             **place,
             **height,

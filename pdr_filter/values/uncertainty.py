@@ -12,11 +12,11 @@ RADIUS_68 = 1.515
 RADIUS_95 = 2.4477
 
 
-def uncertainty_95_m(cov_m2: FloatArray) -> FloatArray:
-    """Longer half axis of the 95 % ellipse of covariances (..., 2, 2), in m: 95 % or more are within that distance.
+def worst_std_m(cov_m2: FloatArray) -> FloatArray:
+    """Standard deviation in the worst direction, in m, of covariances (..., 2, 2).
 
-    RADIUS_95 sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of ((a, b), (b, c)).
+    sqrt(l), with l = (a + c) / 2 + sqrt((a - c)^2 / 4 + b^2) the larger eigenvalue of ((a, b), (b, c)).
     """
     a, b, c = cov_m2[..., 0, 0], cov_m2[..., 0, 1], cov_m2[..., 1, 1]
     with np.errstate(invalid="ignore"):  # infinite ones have no axes
-        return RADIUS_95 * np.sqrt(np.maximum(0.5 * (a + c) + np.hypot(0.5 * (a - c), b), 0.0))
+        return np.sqrt(np.maximum(0.5 * (a + c) + np.hypot(0.5 * (a - c), b), 0.0))

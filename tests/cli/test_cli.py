@@ -405,7 +405,7 @@ def test_train_prints_the_models_it_wrote(tmp_path: Path, monkeypatch: pytest.Mo
 
 
 def test_train_on_a_folder_without_recordings_is_one_line_and_code_2(tmp_path: Path) -> None:
-    result = run("train", tmp_path)
+    result = run("train", tmp_path, "--out", tmp_path / "models")
     assert result.exit_code == 2
     assert str(tmp_path) in one_line(result.stderr)
 
@@ -427,6 +427,14 @@ def test_demo_without_a_folder_writes_nothing_into_the_working_directory(
     (page,) = (Path(word) for word in result.stdout.split() if word.endswith(".html"))
     assert page.is_file()
     shutil.rmtree(page.parent)
+
+
+@pytest.mark.parametrize("command", ["simulate", "train"])
+def test_what_makes_new_files_asks_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: str) -> None:
+    monkeypatch.chdir(tmp_path)
+    result = run(command)
+    assert (result.exit_code, "--out" in result.stderr) == (2, True)
+    assert not list(tmp_path.iterdir())
 
 
 def test_what_was_there_before_is_named_by_every_command_that_writes(tmp_path: Path, walk: Path) -> None:

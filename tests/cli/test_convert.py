@@ -24,7 +24,8 @@ def a_table(folder: Path, header: str = "time,gFx,gFy,gFz") -> Path:
 def test_the_guess_is_shown_with_its_evidence_and_written_with_the_recording(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.chdir(tmp_path)
+    (tmp_path / "here").mkdir()
+    monkeypatch.chdir(tmp_path / "here")
     done = RUN.invoke(app, ["convert", str(a_table(tmp_path))])
     assert done.exit_code == 0, done.output
     assert "read as table of Physics Toolbox" in done.stdout
@@ -34,6 +35,7 @@ def test_the_guess_is_shown_with_its_evidence_and_written_with_the_recording(
     written = read(tmp_path / "walk_recording.zip")
     np.testing.assert_allclose(written.accelerometer.values[:, 2], 9.80665 * 0.993, rtol=0.01)
     assert (tmp_path / "walk_recording.toml").read_text() in done.stdout
+    assert not list((tmp_path / "here").iterdir())
 
 
 def test_a_mapping_that_was_corrected_is_obeyed_and_nothing_is_overwritten(tmp_path: Path) -> None:

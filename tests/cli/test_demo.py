@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -85,7 +86,8 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
     text = printed(simulated)
     for path in (simulated.report, simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
-    assert f"within {simulated.track.uncertainty_95_m[-1]:.1f} m (95 %)" in text
+    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +one standard deviation, in the worst direction"
+    assert re.search(how_sure, text)
     assert "pdr-filter demo YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen
 

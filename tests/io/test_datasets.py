@@ -88,6 +88,20 @@ def test_a_file_with_another_checksum_is_refused(tmp_path: Path, home: str, monk
         datasets.fetch("little", tmp_path / "other")
 
 
+def test_what_came_without_a_known_checksum_says_so_and_can_be_checked_later(
+    tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setitem(DATASETS, "little", little(home))
+    datasets.fetch("little", tmp_path)
+    assert "no sha256 is known yet" in capsys.readouterr().err
+    rows = [row.split("  ") for row in (tmp_path / "little" / ".raw" / "SHA256SUMS").read_text().splitlines()]
+    assert [name for _, name in rows] == list(FILES)
+    for checksum, name in rows:
+        assert hashlib.sha256((tmp_path / "home" / name).read_bytes()).hexdigest() == checksum
+    monkeypatch.setitem(DATASETS, "little", little(home, tuple(checksum for checksum, _ in rows)))
+    assert "checked: sha256 of each file" in DATASETS["little"].about()
+
+
 def test_a_download_that_broke_off_goes_on_where_it_was(
     tmp_path: Path, home: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:

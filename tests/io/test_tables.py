@@ -103,6 +103,11 @@ def columns_of(time: str, force: str, rate: str, **more: np.ndarray) -> dict[str
     return {time: TIME_S} | axes(force, FORCE) | axes(rate, RATE) | more
 
 
+def seconds_and_nanoseconds() -> tuple[list[str], list[str]]:
+    ticks = [1_787_923_304_123_456_789 + round(t * 1e9) for t in TIME_S.tolist()]
+    return [str(tick // 10**9) for tick in ticks], [str(tick % 10**9) for tick in ticks]
+
+
 BOTH = "accelerometer gyroscope"
 # Of phyphox in other languages: time, acceleration, gyroscope, and the names of their files.
 LANGUAGES = {
@@ -237,6 +242,20 @@ CASES: dict[str, tuple[Callable[[], dict[str, str]], str]] = {
         },
         BOTH,
     ),
+    **{
+        f"ROS, seconds and nanoseconds as {seconds} and {nanoseconds}": (
+            lambda s=seconds, ns=nanoseconds: {
+                "imu.csv": table_text(
+                    {"seq": np.arange(len(TIME_S))}
+                    | dict(zip((s, ns), seconds_and_nanoseconds(), strict=True))
+                    | axes("angular_velocity.%", RATE)
+                    | axes("linear_acceleration.%", FORCE)
+                )
+            },
+            BOTH,
+        )
+        for seconds, nanoseconds in (("header.stamp.secs", "header.stamp.nsecs"), ("sec", "nanosec"))
+    },
     "CoreMotion of any app": (
         lambda: {
             "motion.csv": table_text(
@@ -421,6 +440,19 @@ def test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened(tmp_pat
 def test_decimal_commas_between_commas_are_refused_with_what_to_export(tmp_path: Path) -> None:
     (tmp_path / "walk.csv").write_text(table_text({"time": TIME_S + 0.01} | axes("gF%", FORCE_G), ",", ","))
     assert "export it with points in numbers, or with semicolons" in refusal(tmp_path / "walk.csv")
+
+
+@pytest.mark.parametrize("end", ["\r\r\n", "\n\n"])
+def test_a_blank_line_after_each_changes_nothing(tmp_path: Path, end: str) -> None:
+    text = table_text(columns_of("time", "acc%", "gyro%"))
+    (tmp_path / "walk.csv").write_bytes(text.replace("\n", end).encode())
+    assert_same_streams(read(tmp_path / "walk.csv"), WALK, BOTH, time_s=1e-6, rtol=1e-9)
+
+
+def test_columns_that_were_not_used_are_named(tmp_path: Path) -> None:
+    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Rotation %", RATE)
+    (tmp_path / "walk.csv").write_text(table_text(columns))
+    assert "columns not used: Rotation x, Rotation y, Rotation z" in reading_report(read(tmp_path / "walk.csv")).lines()
 
 
 def test_a_header_that_is_there_again_is_two_recordings(tmp_path: Path) -> None:

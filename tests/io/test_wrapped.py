@@ -15,6 +15,7 @@ from app_files import (
     phyphox_files,
     phyphox_sheets,
     refusal,
+    sensor_logger_files,
     write_folder,
     write_mat,
     write_zip,
@@ -48,6 +49,44 @@ def test_a_zip_alone_in_a_folder_is_read(tmp_path: Path) -> None:
     (tmp_path / "export").mkdir()
     write_zip(tmp_path / "export" / "walk.zip", FILES)
     assert_walk(read(tmp_path / "export"))
+
+
+def test_what_lies_beside_the_folders_of_sensors_in_one_of_its_own_is_read(tmp_path: Path) -> None:
+    files = sensor_logger_files(WALK)
+    read_together = read(write_folder(tmp_path / "together", files))
+    apart = {f"{Path(name).stem}/{name}": text for name, text in files.items()}
+    for path in (write_folder(tmp_path / "apart", apart), write_zip(tmp_path / "apart.zip", apart)):
+        recording = read(path)
+        assert recording.streams.keys() == read_together.streams.keys()
+        assert recording.notes == read_together.notes
+
+
+def test_a_zip_that_is_cut_off_is_said_to_be_one(tmp_path: Path) -> None:
+    path = write_zip(tmp_path / "walk.zip", FILES)
+    path.write_bytes(path.read_bytes()[:-30])
+    assert "a zip file that is damaged or cut off" in refusal(path)
+
+
+def in_folders(name: str) -> dict[str, str]:
+    """The files of each sensor in a folder that is called after it."""
+    folders = {member: Path(member).stem for member in FILES if not member.startswith("meta/")}
+    return {f"{folder}/{name.format(folder=folder)}": FILES[member] for member, folder in folders.items()}
+
+
+@pytest.mark.parametrize("name", ["data.csv", "{folder}.csv"])
+def test_a_folder_for_each_sensor_is_one_recording(tmp_path: Path, name: str) -> None:
+    files = in_folders(name)
+    write_folder(tmp_path / "walk", files)
+    assert recordings_in(tmp_path / "walk") == [tmp_path / "walk"]
+    assert_walk(read(tmp_path / "walk"))
+    assert_walk(read(write_zip(tmp_path / "walk.zip", files)))
+    assert_walk(read(write_zip(tmp_path / "around.zip", files, folder="a/")))
+
+
+def test_walks_with_a_folder_for_each_sensor_are_as_many(tmp_path: Path) -> None:
+    for walk in ("a", "b"):
+        write_folder(tmp_path / "walks" / walk, in_folders("data.csv"))
+    assert recordings_in(tmp_path / "walks") == [tmp_path / "walks" / walk for walk in ("a", "b")]
 
 
 def test_a_folder_around_several_recordings_names_them(tmp_path: Path) -> None:

@@ -110,7 +110,7 @@ def test_csv_has_one_line_for_each_step_under_names_with_units(tmp_path: Path) -
             "cov_ee_m2": 0.2,
             "cov_en_m2": 0.04,
             "cov_nn_m2": 0.4,
-            "uncertainty_95_m": 2.4477 * np.sqrt(np.linalg.eigvalsh([[0.2, 0.04], [0.04, 0.4]])[-1]),
+            "position_std_m": np.sqrt(np.linalg.eigvalsh([[0.2, 0.04], [0.04, 0.4]])[-1]),
             "step_length_m": 0.8,
             "walked_m": 1.5,
             "walking_heading_rad": 0.0,
@@ -215,7 +215,7 @@ def test_geojson_is_one_line_from_the_origin_through_all_steps(tmp_path: Path) -
     assert properties["covariance_m2"] == [[0, 0, 0], [0.1, 0.02, 0.2], [0.2, 0.04, 0.4], [0.3, 0.06, 0.6]]
     assert properties["distance_m"] == 2.2
     assert (properties["frame"], properties["about"]) == ("start", track.placed(ORIGIN).about_frame)
-    assert properties["end_uncertainty_95_m"] == pytest.approx(track.uncertainty_95_m[-1], abs=1e-3)
+    assert properties["end_std_m"] == pytest.approx(track.position_std_m[-1], abs=1e-3)
     assert properties["notes"] == ["only a test"]
 
 

@@ -28,6 +28,12 @@ def test_places_are_what_was_drawn_there(tmp_path: Path) -> None:
     assert kinds(plan, *places) == [FREE, ROOM, OUTSIDE, STAIRS, LIFT, WALL, FREE]
 
 
+def test_names_that_were_written_for_a_web_page_are_read_as_people_write_them(tmp_path: Path) -> None:
+    shop = feature("room", box(20, 5, 25, 9), name="H&amp;M")
+    plan = pdr.FloorPlan.read(write(tmp_path / "plan.geojson", [*FEATURES, shop]))
+    assert "H&M" in {f.name for f in plan.storeys[0].features}
+
+
 def test_a_room_with_a_door_is_walked_on_and_has_walls_but_for_the_door(tmp_path: Path) -> None:
     features = [*FEATURES, feature("door", line((20, 1.2), (21, 1.2)))]
     plan = pdr.FloorPlan.read(write(tmp_path / "plan.geojson", features))

@@ -210,8 +210,8 @@ def test_a_plan_that_says_nothing_leaves_the_track_as_it_is(tmp_path: Path) -> N
     alone, on_field = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, field))
     late = alone.time_s > FIXES[-1].time_s + 5.0  # before, the turn is known less well than in the end
     away = np.linalg.norm(alone.position_m - on_field.position_m, axis=1)[late]
-    assert np.all(away < 0.2 * alone.uncertainty_95_m[late])
-    assert_allclose(on_field.uncertainty_95_m[late], alone.uncertainty_95_m[late], rtol=0.25)
+    assert np.all(away < 0.2 * alone.position_std_m[late])
+    assert_allclose(on_field.position_std_m[late], alone.position_std_m[late], rtol=0.25)
 
 
 # --- walks ------------------------------------------------------------------------------------------------------------

@@ -62,7 +62,7 @@ def test_on_a_storey_that_is_not_drawn_the_steps_lead_alone(tmp_path: Path) -> N
     assert track.notes == alone.notes
     steps_m = [np.linalg.norm(np.diff(t.position_m[track.floor == 1], axis=0), axis=1) for t in (track, alone)]
     np.testing.assert_allclose(steps_m[0].sum(), steps_m[1].sum(), rtol=0.12)  # the corridor has taught the scale
-    assert track.uncertainty_95_m[-1] > track.uncertainty_95_m[track.floor == 0][-1]
+    assert track.position_std_m[-1] > track.position_std_m[track.floor == 0][-1]
 
 
 def test_steps_on_stairs_are_made_where_stairs_are_drawn(tmp_path: Path) -> None:
@@ -77,4 +77,4 @@ def test_steps_on_stairs_are_made_where_stairs_are_drawn(tmp_path: Path) -> None
     step = int(np.searchsorted(drawn.time_s, 27.0))  # on the second flight
     assert errors_m(without, WALK)[step] > 2.5
     assert errors_m(drawn, WALK)[step] < 1.2
-    assert drawn.uncertainty_95_m[step] < 0.5 * without.uncertainty_95_m[step]
+    assert drawn.position_std_m[step] < 0.5 * without.position_std_m[step]

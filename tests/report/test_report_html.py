@@ -24,7 +24,7 @@ from pdr_filter.report import html, palette, trust
 from pdr_filter.report.html import html_report, write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, Fix, FloorPassage, PositionFix
+from pdr_filter.values import CONTEXTS, RADIUS_95, Fix, FloorPassage, PositionFix
 
 HOSTILE = '<script>alert(\'x\')</script>"><img src=x onerror="alert(1)">&amp;\x00\x1b\u202e\udc80 ]]>'
 
@@ -97,9 +97,10 @@ def test_every_step_is_given_with_its_numbers(page: str, track: Track) -> None:
         ("length", track.step_length_m, 3),
         ("heading", np.degrees(track.walking_heading_rad) % 360, 1),
         ("speed", track.smoothed_speed_mps, 2),
-        ("speed_half", 1.96 * track.smoothed_speed_std_mps, 2),
+        ("speed_std", track.smoothed_speed_std_mps, 3),
         ("walked", track.walked_m, 1),
-        ("major", track.uncertainty_95_m, 2),
+        ("std", track.position_std_m, 2),
+        ("major", RADIUS_95 * track.position_std_m, 2),
     ):
         np.testing.assert_allclose(seen[name], values, atol=0.51 * 10**-digits, err_msg=name)
     np.testing.assert_allclose(np.transpose(seen["prob"]), 100 * track.context_prob, atol=0.51)

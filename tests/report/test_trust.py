@@ -29,7 +29,7 @@ def track(walk: Recording) -> Track:
 def test_of_an_ordinary_walk_nothing_is_doubted(track: Track) -> None:
     assert doubts(track) == []
     assert track.report().startswith(f"simulated_walk: {track.n_steps} steps")
-    assert f"within {track.uncertainty_95_m[-1]:.1f} m (95 %)" in track.report()
+    assert f"± {track.position_std_m[-1]:.1f} m (one standard deviation, worst direction)" in track.report()
 
 
 def test_a_phone_on_the_table_is_called_one() -> None:

@@ -92,8 +92,7 @@ function draw() {
   text("speed", `${now.walking_speed_mps.toFixed(2)} m/s`);
   const degrees = Math.round(((now.walking_heading_rad * 180 / Math.PI) % 360 + 360) % 360) % 360;
   text("heading", `${degrees}°`);
-  const [[ee, en], [, nn]] = now.position_cov_m2;
-  text("within", `${(ELLIPSE_95 * Math.sqrt((ee + nn) / 2 + Math.hypot((ee - nn) / 2, en))).toFixed(1)} m`);
+  text("std", now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
   text("floor", String(now.floor));
   text("context", largest(now.context_prob));
   text("carrying", largest(now.carrying_prob));

@@ -34,10 +34,10 @@
       ["time", `${clock(t.time[k], 1)}`],
       ["length", `${number(t.length[k], 2)} m`],
       ["heading", `${number(t.heading[k], 0)}°`],
-      ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_half[k], 2)} m/s`],
+      ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_std[k], 2)} m/s`],
       ["walked", `${number(t.walked[k], 1)} m`],
       ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
-      ["within (95 %)", `${number(t.major[k], 1)} m`],
+      ["worst direction", `± ${number(t.std[k], 1)} m`],
     ];
     if (t.height) found.push(["height, floor", `${number(t.height[k], 1)} m, ${t.floor[k]}`]);
     if (t.places?.[k].length) found.push(["places", t.places[k].map(([percent]) => `${percent} %`).join(", ")]);
@@ -157,14 +157,13 @@
   const hidden = { stroke: "transparent", points: { show: false } };
   const drawn = name => ({ stroke: () => colour(name), width: 1.6, points: { show: false } });
 
-  // Middle and half width, with a break where nobody stepped.
-  function banded(middle, half, floor = -Infinity) {
+  // Middle and 95 % interval, with a break where nobody stepped.
+  function banded(middle, std, floor = -Infinity) {
     const data = [[], [], [], []];
     track.time.forEach((time, k) => {
       const pause = k && time - track.time[k - 1] > BOUT_PAUSE_S;
       if (pause) [(time + track.time[k - 1]) / 2, null, null, null].forEach((v, i) => data[i].push(v));
-      const [m, h] = [middle[k], half[k]];
-      const missing = m === null || h === null;
+      const missing = middle[k] === null || std[k] === null, m = middle[k], h = 1.96 * std[k];
       [time, missing ? null : Math.max(m - h, floor), missing ? null : m + h, m].forEach((v, i) => data[i].push(v));
     });
     return data;
@@ -214,8 +213,8 @@
         splits: [0, 0.5, 1], yValues: (_, at) => at }));
     }
     if (t.time.length) {
-      if (t.height) made.push(chart("height", 180, banded(t.height, t.height_half), [hidden, hidden, drawn("--accent")], band));
-      made.push(chart("speed", 180, banded(t.speed, t.speed_half, 0), [hidden, hidden, drawn("--accent")], { ...band, scale: from0 }));
+      if (t.height) made.push(chart("height", 180, banded(t.height, t.height_std), [hidden, hidden, drawn("--accent")], band));
+      made.push(chart("speed", 180, banded(t.speed, t.speed_std, 0), [hidden, hidden, drawn("--accent")], { ...band, scale: from0 }));
       const of = t.contexts.map((_, c) => t.groups.contexts.group.map((own, k) => own === c ? t.length[k] : null));
       made.push(chart("lengths", 180, [t.time, ...of], t.context_colours.map(dots), { scale: from0 }));
       made.push(chart("heading", 180, [t.time, t.heading.map(v => v > 180 ? v - 360 : v)],
