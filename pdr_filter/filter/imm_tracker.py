@@ -4,12 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from pdr_filter.filter.fixes import use_fix
 from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition, mixed_values
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
+from pdr_filter.filter.motion import HEADING_OFFSET, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
     Walked,
@@ -89,12 +87,11 @@ class ImmTracker:
         prob = imm.update_mode_prob(prob, evidence)
         x, P = imm.combine(mean, cov, prob)
         # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
-        scale = np.exp(mixed[:, LOG_SCALE])  # the person's at this step, before it is forgotten a little
         walked = Walked(
             length_m=float(prob.dot(ahead.move.length_m)),
             length_var_m2=max(float(prob.dot(var_m2 + length_m * length_m)) - float(prob.dot(length_m)) ** 2, 0.0),
             heading_rad=step.device_heading_rad + float(x[HEADING_OFFSET]) + model.mean_heading_offset_rad(prob),
-            parameter_std_m=prob * parameter_std_m * scale,
+            parameter_std_m=prob * parameter_std_m * ahead.move.scale,  # the person's, before it is forgotten a little
             own_direction=ahead.move.along,
         )
         walked_m = walked_m + ahead.move.length_m

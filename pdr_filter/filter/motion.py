@@ -10,6 +10,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
@@ -186,8 +187,7 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     return cov
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Advance:
+class Advance(NamedTuple):
     """Where a step led the modes: the step, predicted means (..., M, 4), covariances, and the linearisation F and Q."""
 
     move: StepMotion
@@ -217,19 +217,22 @@ def advance(
     move = step_motion(
         step.device_heading_rad, mean[..., HEADING_OFFSET], mean[..., LOG_SCALE], length_m, length_var_m2, directions
     )
+    # component by component: of so few numbers broadcasting costs more than the product
+    east_m, north_m = move.length_m * move.sine, move.length_m * move.cosine
     predicted_mean = mean.copy()
-    predicted_mean[..., :2] += move.displacement_m
+    predicted_mean[..., EAST] += east_m
+    predicted_mean[..., NORTH] += north_m
     predicted_mean[..., LOG_SCALE] *= noise.log_scale_memory
     F, Q = np.empty((2, *mean.shape, N_STATES))
     F[...], Q[...] = noise.of_log_scale
-    F[..., :2, HEADING_OFFSET] = move.length_m[..., None] * move.across
-    F[..., :2, LOG_SCALE] = move.displacement_m
+    F[..., EAST, HEADING_OFFSET] = F[..., NORTH, LOG_SCALE] = north_m
+    F[..., NORTH, HEADING_OFFSET], F[..., EAST, LOG_SCALE] = -east_m, east_m
     # var(along) u u' + var(across) v v', and u u' + v v' = I
-    more = (move.var_along_m2 - move.var_across_m2)[..., None] * move.along
-    Q[..., :2, :2] = more[..., :, None] * move.along[..., None, :]
-    everywhere = move.var_across_m2 + directions.extra_var_m2
-    Q[..., EAST, EAST] += everywhere
-    Q[..., NORTH, NORTH] += everywhere
+    more, everywhere = move.var_along_m2 - move.var_across_m2, move.var_across_m2 + directions.extra_var_m2
+    more_east = more * move.sine
+    Q[..., EAST, EAST] = more_east * move.sine + everywhere
+    Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = more_east * move.cosine
+    Q[..., NORTH, NORTH] = more * move.cosine * move.cosine + everywhere
     measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
         elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
     )
@@ -237,20 +240,26 @@ def advance(
     return Advance(move, predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class StepMotion:
-    """Where steps lead and how unsure that is, for arrays of steps or pedestrians (...) and M modes.
+class StepMotion(NamedTuple):
+    """Where steps lead and how unsure that is, for arrays of steps or pedestrians (...) and M modes; each (..., M).
 
     d = L e^s u, u = [sin psi, cos psi], psi = device heading + heading offset + the mode's own offset, and its
     covariance (e^s)^2 var(L) u u' + (L e^s)^2 var(psi) v v', u along and v across the step.
     """
 
-    along: FloatArray  # (..., M, 2) u
-    across: FloatArray  # (..., M, 2) v = d u / d psi
-    length_m: FloatArray  # (..., M) L e^s
-    displacement_m: FloatArray  # (..., M, 2) d
-    var_along_m2: FloatArray  # (..., M)
-    var_across_m2: FloatArray  # (..., M)
+    sine: FloatArray  # of psi
+    cosine: FloatArray
+    scale: FloatArray  # e^s
+    length_m: FloatArray  # L e^s
+    var_along_m2: FloatArray
+    var_across_m2: FloatArray
+
+    @property
+    def along(self) -> FloatArray:
+        """The direction u of each step, (..., M, 2)."""
+        along = np.empty((*self.sine.shape, 2))
+        along[..., EAST], along[..., NORTH] = self.sine, self.cosine
+        return along
 
 
 def step_motion(
@@ -260,23 +269,18 @@ def step_motion(
     length_m: FloatArray,
     length_var_m2: FloatArray,
     directions: Directions,
-    weight: FloatArray | float = 1.0,
 ) -> StepMotion:
-    """`StepMotion` of lengths (..., M); the variances are multiplied by a weight, a mode's probability in a mixture."""
+    """`StepMotion` of lengths (..., M)."""
     scale = np.exp(log_scale)
     scaled_m = length_m * scale
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
-    along, across = np.empty((2, *psi.shape, 2))
-    along[..., 0] = sine = np.sin(psi)
-    along[..., 1] = across[..., 0] = np.cos(psi)
-    across[..., 1] = -sine
     return StepMotion(
-        along=along,
-        across=across,
+        sine=np.sin(psi),
+        cosine=np.cos(psi),
+        scale=scale,
         length_m=scaled_m,
-        displacement_m=scaled_m[..., None] * along,
-        var_along_m2=weight * (scale * scale * length_var_m2),
-        var_across_m2=weight * scaled_m**2 * directions.heading_var_rad2,
+        var_along_m2=scale * scale * length_var_m2,
+        var_across_m2=scaled_m * scaled_m * directions.heading_var_rad2,
     )
 
 

@@ -333,7 +333,7 @@ class StepLengths:
 
     @cached_property
     def _of_terms(self) -> FloatArray:
-        """Coefficients (2, M, T) of lengths and variances, both linear in the regressors r and the products r r'."""
+        """Coefficients (2M, T) of lengths, then of variances, both linear in the regressors r and the products r r'."""
         starts, n_terms = dict[StepLengthModel, int](), 0
         for model in self._linear:
             starts[model], n_terms = n_terms, n_terms + model.n_params + model.n_params**2
@@ -343,7 +343,7 @@ class StepLengths:
                 start, p = starts[fit.model], fit.model.n_params
                 of_length[start : start + p] = fit.theta
                 of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
-        return coefficients
+        return coefficients.reshape(-1, n_terms)
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
@@ -362,11 +362,11 @@ class StepLengths:
             r = model.regressors(step).tolist()
             terms += r
             terms += [a * b for a in r for b in r]
-        moments = self._of_terms.dot(np.array(terms))
+        moments = self._of_terms.dot(np.array(terms)).reshape(2, -1)
         for i, fit in self._smooth:
             moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
-        length, parameter_var = np.maximum(moments, 0.0)
-        return length, parameter_var
+        moments = np.maximum(moments, 0.0)
+        return moments[0], moments[1]
 
     @cached_property
     def _smooth(self) -> list[tuple[int, StepLengthFit]]:

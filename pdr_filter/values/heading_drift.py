@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import TypeVar
+from typing import overload
 
 import numpy as np
 
 from pdr_filter.values.arrays import FloatArray
 from pdr_filter.values.checks import check_numbers
-
-_Number = TypeVar("_Number", float, FloatArray)
 
 
 @dataclass(frozen=True)
@@ -28,22 +26,36 @@ class HeadingDrift:
     def __post_init__(self) -> None:
         check_numbers(self, zero=vars(self))
 
+    @overload
+    def variances_rad2(self, elapsed_s: float, unknown_s: float, yaw_bias_std_radps: float) -> tuple[float, float]: ...
+
+    @overload
+    def variances_rad2(
+        self, elapsed_s: float, unknown_s: float, yaw_bias_std_radps: float, besides_rad2_per_s: FloatArray
+    ) -> tuple[FloatArray, float]: ...
+
+    @overload
+    def variances_rad2(
+        self, elapsed_s: FloatArray, unknown_s: FloatArray, yaw_bias_std_radps: FloatArray, besides_rad2_per_s: FloatArray
+    ) -> tuple[FloatArray, FloatArray]: ...
+
     def variances_rad2(
         self,
-        elapsed_s: _Number,
-        unknown_s: _Number,
-        yaw_bias_std_radps: _Number,
+        elapsed_s: float | FloatArray,
+        unknown_s: float | FloatArray,
+        yaw_bias_std_radps: float | FloatArray,
         besides_rad2_per_s: float | FloatArray = 0.0,
-    ) -> tuple[FloatArray, FloatArray]:
+    ) -> tuple[float | FloatArray, float | FloatArray]:
         """Variance gained in a time while the angular rate was measured, and in the part of it while it was not.
 
         `yaw_bias_std_radps` is the standard deviation of the gyroscope's bias about the vertical, `besides_rad2_per_s`
         another random walk, such as a mode's own.
         """
-        unknown = min(unknown_s, elapsed_s) if isinstance(unknown_s, float) else np.minimum(unknown_s, elapsed_s)
+        is_number = isinstance(elapsed_s, float) and isinstance(unknown_s, float)
+        unknown = min(unknown_s, elapsed_s) if is_number else np.minimum(unknown_s, elapsed_s)
         rate = self.random_walk_rad_per_sqrt_s**2 + 2 * self.bias_correlation_s * yaw_bias_std_radps**2
-        return np.asarray((rate + besides_rad2_per_s) * (elapsed_s - unknown)), self.unmeasured_rad2(unknown)
+        return (rate + besides_rad2_per_s) * (elapsed_s - unknown), self.unmeasured_rad2(unknown)
 
-    def unmeasured_rad2(self, time_s: float | FloatArray) -> FloatArray:
+    def unmeasured_rad2(self, time_s: float | FloatArray) -> float | FloatArray:
         """Variance gained in a time without angular rate."""
-        return np.asarray(self.unknown_rad_per_sqrt_s**2 * time_s)
+        return self.unknown_rad_per_sqrt_s**2 * time_s

@@ -92,12 +92,14 @@ def increments(
     directions = Directions.of(modes)
     device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
     of_pauses = PAUSE_STD_M**2 * np.asarray(steps.from_rest)[:, None] * moves
-    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var + of_pauses, directions, mode_prob)
-    displacement = np.einsum("km,kma->ka", mode_prob, move.displacement_m)
-    apart = move.displacement_m - displacement[:, None]
+    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var + of_pauses, directions)
+    along = move.along
+    across, displacement_m = along[..., ::-1] * (1.0, -1.0), move.length_m[..., None] * along
+    displacement = np.einsum("km,kma->ka", mode_prob, displacement_m)
+    apart = displacement_m - displacement[:, None]
     cov = (
-        np.einsum("km,kma,kmb->kab", move.var_along_m2, move.along, move.along)
-        + np.einsum("km,kma,kmb->kab", move.var_across_m2, move.across, move.across)
+        np.einsum("km,kma,kmb->kab", mode_prob * move.var_along_m2, along, along)
+        + np.einsum("km,kma,kmb->kab", mode_prob * move.var_across_m2, across, across)
         + np.einsum("km,kma,kmb->kab", mode_prob, apart, apart)
         + (mode_prob @ directions.extra_var_m2)[:, None, None] * np.eye(2)
     )
