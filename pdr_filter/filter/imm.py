@@ -70,9 +70,10 @@ def mixed_values(values: FloatArray, mode_prob: FloatArray, transition_prob: Flo
 def _mixing_weights(mode_prob: FloatArray, transition_prob: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Probabilities mu_i|j (..., j, i) of the last mode given the next one, and predicted ones c_j (..., M)."""
     joint = transition_prob * mode_prob[..., :, None]
-    predicted = joint.sum(axis=-2)
-    if predicted.min() > 0:
-        return (joint / predicted[..., None, :]).swapaxes(-1, -2), predicted
+    predicted = mode_prob.dot(transition_prob)
+    if np.count_nonzero(predicted) == predicted.size:
+        joint /= predicted[..., None, :]
+        return joint.swapaxes(-1, -2), predicted
     reachable = (predicted > 0)[..., None, :]
     weights = np.where(reachable, joint / np.where(reachable, predicted[..., None, :], 1.0), np.eye(joint.shape[-1]))
     return weights.swapaxes(-1, -2), predicted
@@ -128,7 +129,7 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
     highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
-    if math.isfinite(highest.sum()):
+    if all(map(math.isfinite, highest.ravel().tolist())):
         relative = np.exp(log_posterior - highest)
         return relative / np.add.reduce(relative, axis=-1, keepdims=True)
     is_finite = np.isfinite(highest)

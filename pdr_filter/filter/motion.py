@@ -261,6 +261,11 @@ class StepMotion(NamedTuple):
         along[..., EAST], along[..., NORTH] = self.sine, self.cosine
         return along
 
+    @property
+    def across(self) -> FloatArray:
+        """Of each step v = d u / d psi, (..., M, 2)."""
+        return self.along[..., ::-1] * (1.0, -1.0)
+
 
 def step_motion(
     device_heading_rad: FloatArray | float,
@@ -287,7 +292,7 @@ def step_motion(
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
     """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
-    if variance.max() <= MAX_HEADING_VARIANCE:
+    if max(variance.ravel().tolist()) <= MAX_HEADING_VARIANCE:
         return cov
     scaling = np.ones(cov.shape[:-1])
     scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))

@@ -193,15 +193,16 @@ def with_step(
     they were noise, a run of 300 steps would be ten times too sure.
     """
     x, P = combined
-    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), float(P[LOG_SCALE, LOG_SCALE]))
+    log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
+    along, across = second_order_errors(float(P[HEADING_OFFSET, HEADING_OFFSET]), log_scale_var)
     sine, cosine = math.sin(walked.heading_rad), math.cos(walked.heading_rad)
     along_m, across_m = walked.length_m * along, walked.length_m * across
-    shared_m = state.shared_m.copy()
-    shared_m[_ALONG_AND_ACROSS] += np.array(((along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)))
-    shared_m[_PARAMETERS] += walked.parameter_std_m[:, None] * walked.own_direction
+    shared_m = np.empty_like(state.shared_m)
+    shared_m[_ALONG_AND_ACROSS] = (along_m * sine, along_m * cosine), (across_m * cosine, -across_m * sine)
+    np.multiply(walked.parameter_std_m[:, None], walked.own_direction, out=shared_m[_PARAMETERS])
+    shared_m += state.shared_m
     # a pause before the step starts the smoothed speed afresh
     is_pause = math.isnan(state.last_step_s) or step.time_s - state.last_step_s > 1.5 * step.duration_s
-    log_scale_var = float(P[LOG_SCALE, LOG_SCALE])
     frame = state.frame
     if math.isfinite(step.north_std_rad) and math.isfinite(step.shown_offset_std_rad):
         # where the person walks against north, less where he walks in the track's frame
@@ -328,13 +329,15 @@ def own_place(state: PedestrianState) -> Place:
 
 def position_cov(P: FloatArray, shared_m2: FloatArray) -> FloatArray:
     """Covariance (2, 2) of a position with linear covariance P (4, 4) and the `shared_cov` of all steps."""
-    cov = P[:2, :2] + shared_m2
-    return frozen(0.5 * (cov + cov.T))
+    (xx, xy, _, _), (yx, yy, _, _) = P[:2].tolist()
+    (shared_xx, shared_xy), (_, shared_yy) = shared_m2.tolist()
+    xy = 0.5 * (xy + yx) + shared_xy
+    return frozen(np.array(((xx + shared_xx, xy), (xy, yy + shared_yy))))
 
 
 def shared_cov(state: PedestrianState) -> FloatArray:
     """What the errors that all steps share add to the position's covariance, (2, 2)."""
-    return state.shared_m.T @ state.shared_m
+    return state.shared_m.T.dot(state.shared_m)
 
 
 def parameters_cov(state: PedestrianState) -> FloatArray:

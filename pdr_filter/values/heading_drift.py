@@ -36,7 +36,11 @@ class HeadingDrift:
 
     @overload
     def variances_rad2(
-        self, elapsed_s: FloatArray, unknown_s: FloatArray, yaw_bias_std_radps: FloatArray, besides_rad2_per_s: FloatArray
+        self,
+        elapsed_s: FloatArray,
+        unknown_s: FloatArray,
+        yaw_bias_std_radps: FloatArray,
+        besides_rad2_per_s: FloatArray,
     ) -> tuple[FloatArray, FloatArray]: ...
 
     def variances_rad2(

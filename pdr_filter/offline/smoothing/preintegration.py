@@ -93,8 +93,8 @@ def increments(
     device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
     of_pauses = PAUSE_STD_M**2 * np.asarray(steps.from_rest)[:, None] * moves
     move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var + of_pauses, directions)
-    along = move.along
-    across, displacement_m = along[..., ::-1] * (1.0, -1.0), move.length_m[..., None] * along
+    along, across = move.along, move.across
+    displacement_m = move.length_m[..., None] * along
     displacement = np.einsum("km,kma->ka", mode_prob, displacement_m)
     apart = displacement_m - displacement[:, None]
     cov = (

@@ -22,19 +22,31 @@ from pdr_filter.values import FloatArray, check_numbers, replace, wrap_angle
 
 _DRIFT, _RATE, _AXIS, _SCALE = range(4)
 _RIGHT_ANGLE = 0.5 * math.pi
+_ALONG_AXIS = np.array([1.0, 0.0, 1.0, 0.0])  # drift and axis
 
 
 @dataclass(frozen=True, eq=False)
 class CorridorState:
     """A bank of Kalman filters of drift, its rate and the direction of the axes, and the odds of there being axes."""
 
-    mean: FloatArray  # (M, 4) rad, rad/s, rad, rad of drift a rad of turning; all clockwise
-    cov: FloatArray  # (M, 4, 4)
+    # (M, 5, 4) mean, in rad, rad/s, rad, rad of drift a rad of turning, all clockwise, and below it the covariance:
+    # what a measurement sees of both is one product
+    bank: FloatArray
     log_weight: FloatArray  # (M,) of probabilities
     log_odds: float  # of axes
     turned_rad: float = 0.0  # since the start
     leg_rad: float = math.nan  # last heading of a straight part; NaN before the first
     recent: tuple[tuple[float, float], ...] = ()  # times and headings of the last steps
+
+    @property
+    def mean(self) -> FloatArray:
+        """Means (M, 4)."""
+        return self.bank[:, 0]
+
+    @property
+    def cov(self) -> FloatArray:
+        """Covariances (M, 4, 4)."""
+        return self.bank[:, 1:]
 
 
 @dataclass(frozen=True)
@@ -93,7 +105,8 @@ class Corridors:
     def init(self) -> CorridorState:
         """State before the first step."""
         n = round(self.max_rate_radps / self.rate_step_radps)
-        mean, cov = np.zeros((2 * n + 1, 4)), np.zeros((2 * n + 1, 4, 4))
+        bank = np.zeros((2 * n + 1, 5, 4))
+        mean, cov = bank[:, 0], bank[:, 1:]
         mean[:, _RATE] = self.rate_step_radps * np.arange(-n, n + 1)
         # half of the distance to the next: the sum of the densities is smooth
         cov[:, _RATE, _RATE] = (0.6 * self.rate_step_radps) ** 2
@@ -101,36 +114,38 @@ class Corridors:
         weight = np.exp(-0.5 * (mean[:, _RATE] / self.rate_std_radps) ** 2)
         weight = (1.0 - self.wild_rate_prob) * weight / weight.sum() + self.wild_rate_prob / len(weight)
         odds = math.log(self.rectangular_prob / (1.0 - self.rectangular_prob))
-        return CorridorState(mean, cov, np.log(weight), odds)
+        return CorridorState(bank, np.log(weight), odds)
 
     def restart(self, state: CorridorState) -> CorridorState:
         """State where headings no longer follow on those before: drift and axes are unknown, the rates may be not."""
         fresh = self.init()
-        mean, cov = state.mean.copy(), fresh.cov.copy()
+        mean, cov = fresh.mean, fresh.cov
+        mean[:] = state.mean
         mean[:, [_DRIFT, _AXIS]] = 0.0
         cov[:, _RATE, _RATE] = state.cov[:, _RATE, _RATE]
-        return replace(fresh, mean=mean, cov=cov, log_weight=state.log_weight)
+        return replace(fresh, log_weight=state.log_weight)
 
     def step(self, state: CorridorState, time_s: float, heading_rad: float) -> CorridorState:
         """State after a step in a direction; headings have any number of turns."""
         last_s, last_rad = state.recent[-1] if state.recent else (time_s, heading_rad)
-        mean, cov = self._predict(state, time_s - last_s, heading_rad - last_rad)
+        bank = self._predict(state, time_s - last_s, heading_rad - last_rad)
         turned_rad = state.turned_rad + heading_rad - last_rad
         near = [r for r in state.recent if time_s - r[0] < self.straight_s][1 - self.n_straight :]
         recent = (*near, (time_s, heading_rad))
-        state = replace(state, mean=mean, cov=cov, recent=recent, turned_rad=turned_rad)
         headings = [h for _, h in recent]
         if len(recent) < self.n_straight or max(headings) - min(headings) > self.straight_rad:
-            return state
-        if math.isnan(state.leg_rad):
-            mean, cov = mean.copy(), cov.copy()
+            return replace(state, bank=bank, recent=recent, turned_rad=turned_rad)
+        last_leg_rad = state.leg_rad
+        state = replace(state, bank=bank, recent=recent, turned_rad=turned_rad, leg_rad=heading_rad)
+        if math.isnan(last_leg_rad):
+            mean, cov = state.mean, state.cov
             mean[:, _AXIS] = heading_rad - mean[:, _DRIFT]
             # the axis is unknown: whatever the drift, this heading is along it
             cov[:, _AXIS, :], cov[:, :, _AXIS] = -cov[:, _DRIFT, :], -cov[:, :, _DRIFT]
             cov[:, _AXIS, _AXIS] = cov[:, _DRIFT, _DRIFT] + self.leg_std_rad**2
-            return replace(state, mean=mean, cov=cov, leg_rad=heading_rad)
-        is_new = abs(float(wrap_angle(heading_rad - state.leg_rad))) > self.corner_rad
-        return replace(self._see(state, heading_rad, is_new), leg_rad=heading_rad)
+            return state
+        is_new = abs(float(wrap_angle(heading_rad - last_leg_rad))) > self.corner_rad
+        return self._see(state, heading_rad, is_new)
 
     def drift(self, state: CorridorState) -> tuple[float, float] | None:
         """By how much headings are too far clockwise since the first step, and its variance; None if it is unsure."""
@@ -148,32 +163,33 @@ class Corridors:
         mean = float(weight @ values)
         return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2
 
-    def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> tuple[FloatArray, FloatArray]:
+    def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
         """The bank later on: drift + elapsed time times rate + turn times scale, and all else as it was."""
         later = np.array([1.0, elapsed_s, 0.0, turned_rad])
-        mean, cov = state.mean.copy(), state.cov.copy()
-        mean[:, _DRIFT] = mean @ later
-        cov[:, _DRIFT, :] = row = later @ cov
-        cov[:, :, _DRIFT] = row
-        cov[:, _DRIFT, _DRIFT] = row @ later + self.wander_rad_per_sqrt_s**2 * elapsed_s
-        return mean, cov
+        bank, seen = state.bank.copy(), state.bank.dot(later)
+        bank[:, :, _DRIFT] = seen
+        row = seen[:, 1:]
+        bank[:, 1 + _DRIFT] = row
+        bank[:, 1 + _DRIFT, _DRIFT] = row.dot(later) + self.wander_rad_per_sqrt_s**2 * elapsed_s
+        return bank
 
     def _see(self, state: CorridorState, heading_rad: float, is_new: bool) -> CorridorState:
         """State after a step of a straight part, whose leg is in a new direction or goes on."""
         # a heading along an axis is axis and drift
-        gain = state.cov[:, _DRIFT] + state.cov[:, _AXIS]
+        seen = state.bank.dot(_ALONG_AXIS)
+        gain = seen[:, 1:]
         spread = gain[:, _DRIFT] + gain[:, _AXIS]
-        away = heading_rad - (state.mean[:, _DRIFT] + state.mean[:, _AXIS])
+        away = heading_rad - seen[:, 0]
         away = away - _RIGHT_ANGLE * np.rint(away / _RIGHT_ANGLE)
         variance = spread + self.step_std_rad**2
         log_in = self._log_likelihood(away, variance)
         log_any = np.logaddexp(log_in, self._log_outlier)
         inlier = np.exp(log_in - log_any)
         shift = away / variance
-        mean = state.mean + gain * (inlier * shift)[:, None]
+        by = np.empty_like(seen)
+        by[:, 0] = inlier * shift
         # what is learnt is taken, and the doubt whether it is an outlier is added
-        added = inlier * ((1.0 - inlier) * shift * shift - 1.0 / variance)
-        cov = state.cov + gain[:, :, None] * (added[:, None] * gain)[:, None, :]
+        np.multiply((inlier * ((1.0 - inlier) * shift * shift - 1.0 / variance))[:, None], gain, out=by[:, 1:])
         log_odds = state.log_odds
         if is_new:
             of_leg = np.logaddexp(self._log_likelihood(away, spread + self.leg_std_rad**2), self._log_outlier)
@@ -184,8 +200,7 @@ class Corridors:
             log_weight = state.log_weight + min(2.0 * (self.leg_std_rad / self.step_std_rad) ** 2, 1.0) * log_any
         return replace(
             state,
-            mean=mean,
-            cov=cov,
+            bank=state.bank + by[:, :, None] * gain[:, None, :],
             log_weight=log_weight - _log_sum(log_weight),
             log_odds=log_odds,
         )

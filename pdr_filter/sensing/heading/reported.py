@@ -32,6 +32,8 @@ class Reported:
 
     def after_loss(self, lost_var_rad2: float) -> Reported:
         """After the device's heading has lost this variance."""
+        if lost_var_rad2 == 0.0 and (self.var_rad2 <= UNKNOWN_VAR_RAD2 or math.isinf(self.var_rad2)):
+            return self
         lost = min(self.lost_var_rad2 + lost_var_rad2, _MAX_LOST_VAR_RAD2)
         var = self.var_rad2 + lost_var_rad2
         return replace(self, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, UNKNOWN_VAR_RAD2))
@@ -39,15 +41,15 @@ class Reported:
     def at_step(self, step: Step, drift: HeadingDrift) -> Reported:
         """What the filter still knows at a step, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
-        times_s = (elapsed_s, step.heading_unknown_s)
-        wandered_var, lost_var = (float(v) for v in drift.variances_rad2(*times_s, step.yaw_bias_std_radps))
-        wandered = replace(self, var_rad2=self.var_rad2 + wandered_var)
-        return replace(wandered.after_loss(lost_var), time_s=step.time_s)
+        wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps)
+        return Reported(self.offset_rad, self.var_rad2 + wandered_var, self.lost_var_rad2, step.time_s).after_loss(
+            lost_var
+        )
 
     def with_report(
         self, step: Step, offset_rad: float, var_rad2: float, change_std_rad: float
-    ) -> tuple[Reported, Step]:
-        """What the filter knows after a step, and the step with the measurement that takes it there.
+    ) -> tuple[Reported, dict[str, float]]:
+        """What the filter knows after a step, and the fields of the step with the measurement that takes it there.
 
         The measurement is z = o- + (o - o-) / K, K = 1 - P / P-, and its variance P- P / (P- - P)
         (docs/methods/heading.md).
@@ -55,23 +57,22 @@ class Reported:
         var_rad2 += self.lost_var_rad2
         if math.isinf(self.var_rad2):
             first = replace(self, offset_rad=offset_rad, var_rad2=var_rad2)
-            return first, _with_heading(step, offset_rad, var_rad2, 0.0)
+            return first, _heading(step, offset_rad, var_rad2, 0.0)
         away_rad = float(wrap_angle(offset_rad - self.offset_rad))
         before_var = min(self.var_rad2 + change_std_rad**2, UNKNOWN_VAR_RAD2)
         gain = 1.0 - var_rad2 / before_var
         if gain < _MIN_GAIN:
-            return replace(self, var_rad2=before_var), replace(step, offset_change_std_rad=change_std_rad)
+            return replace(self, var_rad2=before_var), {"offset_change_std_rad": change_std_rad}
         # half a turn and more would be taken for the other way round
         innovation_rad = min(max(away_rad / gain, -_MAX_INNOVATION_RAD), _MAX_INNOVATION_RAD)
         measured_rad = self.offset_rad + innovation_rad
         after = replace(self, offset_rad=self.offset_rad + gain * innovation_rad, var_rad2=var_rad2)
-        return after, _with_heading(step, measured_rad, var_rad2 / gain, change_std_rad)
+        return after, _heading(step, measured_rad, var_rad2 / gain, change_std_rad)
 
 
-def _with_heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> Step:
-    return replace(
-        step,
-        walking_heading_rad=step.device_heading_rad + offset_rad,
-        walking_heading_std_rad=math.sqrt(var_rad2),
-        offset_change_std_rad=change_std_rad,
-    )
+def _heading(step: Step, offset_rad: float, var_rad2: float, change_std_rad: float) -> dict[str, float]:
+    return {
+        "walking_heading_rad": step.device_heading_rad + offset_rad,
+        "walking_heading_std_rad": math.sqrt(var_rad2),
+        "offset_change_std_rad": change_std_rad,
+    }

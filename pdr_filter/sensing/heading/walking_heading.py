@@ -22,6 +22,7 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -296,46 +297,50 @@ class WalkingHeading:
         stride: Stride | None,
         carrying_mode: int,
     ) -> tuple[WalkingHeadingState, Step]:
-        state, step = self._with_loss(state, step, samples)
-        state = replace(state, reported=state.reported.at_step(step, self.drift))
+        if samples is not None:
+            state, step = self._with_loss(state, step, samples)
+        reported = state.reported.at_step(step, self.drift)
         if samples is None or stride is None:
-            return state, step if state.place is None else _with_shown(state, step)
+            return replace(state, reported=reported), step if state.place is None else replace(step, **_shown(state))
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
-        state, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
+        offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         place = self.strides.learn(place, stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
-        offset, shown, trust = self._believe(place, state.offset, stride, elapsed_s)
+        offset, shown, trust = self._believe(place, offset, stride, elapsed_s)
         shown = self._with_axis(place, shown, stride, trust)
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = shown.offset_rad
+        walking_rad = stride.device_heading_rad + offset_rad
+        if change_std_rad > 0 or step.heading_unknown_s > 0:
+            state = self._without_axes(state)
+        of_bias_rad, of_bias_var = samples[_ERROR:, -1].tolist()
         state = replace(
             state,
+            up=stride.up,
+            axis=stride.axis,
+            formers=formers,
             place=place,
             offset=offset,
             shown=shown,
             trust=trust,
-            walking_rad=stride.device_heading_rad + offset_rad,
+            walking_rad=walking_rad,
             walking_s=step.time_s,
             direction=combined(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
             direction_up=stride.up,
+            corridors=self.corridors.step(state.corridors, step.time_s, walking_rad),
+            of_bias_rad=of_bias_rad,
         )
-        if change_std_rad > 0 or step.heading_unknown_s > 0:
-            state = self._without_axes(state)
-        corridors = self.corridors.step(state.corridors, step.time_s, state.walking_rad)
-        of_bias_rad, of_bias_var = samples[_ERROR:, -1].tolist()
-        state = replace(state, corridors=corridors, of_bias_rad=of_bias_rad)
         error_rad, error_var = self._error(state)
         # axes show the walking heading itself, biases only that of the device
         var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + of_bias_var
-        reported, step = state.reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
-        return replace(state, reported=reported), _with_shown(state, step, on_axes=math.isfinite(error_var))
+        reported, heard = reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
+        shown_too = _shown(state, on_axes=math.isfinite(error_var))
+        return replace(state, reported=reported), replace(step, **heard, **shown_too)
 
     def _with_loss(
-        self, state: WalkingHeadingState, step: Step, samples: FloatArray | None
+        self, state: WalkingHeadingState, step: Step, samples: FloatArray
     ) -> tuple[WalkingHeadingState, Step]:
         """The step with what the heading has lost by the bias since the last stride, as the filter's random walk."""
-        if samples is None:
-            return state, step
         var_rad2 = float(samples[_ERROR_VAR, -1])
         if var_rad2 == 0 and not samples[_ERROR_VAR].any():
             return state, step
@@ -406,19 +411,18 @@ class WalkingHeading:
 
     def _settle(
         self, state: WalkingHeadingState, stride: Stride, time_s: float, carrying_mode: int
-    ) -> tuple[WalkingHeadingState, Place, float]:
-        """State with the frame of this stride, the place it is in, and by how much the offset may have changed."""
-        before = state.place
-        state = replace(state, up=stride.up, axis=stride.axis)
+    ) -> tuple[Offset, tuple[Former, ...], Place, float]:
+        """The offset, former places, the place that a stride is in, and by how much the offset may have changed."""
+        before, formers = state.place, state.formers
         if before is None:
             offset = state.offset.moved(0.0, 0.0, self._systematic_rad2(stride))
-            return replace(state, offset=offset), Place(time_s, carrying_mode, -1, stride.up), 0.0
+            return offset, formers, Place(time_s, carrying_mode, -1, stride.up), 0.0
         is_moved = math.acos(min(max(dot(before.up, stride.up), -1.0), 1.0)) > self.max_tilt_rad
         is_old = carrying_mode == before.old_mode and time_s - before.start_s < _LABEL_LAG_S
         label = before.carrying_mode if is_old or carrying_mode < 0 else carrying_mode
         if not is_moved:
             up = unit(combined(1.0 - 1.0 / _UP_STRIDES, before.up, 1.0 / _UP_STRIDES, stride.up))
-            return state, replace(before, up=up, carrying_mode=label), 0.0
+            return state.offset, formers, replace(before, up=up, carrying_mode=label), 0.0
         # What is said of the mode is of windows that ended before the phone was moved.
         place = Place(time_s, -1, carrying_mode, stride.up)
         offset = state.shown
@@ -433,8 +437,8 @@ class WalkingHeading:
             offset = offset.seen(OF_STRIDES, cmath.rect(1.0, shown_rad), self.return_std_rad**2)
         if before.n_strides >= _SETTLED_STRIDES:
             former = Former(time_s, before.n_strides, state.direction_up, state.direction)
-            state = replace(state, formers=(*state.formers, former)[-_N_FORMERS:])
-        return replace(state, offset=offset), place, UNKNOWN_STD_RAD
+            formers = (*formers, former)[-_N_FORMERS:]
+        return offset, formers, place, UNKNOWN_STD_RAD
 
     def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
         """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
@@ -489,11 +493,11 @@ def _as_complex(place: Place) -> tuple[complex, complex, complex]:
     return complex(*a), complex(*b), complex(*c)
 
 
-def _with_shown(state: WalkingHeadingState, step: Step, on_axes: bool = False) -> Step:
-    return replace(
-        step,
-        on_axes=on_axes,
-        shown_offset_rad=state.shown.shown_rad,
-        shown_offset_std_rad=math.sqrt(state.shown.shown_var_rad2),
-        direction_trust=state.trust,
-    )
+def _shown(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
+    """What a step has of where the phone points against the body."""
+    return {
+        "on_axes": on_axes,
+        "shown_offset_rad": state.shown.shown_rad,
+        "shown_offset_std_rad": math.sqrt(state.shown.shown_var_rad2),
+        "direction_trust": state.trust,
+    }
