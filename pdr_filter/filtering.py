@@ -138,19 +138,12 @@ def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, O
 
 
 # Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
-PART_SAMPLES = 60_000
+PART_SAMPLES = 16_000
 
 
 def parts(block: ImuBlock) -> Iterator[ImuBlock]:
     """A block in pieces of at most `PART_SAMPLES`."""
-    for start in range(0, len(block.time_s), PART_SAMPLES):
-        part = slice(start, start + PART_SAMPLES)
-        yield ImuBlock(
-            block.time_s[part],
-            block.specific_force_mps2[part],
-            block.angular_rate_radps[part],
-            block.magnetic_field_ut[part],
-        )
+    yield from block.parts(PART_SAMPLES)
 
 
 # Climb rates that wait for their windows, one a second: ten minutes before the samples a barometer has another clock.

@@ -8,7 +8,8 @@ its own interval, so only the samples of that interval enter, whatever arrived w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
 
 import numpy as np
 
@@ -30,6 +31,8 @@ MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
 MAX_FIELD_UT = 1e4
 # Of time, specific force, angular rate and magnetic field.
 _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 3, 3, 3])
+# Rows that are conditioned at once: what is made of them fits into a cache, and takes half of the time.
+_ROWS_AT_ONCE = 2000
 # So many rows without a believed time, or none that follows another, are worth a word.
 _NOTABLE_DEAF = 200
 
@@ -180,6 +183,14 @@ class Conditioner:
 
     def step(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """New state and the whole hops that became complete, split at gaps."""
+        outputs: list[UniformBlock] = []
+        for part in block.parts(_ROWS_AT_ONCE):
+            state, found = self._some(state, part)
+            outputs += found
+        return state, _joined(outputs)
+
+    def _some(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
+        """The same of samples whose rows fit into a cache."""
         state, rows = self._accept(state, block)
         if len(rows) == 0:
             return state, []
@@ -290,6 +301,19 @@ class Conditioner:
         )
         new = replace(state, rows=rows[first_needed:], n_emitted=n_complete, report=report)
         return new, [output]
+
+
+def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
+    """Blocks that follow each other without a gap as one."""
+    starts = [i for i, block in enumerate(blocks) if i == 0 or block.gap_before_s > 0]
+    runs = [blocks[i:j] for i, j in zip(starts, [*starts[1:], len(blocks)], strict=True)]
+    return [run[0] if len(run) == 1 else _one(run) for run in runs]
+
+
+def _one(run: Sequence[UniformBlock]) -> UniformBlock:
+    names = [f.name for f in fields(UniformBlock) if f.name != "gap_before_s"]
+    joined = {name: np.concatenate([getattr(block, name) for block in run]) for name in names}
+    return UniformBlock(**joined, gap_before_s=run[0].gap_before_s)
 
 
 def _usable(raw: FloatArray) -> tuple[FloatArray, int, int, int]:

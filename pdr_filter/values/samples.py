@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
@@ -49,3 +50,17 @@ class ImuBlock:
     specific_force_mps2: FloatArray  # (N, 3), norm about 9.81 at rest
     angular_rate_radps: FloatArray  # (N, 3)
     magnetic_field_ut: FloatArray  # (N, 3)
+
+    def parts(self, n: int) -> Iterator[ImuBlock]:
+        """The block in pieces of at most n samples."""
+        if len(self.time_s) <= n:
+            yield self
+            return
+        for start in range(0, len(self.time_s), n):
+            part = slice(start, start + n)
+            yield ImuBlock(
+                self.time_s[part],
+                self.specific_force_mps2[part],
+                self.angular_rate_radps[part],
+                self.magnetic_field_ut[part],
+            )
