@@ -305,9 +305,13 @@ class Conditioner:
 
 def _joined(blocks: Sequence[UniformBlock]) -> list[UniformBlock]:
     """Blocks that follow each other without a gap as one."""
-    starts = [i for i, block in enumerate(blocks) if i == 0 or block.gap_before_s > 0]
-    runs = [blocks[i:j] for i, j in zip(starts, [*starts[1:], len(blocks)], strict=True)]
-    return [run[0] if len(run) == 1 else _one(run) for run in runs]
+    runs: list[list[UniformBlock]] = []
+    for block in blocks:
+        if runs and block.gap_before_s == 0:
+            runs[-1].append(block)
+        else:
+            runs.append([block])
+    return [_one(run) if len(run) > 1 else run[0] for run in runs]
 
 
 def _one(run: Sequence[UniformBlock]) -> UniformBlock:
