@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+from functools import cache
 from pathlib import Path
 
 from tests.conftest import SLOW
@@ -10,8 +11,14 @@ from tests.conftest import SLOW
 ROOT = Path(__file__).resolve().parents[1]
 
 
+@cache
+def functions(path: str) -> set[str]:
+    """Names of the functions in a file."""
+    tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
+    return {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}
+
+
 def test_every_test_that_is_called_slow_exists() -> None:
     for name in SLOW:
         path, _, function = name.partition("::")
-        tree = ast.parse((ROOT / path).read_text(encoding="utf-8"))
-        assert function in {node.name for node in ast.walk(tree) if isinstance(node, ast.FunctionDef)}, name
+        assert function in functions(path), name
