@@ -129,6 +129,11 @@ def best_s(run: Callable[[], object], times: int = 3) -> float:
     return min(taken)
 
 
+def load() -> str:
+    """What else the machine does: without it the load is one."""
+    return f"the machine's load {os.getloadavg()[1]:.1f}"
+
+
 def in_tree(tree: Path, code: str, *arguments: str) -> Any:
     """What code prints, as JSON, in a fresh interpreter that imports the package of a checkout."""
     environment = {**os.environ, "PYTHONPATH": str(tree)}
@@ -156,7 +161,7 @@ def of_recordings(tables: Tables, args: argparse.Namespace) -> None:
     n = len(next(iter(all_of.values())))
     rows.append(["all", str(n), *(f"{(t[:, 0] / t[:, 1]).mean():.0f}" for t in all_of.values())])
     rows.append(["all, time by time", str(n), *(f"{t[:, 0].sum() / t[:, 1].sum():.0f}" for t in all_of.values())])
-    about = "Times real time, the mean over the recordings; one core."
+    about = f"Times real time, the mean over the recordings; one core, {load()}."
     tables.write("throughput_recordings", ["set", "recordings", *all_of], rows, about)
 
 
@@ -171,7 +176,8 @@ def of_stages(tables: Tables, args: argparse.Namespace) -> None:
     least = [np.min(taken, axis=0) for taken in runs.values()]
     rows = [[stage, *(f"{of_tree[i]:.3f}" for of_tree in least)] for i, stage in enumerate(stages)]
     about = (
-        f"ms a second of data, {len(chosen)} recordings, one of each set; the least of nine runs, in turns, one core."
+        f"ms a second of data, {len(chosen)} recordings, one of each set; the least of nine runs, in turns, one core, "
+        f"{load()}."
     )
     tables.write("throughput_stages", ["stage", *runs], rows, about)
 
@@ -183,7 +189,9 @@ def of_pushed(tables: Tables, args: argparse.Namespace) -> None:
         for name, tree in trees(args.before).items():
             runs[name].append(in_tree(tree, _OF_PUSHED, path))
     rows = [[name, *(f"{v:.2f} ms" for v in np.min(taken, axis=0))] for name, taken in runs.items()]
-    about = "A pushed block of 0.1 s, two minutes of walking; of each block the least of three runs, one core."
+    about = (
+        f"A pushed block of 0.1 s, two minutes of walking; of each block the least of three runs, one core, {load()}."
+    )
     tables.write("throughput_pushed", ["", "mean", "median", "99th percentile"], rows, about)
 
 
@@ -251,7 +259,7 @@ def of_an_hour(tables: Tables, args: argparse.Namespace) -> None:
     blob = online.save()
     loaded_ms = 1e3 * best_s(lambda: pdr.OnlineFilter.load(blob))
     rows.append(["a saved filter, models included", f"{len(blob) / 1e3:.0f} kB, loaded in {loaded_ms:.0f} ms"])
-    tables.write("throughput", ["what", "result"], rows, "One core.")
+    tables.write("throughput", ["what", "result"], rows, f"One core, {load()}.")
 
 
 def around(track: pdr.Track) -> pdr.FloorPlan:
@@ -308,7 +316,8 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
         for i, ((name, _), t) in enumerate(zip(runs, taken, strict=True))
     ]
     about = (
-        f"{recording.duration_s:.0f} s of walking, {n_steps} steps, processor time; the least of four runs in turns."
+        f"{recording.duration_s:.0f} s of walking, {n_steps} steps, processor time; the least of four runs in turns, "
+        f"{load()}."
     )
     tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
 
@@ -332,7 +341,7 @@ def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
                 [hour + 1, n_steps, f"{used_s:.0f} s", f"{each_s:.2f} s", f"{peak_mb:.0f} MB", f"{saved_kb:.0f} kB"]
             )
     columns = ["hours", "steps", "processor time", "for each hour", "largest memory of the process", "saved filter"]
-    tables.write("throughput_day", columns, rows, "Pushed in blocks of a minute, whose updates were let go.")
+    tables.write("throughput_day", columns, rows, f"Pushed in blocks of a minute, whose updates were let go; {load()}.")
 
 
 def of_start(tables: Tables, args: argparse.Namespace) -> None:
