@@ -31,7 +31,7 @@ MAX_FORCE_MPS2, MAX_RATE_RADPS = 160.0, 100.0
 MAX_FIELD_UT = 1e4
 # Of time, specific force, angular rate and magnetic field.
 _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 3, 3, 3])
-# Rows that are conditioned at once: what is made of them fits into a cache, and takes half of the time.
+# Rows that are conditioned at once: what is made of them fits into a cache.
 _ROWS_AT_ONCE = 2000
 # So many rows without a believed time, or none that follows another, are worth a word.
 _NOTABLE_DEAF = 200
