@@ -11,7 +11,6 @@ from urllib.parse import quote
 from pdr_filter.cli import console
 from pdr_filter.io.files import write_text
 from pdr_filter.io.texts import printable
-from pdr_filter.values import how_many
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
@@ -49,6 +48,8 @@ img {{ width: 12em; display: block }}
 
 def write_index(tracks: Mapping[str, Track], failed: Mapping[Path, str], path: Path) -> Path:
     """Write the page of the tracks, by the name of their files without suffix, and of what could not be tracked."""
+    from pdr_filter.values import how_many
+
     rows = "\n".join(_row(name, track) for name, track in tracks.items())
     reasons = "".join(f"<li>{_text(reason)}</li>" for reason in failed.values())
     words = f"<h2>{len(failed)} could not be tracked</h2><ul>{reasons}</ul>" if failed else ""

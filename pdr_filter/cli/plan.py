@@ -10,7 +10,6 @@ import typer
 from pdr_filter.cli import console
 from pdr_filter.cli.options import AsJson, Folder
 from pdr_filter.io.texts import file_name, printable
-from pdr_filter.values import how_many
 
 if TYPE_CHECKING:
     from pdr_filter.maps.floor_plan import FloorPlan
@@ -40,6 +39,8 @@ def plan(
 
 
 def _print(plan: FloorPlan) -> None:
+    from pdr_filter.values import how_many
+
     typer.echo(printable(f"{plan.name}: {how_many(len(plan.storeys), 'storey')}"))
     table = console.new_table("floor", "east-west", "north-south", "outline", "to walk on", "features")
     for storey in (s.summary() for s in plan.storeys):

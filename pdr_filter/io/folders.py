@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from itertools import islice
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 from pdr_filter.io import limits
 from pdr_filter.io.any_table import sensors_of
 from pdr_filter.io.archive import IN_PLACE, Members
-from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR
+from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, quantity_of_file
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.generic_csv import mapping_beside
@@ -62,8 +62,13 @@ def only_recording_in(path: Path) -> Path:
             return found[0]
         parts = [str(recording.relative_to(path)) for recording in found]
     if parts:
+        listed = ", ".join(parts[:3])
+        if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
+            raise RecordingError(
+                f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
+            )
         raise RecordingError(
-            f"{path}: holds {len(parts)} recordings ({', '.join(parts[:3])}); read one, such as {path / parts[0]}, "
+            f"{path}: holds {len(parts)} recordings ({listed}); read one, such as {path / parts[0]}, "
             "or give its recordings as recordings_in lists them"
         )
     return path

@@ -83,6 +83,14 @@ def test_a_folder_for_each_sensor_is_one_recording(tmp_path: Path, name: str) ->
     assert_walk(read(write_zip(tmp_path / "around.zip", files, folder="a/")))
 
 
+def test_several_walks_in_folders_of_sensors_are_refused_with_what_to_do(tmp_path: Path) -> None:
+    for walk in ("a", "b"):
+        write_folder(tmp_path / "walks", in_folders(f"{walk}.csv"))
+    message = refusal(tmp_path / "walks")
+    assert "several files of a sensor in its folder (Accelerometer/a.csv, Accelerometer/b.csv" in message
+    assert "make a folder of each recording" in message
+
+
 def test_walks_with_a_folder_for_each_sensor_are_as_many(tmp_path: Path) -> None:
     for walk in ("a", "b"):
         write_folder(tmp_path / "walks" / walk, in_folders("data.csv"))
