@@ -65,7 +65,7 @@ def test_a_slow_jog_in_circles_is_as_long_as_it_was(data_dir: Path, name: str) -
 
 
 def test_one_window_moves_the_modes_of_the_default_by_its_odds() -> None:
-    """p(c | x) / prior(c)^0.4, whole: tempered or with the prior divided out whole it would be another number."""
+    """p(c | x) / prior(c)^0.2, whole: tempered or with the prior divided out whole it would be another number."""
     model = recipes.default().model
     tracker = ImmTracker(model)
     prob = np.array([0.02, 0.5, 0.3, 0.1, 0.004, 0.076])
@@ -76,7 +76,7 @@ def test_one_window_moves_the_modes_of_the_default_by_its_odds() -> None:
     before = model.long_run_mode_prob @ model.transition_prob
     # a step is seven to one against standing; what the classifier does not know has the floor of one in a hundred
     of_step = np.where(np.array(CONTEXTS) == "stationary", np.exp(-1.9), 1.0)
-    expected = before * np.maximum(prob, 0.01) / of_prior**0.4 * of_step
+    expected = before * np.maximum(prob, 0.01) / of_prior**0.2 * of_step
     np.testing.assert_allclose(output.updates[0].mode_prob, expected / expected.sum(), rtol=1e-9)
 
 

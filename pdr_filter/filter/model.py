@@ -33,7 +33,7 @@ class PedestrianModel:
     transition_prob: FloatArray  # (M, M) from mode i to mode j between two steps; rows sum to one
     evidence_exponent: float = 1.0
     hindsight_exponent: float = 0.5  # the same where later windows are known, too
-    prior_exponent: float = 0.4
+    prior_exponent: float = 0.2
     evidence_floor: float = 0.01  # probability below which a context is not pushed by one window
     # Log evidence of a detected step for a mode that stands still against one that moves: handling a phone makes about
     # 16 false detections a minute, walking 110 true ones, log(16 / 110).

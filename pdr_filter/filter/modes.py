@@ -20,7 +20,7 @@ from pdr_filter.values import CONTEXTS, FloatArray, Note
 
 # Stairs advance by one tread a step: 0.29 m up, and 0.43 m down where people skip the landing's end (Martinelli et al.
 # 2018, group B). Treads of public stairs are 0.26 to 0.32 m. All stairs of a walk may be wrong alike: they may be level
-# steps of 0.7 m. In trouser pockets of strangers 7 % of level steps are called stairs (docs/benchmarks.md); where
+# steps of 0.7 m. In back pockets of strangers 5 to 7 % of level steps are called stairs (docs/benchmarks.md); where
 # level steps and stairs are as many, the square of that error is 0.07 x 0.93 x 0.41^2 m2, or 0.10 m. Down the same, as
 # nobody knows who skips the end of a landing.
 _UPSTAIRS = known_length(0.29, 0.05, shared_std_m=0.10)

@@ -1,6 +1,6 @@
 """Every step-length model on sites that it has not seen, with the height known and unknown.
 
-usage: python -m tests.benchmarks.step_length_sites [--data ../shared/data] [sites places]
+usage: python -m tests.benchmarks.step_length_sites [--data ../shared/data] [sites places floor]
 
 Sites with known distances, the walks on foot of: humolire (straight legs by displacement), ms_indoor and ipin21
 (waypoints more than 4 m apart, by displacement), oxiod (visual odometry over a floor, motion capture in a room) and
@@ -15,6 +15,9 @@ sites alike; ipin21, one recording of 120 m, is never fitted to, only predicted.
    scale from the first five stretches of 20 m, the RMS of that person's others, and of the sum of these.
    ubicomp13, one route of unknown length: spread of its predicted length over 66 walks.
 2. The default as it ships, by site and place of the phone: in sample but for running, and but for ipin21.
+3. What people leave of the error, and what is left when somebody's own factor is known: two halves of each recording
+   (every other stretch) of ms_indoor and humolire, the recordings of each person of ipol. Differences between them are
+   of single stretches, of the truth and of trials; what they have in common is of the person, or of the day.
 """
 
 from __future__ import annotations
@@ -378,22 +381,55 @@ def sites_tables(tables: Tables, walks: list[list[Stretch]], data: Path) -> None
         tables.write(name, columns, rows, about)
 
 
+def log_error(stretches: Sequence[Stretch]) -> float:
+    """Of the default as it ships, over some stretches."""
+    fit_m = sum(
+        w * bounce_fit(s.height_m).predict(step)[0]
+        for s in stretches
+        for w, step in zip(s.weight, s.steps, strict=True)
+    )
+    return float(np.log(fit_m / sum(s.distance_m for s in stretches)))
+
+
 def places_table(tables: Tables, walks: list[list[Stretch]]) -> None:
     """Table 2."""
     by_place: dict[tuple[str, str], list[float]] = defaultdict(list)
     for walk in walks:
-        fit_m = sum(
-            w * bounce_fit(s.height_m).predict(step)[0] for s in walk for w, step in zip(s.weight, s.steps, strict=True)
-        )
         one = walk[0]
         group = one.person if one.site in ("oxiod", "ipol") else one.site
-        by_place[group, one.place].append(float(np.log(fit_m / sum(s.distance_m for s in walk))))
+        by_place[group, one.place].append(log_error(walk))
     rows = [[group, place, str(len(e)), percent(np.array(e))] for (group, place), e in by_place.items()]
     tables.write("step_length_places", ["who, where", "place of the phone", "recordings", "bias ± spread %"], rows)
 
 
+def floor_table(tables: Tables, walks: list[list[Stretch]]) -> None:
+    """Table 3."""
+    rows: list[list[str]] = []
+    for site in ("ms_indoor", "humolire", "ipol"):
+        of_site = [w for w in walks if w[0].site == site]
+        if site == "ipol":
+            people = sorted({w[0].person for w in of_site})
+            groups = [np.array([log_error(w) for w in of_site if w[0].person == p]) for p in people]
+            who, in_recording = "people", 1
+        else:
+            groups = [np.array([log_error(w[::2]), log_error(w[1::2])]) for w in of_site if len(w) > 1]
+            who, in_recording = "recordings", 2
+        own_var = float(np.mean([g.var(ddof=1) for g in groups]))
+        between_var = float(np.var([g.mean() for g in groups], ddof=1)) - own_var / len(groups[0])
+        e = np.array([log_error(w) for w in of_site])
+        figures = [
+            np.sqrt(np.mean(e**2)),
+            abs(e.mean()),
+            np.sqrt(max(between_var, 0.0)),
+            np.sqrt(own_var / in_recording),
+        ]
+        rows.append([site, str(len(e)), f"{len(groups)} {who}", *(f"{100 * v:.1f}" for v in figures)])
+    columns = ["site", "recordings", "of", "RMS", "bias", "these differ by", "left with the factor of each"]
+    tables.write("step_length_floor", columns, rows, "Error of the distance of a recording, %, as shipped.")
+
+
 def main() -> None:
-    args = options(__doc__, "sites", "places").parse_args()
+    args = options(__doc__, "sites", "places", "floor").parse_args()
     tables = Tables.of(__spec__.name, args)
     found = [list(stretches_of(p)) for site in SITES for p in paths(args.data, site)]
     walks = [w for w in found if sum(s.distance_m for s in w) >= SHORTEST_M]
@@ -401,6 +437,8 @@ def main() -> None:
         sites_tables(tables, [w for w in walks if "running" not in w[0].place], args.data)
     if "places" in args.parts:
         places_table(tables, walks)
+    if "floor" in args.parts:
+        floor_table(tables, walks)
 
 
 if __name__ == "__main__":

@@ -14,6 +14,9 @@ the probabilities behind them, also of the recordings of MotionSense with one ac
 `evidence`: log loss and distance with other evidence: floors, exponents, and a classifier that may be wrong about a
 person, for as long as the recording lasts.
 
+`prior`: error of the distance with each exponent of the prior, and of the exponent with the least error, beside that of
+HC, over the joined walks, Di Fronzo and MotionSense without the person. The other sets chose nothing.
+
 `simulated`: walks with exact distances, phone in the hand. The shipped model takes all that a simulated hand does for
 walking, which says nothing about weightings. So each walk gets the windows of one of the people above: for every
 stretch of a context, what the model that had not seen them said of theirs, in order from its start.
@@ -290,6 +293,57 @@ def evidence(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
     tables.write("weightings_evidence", ["evidence", *sets], rows, about)
 
 
+PRIOR_EXPONENTS = (0.0, 0.1, 0.15, 0.2, 0.25, 0.3, 0.4, 0.6, 1.0)
+CHOSEN_ON = ("joined walks", "difronzo", "motionsense")
+
+
+def prior(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
+    """Distance of the IMM by the exponent of the prior, and of the one that is chosen without the person."""
+    moved = {name: [w for w in walks if w.known_m > 0] for name, walks in sets.items()}
+    errors = {name: np.array([errors_by_prior(w) for w in walks]) for name, walks in moved.items()}
+    of_hc = {
+        name: np.array([[tracked(w.events, w.config, "hc")[-1].walked_m / w.known_m - 1] for w in walks])
+        for name, walks in moved.items()
+    }
+
+    def chosen_without(person: str) -> int:
+        """The exponent with the least RMS error beside that of HC, mean of the sets."""
+        ratios: list[FloatArray] = []
+        for name in CHOSEN_ON:
+            others = np.array([w.person != person for w in moved[name]])
+            ratios.append(rms(errors[name][others]) / rms(of_hc[name][others]))
+        return int(np.mean(ratios, axis=0).argmin())
+
+    rows = [
+        [f"{k:.2f}", *(f"{100 * rms(e[:, i : i + 1])[0]:.1f}" for e in errors.values())]
+        for i, k in enumerate(PRIOR_EXPONENTS)
+    ]
+    nested: list[str] = []
+    for name, walks in moved.items():
+        own = [e[chosen_without(w.person)] for w, e in zip(walks, errors[name], strict=True)]
+        nested.append(f"{100 * rms(np.array(own)[:, None])[0]:.1f}" if name in CHOSEN_ON else "")
+    rows.append(["chosen without the person", *nested])
+    rows.append(["HC", *(f"{100 * rms(e)[0]:.1f}" for e in of_hc.values())])
+    chosen = sorted({PRIOR_EXPONENTS[chosen_without(w.person)] for name in CHOSEN_ON for w in moved[name]})
+    about = f"RMS error of the distance, %. Chosen without one person: {chosen[0]:.2f} to {chosen[-1]:.2f}."
+    tables.write("weightings_prior", ["exponent of the prior", *sets], rows, about)
+
+
+def errors_by_prior(walk: Walk) -> FloatArray:
+    """Relative error of the IMM's distance with each exponent, (E,)."""
+    found: list[float] = []
+    for exponent in PRIOR_EXPONENTS:
+        model = replace(walk.config.model, prior_exponent=exponent)
+        _, smoothed = chain(model, walk.evidence, model.evidence_exponent, model.evidence_floor, ONE_KIND)
+        found.append(float((smoothed * walk.length_m).sum()) / walk.known_m - 1)
+    return np.array(found)
+
+
+def rms(errors: FloatArray) -> FloatArray:
+    """Root mean square over the rows."""
+    return np.sqrt(np.mean(errors**2, axis=0))
+
+
 # --- Simulated walks -------------------------------------------------------------------------------------------------
 
 Change = Callable[[WindowContext], WindowContext]
@@ -368,7 +422,7 @@ def simulated(tables: Tables, sets: Mapping[str, list[Walk]], n_walks: int = 24)
 
 
 def main() -> None:
-    parts = {"real": real, "evidence": evidence, "simulated": simulated}
+    parts = {"real": real, "evidence": evidence, "prior": prior, "simulated": simulated}
     parser = options(str(__doc__), *parts)
     parser.add_argument("--cache", type=Path, default=None, help="keeps windows and models")
     args = parser.parse_args()

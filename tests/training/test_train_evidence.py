@@ -248,7 +248,7 @@ def test_held_out_losses_are_of_people_who_had_no_part_in_matrix_or_exponents() 
         own = part_of(sequences.windows, sequences.windows.person == person)
         for name, of_evidence, of_prior in (
             ("held_out", choice.evidence_exponent, choice.prior_exponent),
-            ("held_out_default_exponents", 1.0, 0.4),
+            ("held_out_default_exponents", 1.0, 0.2),
         ):
             loss = log_loss_by_person(own, between, np.array([of_evidence]), np.array([of_prior]), 0.01)[1]
             expected[name].append(float(loss[0, 0]))
@@ -269,7 +269,7 @@ def test_the_person_of_a_part_is_left_out_with_all_of_it_where_there_are_many_pe
 
 def is_default(found: Transitions, what: str = "both") -> bool:
     same_matrix = np.array_equal(found.transition_prob, context_transitions())
-    same_exponents = (found.evidence_exponent, found.prior_exponent) == (1.0, 0.4)
+    same_exponents = (found.evidence_exponent, found.prior_exponent) == (1.0, 0.2)
     return same_exponents and (same_matrix or what == "exponents")
 
 
