@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
-from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
+from pdr_filter.filter.step_length import StepLengths, uneven_var_m2
 from pdr_filter.filter.weighting import ModeEvidence
 from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
 
@@ -135,9 +135,7 @@ class PedestrianModel:
         One that is too quick for walking and too soft for running may be anything from a step on the spot to twice as
         long as a model says: L^2 / 3.
         """
-        var_m2 = self._lengths.residual_var_m2
-        if step.from_rest:
-            var_m2 = var_m2 + PAUSE_STD_M**2 * self.moves
+        var_m2 = self._lengths.residual_var_m2 + uneven_var_m2(step) * self.moves
         return var_m2 + length_m * length_m / 3.0 if step.is_quick_and_soft else var_m2
 
     def mean_heading_offset_rad(self, mode_prob: FloatArray) -> float:

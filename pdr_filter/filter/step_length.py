@@ -281,6 +281,11 @@ class BounceStepLength:
         return part * min(step.stride_amplitude_mps2 / step.usual_amplitude_mps2, 1.0) ** 0.25
 
 
+def uneven_var_m2(step: Step) -> float:
+    """Variance that a step has besides that of an even one."""
+    return (_PAUSE_STD_M if step.from_rest else 0.0) ** 2 + (_UNEVEN_STD_M * step.unevenness) ** 2
+
+
 # --- fits -----------------------------------------------------------------------------------------------------------
 
 
@@ -399,7 +404,11 @@ RESIDUAL_STD_M = 0.06
 # What a step from rest has besides. It is half a step, or what is between two contacts that were found: in the pauses
 # of walks with a continuous reference (oxiod, tyrex; 19) people went 0.7 m further, in those of ms_indoor half a step
 # is right. 0.7 m in one of four.
-PAUSE_STD_M = 0.35
+_PAUSE_STD_M = 0.35
+# What a step has besides whose duration is not the usual one, by so many times the part by which it differs: in a turn,
+# a halt, or where a contact was missed. Most likely of 3,600 steps of walking with a continuous reference (oxiod); of
+# 1,500 on tyrex it would be 0.95.
+_UNEVEN_STD_M = 0.6
 # k of men and women, text of eq. 2 of Tian et al. 2016; the distances of ten people over 28 m have a standard deviation
 # of 3.58 m (Table VII).
 _STATIC_K = {"M": 0.415, "F": 0.413}

@@ -62,6 +62,7 @@ class Step:
     stride_amplitude_mps2: float = 0.0
     # Geometric mean of the amplitude over the person's last steps, this one included; 0 before the second of a bout.
     usual_amplitude_mps2: float = 0.0
+    usual_duration_s: float = 0.0  # geometric mean over the person's steps before; 0 where there are none
     # How fast the device turned over this step and the one before, without sign: the sway of a stride is not in it.
     turn_rate_radps: float = 0.0
     from_rest: bool = False  # the first of a bout, or after a pause: it began with the feet together
@@ -82,6 +83,13 @@ class Step:
     def is_quick_and_soft(self) -> bool:
         """Whether it is too quick for walking and too soft for running: no model of its length or direction holds."""
         return self.frequency_hz > _QUICK_HZ and self.vertical_amplitude_mps2 < _SOFT_MPS2
+
+    @property
+    def unevenness(self) -> float:
+        """By which part of the usual duration it is shorter or longer, at most 1; 0 where none is usual."""
+        if self.usual_duration_s <= 0:
+            return 0.0
+        return min(abs(self.duration_s / self.usual_duration_s - 1.0), 1.0)
 
     @property
     def vertical_range_mps2(self) -> float:

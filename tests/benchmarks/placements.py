@@ -9,8 +9,8 @@ recipes: oxiod against its continuous reference, at the times of the steps: RMSE
 translation onto the whole reference; median over the walks of a group. The reference is averaged over half a second,
 and on the trolley, where there are no steps, taken every second.
 
-corridors: the same figure without axes, with them as they come, and in hindsight; how many walks used them in the end.
-They were chosen on humolire and ms_indoor, not on the others.
+corridors: the same figure without axes, with them as they come, and in hindsight; how many walks surely kept to them in
+the end. They were chosen on humolire and ms_indoor, not on the others.
 
 trust: how often a track is off by more than its 95 % ellipse, after the truth is turned and moved into the track's
 frame by the first 20 % of the path, which then do not count; the same where the track does not say that strides do not
@@ -86,7 +86,7 @@ def rmse_m(walk: Walk, track: pdr.Track) -> float:
 def without_axes(config: pdr.Config) -> pdr.Config:
     heading = config.sensing.heading
     assert isinstance(heading, WalkingHeading)
-    heading = replace(heading, corridors=replace(heading.corridors, sure_log_odds=1e9))
+    heading = replace(heading, corridors=replace(heading.corridors, rectangular_prob=1e-12))
     return replace(config, sensing=replace(config.sensing, heading=heading))
 
 
@@ -123,7 +123,7 @@ def of_corridors(tables: Tables, data: Path) -> None:
         [g, len(v), *(f"{np.median(v[:, k]):.2f}, {v[:, k].mean():.2f}" for k in range(3)), int(v[:, 3].sum())]
         for g, v in grouped(rows).items()
     ]
-    columns = ["walks of", "n", "without axes", "with", "in hindsight", "used"]
+    columns = ["walks of", "n", "without axes", "with", "in hindsight", "sure"]
     tables.write("corridors", columns, lines, "RMSE in m: median, mean.")
 
 

@@ -120,6 +120,17 @@ def test_how_far_a_step_from_rest_went_is_less_known_where_somebody_walks(weight
     np.testing.assert_allclose(added_m2, np.diag([0.0, 0.25 * 0.7**2 if context == WALKING else 0.0]), atol=1e-9)
 
 
+@pytest.mark.parametrize("duration_s", [0.4, 0.6])
+def test_how_long_an_uneven_step_is_is_less_known(duration_s: float) -> None:
+    even = replace(a_step(1.5), duration_s=duration_s, usual_duration_s=duration_s)
+    uneven = replace(even, usual_duration_s=0.5)
+    m = model()
+    length_m, of_even, _ = m.lengths(even)
+    same_m, of_uneven, _ = m.lengths(uneven)
+    np.testing.assert_array_equal(same_m, length_m)
+    np.testing.assert_allclose(of_uneven - of_even, (0.6 * 0.2) ** 2 * m.moves, atol=1e-12)
+
+
 # --- HC and WC against the algorithms -------------------------------------------------------------------------------
 
 

@@ -272,7 +272,7 @@ def test_a_grid_of_two_places_finds_a_walk_that_began_anywhere_and_has_the_same_
     walk = replace(WALK, magnetometer=None)
     track = pdr.track(walk, config, fixes=grids)
     assert [fix.outcome for fix in track.fixes] == ["used"] * 3 and track.fixes[0].kind == "grid"
-    assert errors_m(track, WALK)[-1] < 2.0
+    assert errors_m(track, WALK)[-1] < 2.5
     samples, online = pdr.merge_streams(walk), pdr.OnlineFilter(config)
     for grid in grids:
         online.add_fix(grid)
@@ -300,7 +300,7 @@ def test_a_grid_without_a_plan_is_refused_with_the_remedy() -> None:
 
 
 def test_in_hindsight_the_ellipse_reaches_dead_reckoning_where_the_end_is_doubted(tmp_path: Path) -> None:
-    closed = [*FEATURES, feature("room", box(12, -1.4, 30, 1.4))]
+    closed = [*FEATURES, feature("room", box(8, -1.4, 30, 1.4))]
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", closed))
     # whether particles find a way in is chance: with this seed few do
     hindsight = pdr.smooth(WALK, FIXES, config=in_world(6, plan)).track

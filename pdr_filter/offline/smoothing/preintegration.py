@@ -27,7 +27,7 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     step_motion,
 )
-from pdr_filter.filter.step_length import PAUSE_STD_M, StepLengths
+from pdr_filter.filter.step_length import StepLengths, uneven_var_m2
 from pdr_filter.values import FloatArray, IntArray, Table, read_only, steps_of
 
 # d R(theta) / d theta = TURN @ R(theta): headings are clockwise, vectors (east, north).
@@ -82,7 +82,8 @@ def increments(
     """
     n = len(steps)
     lengths = StepLengths(tuple(m.step_length for m in modes))
-    found = [lengths.predict(step) for step in steps_of(steps)]
+    each = steps_of(steps)
+    found = [lengths.predict(step) for step in each]
     moves = np.array([m.moves for m in modes])
     length_m = np.array([f[0] for f in found]).reshape(n, len(modes)) * moves
     variance = np.array([f[1] for f in found]).reshape(n, len(modes))
@@ -91,8 +92,8 @@ def increments(
 
     directions = Directions.of(modes)
     device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
-    of_pauses = PAUSE_STD_M**2 * np.asarray(steps.from_rest)[:, None] * moves
-    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, residual_var + of_pauses, directions)
+    own_var = residual_var + np.array([uneven_var_m2(step) for step in each]).reshape(n, 1) * moves
+    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, own_var, directions)
     along, across = move.along, move.across
     displacement_m = move.length_m[..., None] * along
     displacement = np.einsum("km,kma->ka", mode_prob, displacement_m)

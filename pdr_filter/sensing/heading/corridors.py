@@ -7,8 +7,9 @@ part is a measurement of the direction modulo 90 degrees, and perhaps of none (B
 `pdr_filter.sensing.bias`). The other hypothesis is that legs point anywhere.
 
 The odds of the two count the first step of a leg in a new direction only: who goes straight on says nothing of axes,
-and a slow curve looks like a drift. Only overwhelming odds are used; free walks, circles and curved aisles must cost
-nothing. So the drift of a walk is known after some corners, and with it all of its past (docs/methods/heading.md).
+and a slow curve looks like a drift. They begin low, and the drift of the axes counts with its probability: free walks,
+circles and curved aisles must cost nothing. So the drift of a walk is known after some corners, and with it all of its
+past (docs/methods/heading.md).
 """
 
 from __future__ import annotations
@@ -66,15 +67,15 @@ class Corridors:
     rectangular_prob : float
         How often a walk keeps to axes at right angles: rarely, so that it has to be shown.
     sure_log_odds : float
-        Log odds from which the drift is used. 6 were never reached in malls, rooms and free walks, and are after four
-        to six corners of an office.
+        Log odds from which a walk is said to keep to axes, and the phone's gyroscope learns from them. 6 were never
+        reached in malls, rooms and free walks, and are after four to six corners of an office.
     n_straight, straight_rad, straight_s : int, float, float
         So many steps in so short a time are a straight part if their headings are this close together.
     leg_std_rad : float
         How far a leg is off its axis.
     step_std_rad : float
-        How far a step is off it, as an independent measurement: the steps of a leg have one error, and eight of them
-        say together what a leg says.
+        How far a step is off it, as an independent measurement: the steps of a leg have one error, and two of them say
+        together what a leg says.
     outlier_prob : float
         How often a straight part follows no axis where there are some.
     corner_rad : float
@@ -93,8 +94,8 @@ class Corridors:
     n_straight: int = 4
     straight_rad: float = math.radians(20.0)
     straight_s: float = 4.0
-    leg_std_rad: float = math.radians(4.0)
-    step_std_rad: float = math.radians(11.0)
+    leg_std_rad: float = math.radians(6.0)
+    step_std_rad: float = math.radians(8.0)
     outlier_prob: float = 0.1
     corner_rad: float = math.radians(30.0)
     wander_rad_per_sqrt_s: float = math.radians(0.05)
@@ -147,18 +148,34 @@ class Corridors:
         is_new = abs(float(wrap_angle(heading_rad - last_leg_rad))) > self.corner_rad
         return self._see(state, heading_rad, is_new)
 
-    def drift(self, state: CorridorState) -> tuple[float, float] | None:
-        """By how much headings are too far clockwise since the first step, and its variance; None if it is unsure."""
-        # the leg that is walked now, of which some steps have been seen, is off its axis too
-        return self._moments(state, np.array([1.0, 0.0, 0.0, 0.0]), (0.5 * self.leg_std_rad) ** 2)
+    def probability(self, state: CorridorState) -> float:
+        """That the walk keeps to axes."""
+        return 1.0 / (1.0 + math.exp(-state.log_odds))
 
-    def drift_in_time(self, state: CorridorState) -> tuple[float, float] | None:
-        """The part of the drift that came with time, not with turning, and its variance; None if it is unsure."""
+    def is_sure(self, state: CorridorState) -> bool:
+        """Whether the odds of axes are overwhelming."""
+        return state.log_odds >= self.sure_log_odds
+
+    def drift(self, state: CorridorState) -> tuple[float, float]:
+        """By how much headings are too far clockwise since the first step, if there are axes, and its variance."""
+        # the steps of the leg that is walked now are off its axis alike
+        return self._moments(state, np.array([1.0, 0.0, 0.0, 0.0]), self.leg_std_rad**2)
+
+    def drift_in_time(self, state: CorridorState) -> tuple[float, float]:
+        """The part of the drift that came with time, not with turning, and its variance."""
         return self._moments(state, np.array([1.0, 0.0, 0.0, -state.turned_rad]), 0.0)
 
-    def _moments(self, state: CorridorState, of: FloatArray, besides_rad2: float) -> tuple[float, float] | None:
-        if state.log_odds < self.sure_log_odds:
-            return None
+    def mixed(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
+        """Mean and variance of the drift, which is known in another way if the walk keeps to no axes.
+
+        Axes that are improbable, and far from what else is known, add more to the variance than they take away.
+        """
+        prob, (drift_rad, var_rad2) = self.probability(state), self.drift(state)
+        apart_rad = drift_rad - free_rad
+        var_rad2 = prob * var_rad2 + (1.0 - prob) * (free_var_rad2 + prob * apart_rad * apart_rad)
+        return free_rad + prob * apart_rad, var_rad2
+
+    def _moments(self, state: CorridorState, of: FloatArray, besides_rad2: float) -> tuple[float, float]:
         weight, values = np.exp(state.log_weight), state.mean @ of
         mean = float(weight @ values)
         return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2

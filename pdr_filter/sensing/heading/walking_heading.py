@@ -330,11 +330,9 @@ class WalkingHeading:
             corridors=self.corridors.step(state.corridors, step.time_s, walking_rad),
             of_bias_rad=of_bias_rad,
         )
-        error_rad, error_var = self._error(state)
-        # axes show the walking heading itself, biases only that of the device
-        var_rad2 = error_var if math.isfinite(error_var) else shown.var_rad2 + of_bias_var
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var)
         reported, heard = reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
-        shown_too = _shown(state, on_axes=math.isfinite(error_var))
+        shown_too = _shown(state, on_axes=self.corridors.is_sure(state.corridors))
         return replace(state, reported=reported), replace(step, **heard, **shown_too)
 
     def _with_loss(
@@ -350,23 +348,28 @@ class WalkingHeading:
         return replace(state, of_bias_var_rad2=var_rad2), replace(step, yaw_bias_std_radps=std)
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
-        """What time has added to the device's heading, rad, and its variance: infinite unless axes show it."""
-        shown = self.corridors.drift_in_time(state.corridors)
-        return (0.0, math.inf) if shown is None else (state.error_rad + shown[0], shown[1])
+        """What time has added to the device's heading, rad, and its variance: infinite unless axes are sure."""
+        if not self.corridors.is_sure(state.corridors):
+            return 0.0, math.inf
+        shown_rad, var_rad2 = self.corridors.drift_in_time(state.corridors)
+        return state.error_rad + shown_rad, var_rad2
 
-    def _error(self, state: WalkingHeadingState) -> tuple[float, float]:
-        """By how much the device's heading is too large; its variance if axes show it, and infinite otherwise."""
-        shown = self.corridors.drift(state.corridors)
-        if shown is None:
-            return state.error_rad + state.of_bias_rad - state.error_of_bias_rad, math.inf
-        return state.error_rad + shown[0], shown[1]
+    def _error(self, state: WalkingHeadingState, free_var_rad2: float) -> tuple[float, float]:
+        """By how much the device's heading is too large, and the variance of the walking heading without that error.
+
+        Axes show the walking heading itself. Without axes there is what biases show of the device's heading, and the
+        walking heading has the variance `free_var_rad2`.
+        """
+        free_rad = state.of_bias_rad - state.error_of_bias_rad
+        drift_rad, var_rad2 = self.corridors.mixed(state.corridors, free_rad, free_var_rad2)
+        return state.error_rad + drift_rad, var_rad2
 
     def _without_axes(self, state: WalkingHeadingState) -> WalkingHeadingState:
         """State that looks for axes anew, because headings do not follow on those before; what they showed is kept."""
         return replace(
             state,
             corridors=self.corridors.restart(state.corridors),
-            error_rad=self._error(state)[0],
+            error_rad=self._error(state, 0.0)[0],
             error_of_bias_rad=state.of_bias_rad,
         )
 

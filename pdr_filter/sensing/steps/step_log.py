@@ -178,6 +178,7 @@ class StepLog:
                     turn_rate_radps=turn_rate_radps,
                     stride_amplitude_mps2=0.5 * (before_mps2 + own_mps2) if goes_on else own_mps2,
                     usual_amplitude_mps2=usual_mps2,
+                    usual_duration_s=usual_s if usual_s < inf else 0.0,
                     from_rest=is_long and not is_two,
                     is_two=is_two,
                 )

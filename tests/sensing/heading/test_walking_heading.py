@@ -397,7 +397,8 @@ def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> No
     assert abs(offset[half]) < 0.02
     assert 0.035 < variance[half] < 0.05
     assert_allclose(offset[-1], -0.3, atol=0.02)
-    assert 0.01 < variance[-1] < 0.015
+    # the walk may keep to axes, one in twenty, which showed no error
+    assert 0.01 < variance[-1] < 0.01 + 0.05 * 0.3**2 + 0.005
 
 
 # --- missing data ----------------------------------------------------------------------------------------------------

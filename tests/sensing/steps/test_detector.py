@@ -56,6 +56,17 @@ def test_a_slow_walker_does_not_rest_between_steps() -> None:
     assert [s.from_rest for s in steps] == [True, False, False, False, False]
 
 
+def test_the_usual_duration_is_that_of_the_steps_before_without_pauses_and_tells_how_uneven_a_step_is() -> None:
+    walks = np.full(900, 2.0)
+    walks[315:445] = 0.0
+    steps = logged([100, 150, 200, 260, 310, 450, 500], walks)
+    assert [s.usual_duration_s for s in steps[:2]] == [0.0, 0.0]
+    assert steps[2].usual_duration_s == pytest.approx(0.5)
+    assert [s.unevenness for s in steps[:4]] == pytest.approx([0.0, 0.0, 0.0, 0.2])
+    assert steps[5].unevenness == 1.0
+    assert steps[6].usual_duration_s == pytest.approx(steps[5].usual_duration_s)
+
+
 def test_the_usual_amplitude_is_the_geometric_mean_of_the_steps_so_far_without_those_from_rest() -> None:
     amplitude = np.concatenate([np.full(150, 5.0), np.full(50, 2.0), np.full(50, 1.0), np.full(150, 3.0)])
     steps = logged([150, 200, 250, 300], amplitude)
