@@ -52,8 +52,7 @@ class PositionFix:
         _take_arrays(self, "position_m", "cov_m2")
         if self.position_m.shape != (2,) or not (np.abs(self.position_m) <= _MAX_M).all():
             raise ValueError(f"position_m must be (east, north) in m, up to {_MAX_M:g}, got {self.position_m}")
-        symmetric = self.cov_m2.shape == (2, 2) and np.allclose(self.cov_m2, self.cov_m2.T)
-        if not (symmetric and np.isfinite(self.cov_m2).all() and _are_variances(np.linalg.eigvalsh(self.cov_m2))):
+        if not (self.cov_m2.shape == (2, 2) and _is_cov(self.cov_m2)):
             raise ValueError(
                 "cov_m2 must be a symmetric positive definite (2, 2) array in m2, of standard deviations from "
                 f"{_MIN_STD:g} to {_MAX_STD:g} m, got {self.cov_m2}"
@@ -232,6 +231,13 @@ class Standstill:
         _check_times(self.time_s, self.received_time_s)
         if not self.time_s < self.end_s < np.inf:
             raise ValueError(f"a standstill must end after its begin, got {self.time_s} to {self.end_s} s")
+
+
+def _is_cov(cov_m2: FloatArray) -> bool:
+    """Whether it is symmetric, but for rounding, and positive definite, (2, 2)."""
+    (_, upper), (lower, _) = cov_m2.tolist()
+    is_symmetric = abs(upper - lower) <= 1e-8 + 1e-5 * abs(lower)
+    return is_symmetric and bool(np.isfinite(cov_m2).all()) and _are_variances(np.linalg.eigvalsh(cov_m2))
 
 
 def _are_variances(values: NDArray[Any]) -> bool:
