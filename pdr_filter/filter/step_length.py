@@ -348,7 +348,7 @@ class StepLengths:
                 start, p = starts[fit.model], fit.model.n_params
                 of_length[start : start + p] = fit.theta
                 of_var[start + p : start + p + p * p] = fit.theta_cov.ravel()
-        return coefficients.reshape(-1, n_terms)
+        return coefficients.reshape(2 * len(self.fits), n_terms)
 
     @cached_property
     def residual_var_m2(self) -> FloatArray:
@@ -367,7 +367,7 @@ class StepLengths:
             r = model.regressors(step).tolist()
             terms += r
             terms += [a * b for a in r for b in r]
-        moments = self._of_terms.dot(np.array(terms)).reshape(2, -1)
+        moments = self._of_terms.dot(np.array(terms)).reshape(2, len(self.fits))
         for i, fit in self._smooth:
             moments[:, i] = _moments(fit.model, step, fit.theta, fit.theta_cov)
         moments = np.maximum(moments, 0.0)

@@ -342,6 +342,8 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (TABLES, "test_what_is_left_out_of_a_folder_is_noted"),
         (TABLES, "test_the_walk_comes_back"),
     ],
+    ("all", "a folder for each sensor"): [(WRAPPED, "test_a_folder_for_each_sensor_is_one_recording")],
+    ("tables", "seconds and nanoseconds of ROS in two columns"): [(TABLES, "test_the_walk_comes_back")],
     ("MATLAB", "timetables, of MATLAB Mobile; version 7.3"): [
         (MATLAB, "test_timetables_of_matlab_mobile_are_read"),
         (MATLAB, "test_version_7_3_is_refused_with_how_to_save_it"),

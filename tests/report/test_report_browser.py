@@ -240,7 +240,7 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     browser.click("[name=track][value='1']")
     assert "Only the other has this" in browser.words("body")
     assert shown(browser)["step"].startswith(f"{track.n_steps} ")
-    assert shown(browser)["east, north"] == ", ".join(f"{v:.1f}" for v in other.position_m[-1]) + " m"
+    assert shown(browser)["east, north"] == ", ".join(f"{round(v, 2):.1f}" for v in other.position_m[-1]) + " m"
 
 
 def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
