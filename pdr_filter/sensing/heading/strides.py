@@ -12,10 +12,9 @@ from dataclasses import dataclass
 from functools import lru_cache
 
 import numpy as np
-from numpy.typing import NDArray
 
 from pdr_filter.sensing.heading.vectors import Vector, across, combined, cross, dot
-from pdr_filter.values import BoolArray, FloatArray, IntArray
+from pdr_filter.values import BoolArray, ComplexArray, FloatArray, IntArray
 
 # Longer ones may be two: 1.4 steps a second is slow, 2.8 running.
 _TWO_STRIDES_S = 1.4
@@ -152,16 +151,14 @@ def in_mean_frame(
     return flat[0] - tilted * ups[0], flat[1] - tilted * ups[1]
 
 
-def harmonics(
-    signals: FloatArray, ends: IntArray, rate_hz: float
-) -> tuple[NDArray[np.complex128], NDArray[np.complex128]]:
+def harmonics(signals: FloatArray, ends: IntArray, rate_hz: float) -> tuple[ComplexArray, ComplexArray]:
     """Complex amplitudes (K, 3) of signals (3, T), once and twice a stride.
 
     The last signal is the vertical specific force, the others are horizontal. The samples are a stride, or two strides
     if every other step was missed: if they are slow, and the vertical force goes up and down four times rather than
     twice, or the horizontal one twice with an amplitude that nobody has at each of such slow steps.
     """
-    amplitudes: NDArray[np.complex128] = np.empty((len(ends) - 1, 3, 3), np.complex128)
+    amplitudes: ComplexArray = np.empty((len(ends) - 1, 3, 3), np.complex128)
     for of_stride, start, end in zip(amplitudes.view(np.float64), ends[:-1].tolist(), ends[1:].tolist(), strict=True):
         np.matmul(signals[:, start:end], _waves(end - start), out=of_stride)
     once, twice, four_times = amplitudes[:, :, 0], amplitudes[:, :, 1], amplitudes[:, :, 2]
@@ -171,7 +168,7 @@ def harmonics(
     return np.where(is_double, twice, once), np.where(is_double, four_times, twice)
 
 
-def in_phase(amplitudes: NDArray[np.complex128], phase_rad: FloatArray) -> NDArray[np.complex128]:
+def in_phase(amplitudes: ComplexArray, phase_rad: FloatArray) -> ComplexArray:
     """Part (K,) of horizontal amplitudes, forward + i right, m/s2, in phase with the vertical ones advanced by (K,)."""
     horizontal, vertical = amplitudes[:, :2], amplitudes[:, 2]
     size = np.abs(vertical)
@@ -180,7 +177,7 @@ def in_phase(amplitudes: NDArray[np.complex128], phase_rad: FloatArray) -> NDArr
     return shared[:, 0] + 1j * shared[:, 1]
 
 
-def power(amplitudes: NDArray[np.complex128]) -> FloatArray:
+def power(amplitudes: ComplexArray) -> FloatArray:
     """Squared amplitude (K,) of all signals (K, n) together."""
     return (amplitudes.real**2 + amplitudes.imag**2).sum(axis=1)
 
@@ -192,7 +189,7 @@ def _waves(n: int) -> FloatArray:
     Real and imaginary parts one after the other, (N, 6). None has a mean, so that that of a signal does not enter.
     """
     part = (np.arange(n) - 0.5 * (n - 1)) / n
-    waves: NDArray[np.complex128] = np.exp(-2j * np.pi * np.outer(part, [1.0, 2.0, 4.0]))
+    waves: ComplexArray = np.exp(-2j * np.pi * np.outer(part, [1.0, 2.0, 4.0]))
     # the faster ones have no slope, so that a slow change does not enter; of the first too little would remain
     waves[:, 1:] -= np.outer(part, part @ waves[:, 1:] / (part @ part))
     return (2.0 / n * waves).view(np.float64)

@@ -53,7 +53,6 @@ from pdr_filter.values import (
 )
 
 _TEXTING = CARRYING_MODES.index("texting")
-_HELD = (_TEXTING, CARRYING_MODES.index("calling"))
 _SIDEWAYS = CONTEXTS.index("sideways")
 _RUNNING = CONTEXTS.index("running")
 
