@@ -409,19 +409,20 @@ def at_times(time_s: FloatArray, values: FloatArray, at_s: FloatArray, max_gap_s
 
     Of the samples only the two around each time enter, and the last two where there is none after it.
     """
-    result = np.full((len(at_s), 3), np.nan)
     if len(time_s) < 2 or not len(at_s):
-        return result
+        return np.full((len(at_s), 3), np.nan)
     if np.array_equal(time_s, at_s):
         return values
     right = np.clip(np.searchsorted(time_s, at_s), 1, len(time_s) - 1)
-    left = right - 1
+    left_s, right_s = time_s[right - 1], time_s[right]
     # A stream that starts or ends a few samples away from the accelerometer is held, not extrapolated.
     covered = (at_s > time_s[0] - max_gap_s) & (at_s < time_s[-1] + max_gap_s)
-    measured = (at_s == time_s[left]) | (at_s == time_s[right])  # at the edge of a hole
-    near = covered & (measured | (time_s[right] - time_s[left] <= max_gap_s))
-    fraction = np.clip((at_s - time_s[left]) / (time_s[right] - time_s[left]), 0.0, 1.0)[:, None]
-    between = values[left] + (values[right] - values[left]) * fraction
+    measured = (at_s == left_s) | (at_s == right_s)  # at the edge of a hole
+    near = covered & (measured | (right_s - left_s <= max_gap_s))
+    fraction = np.clip((at_s - left_s) / (right_s - left_s), 0.0, 1.0)[:, None]
+    before, after = values.take(right - 1, axis=0), values.take(right, axis=0)
+    between = before + (after - before) * fraction
     # what was measured at that time is not rounded, so that nothing depends on what else is asked for
-    result[near] = np.where(fraction == 1.0, values[right], between)[near]
-    return result
+    np.copyto(between, after, where=fraction == 1.0)
+    between[~near] = np.nan
+    return between
