@@ -4,9 +4,9 @@ A particle is a place on the plan, a heading offset and a log scale, as the stat
 the frame of the start to the plan, and what it went through of late. A step leads it on as `filter.motion` says, in a
 mode drawn from the tracker's probabilities; the direction that strides show is used in closed form, given the particle
 (a Kalman update of its offset, as in a Rao-Blackwellised filter). What the plan makes of the step weighs it
-(`Terrain`), and so do fixes that the tracker used. A step along a corridor weighs more than one in a hall: people choose
-where to go among the ways that are free, and whom few are free to is found on one of them by chance less often. Without
-it noise, which leads into walls, would draw the particles out of the corridors.
+(`Terrain`), and so do fixes that the tracker used. A step along a corridor weighs more than one in a hall: people
+choose where to go among the ways that are free, and whom few are free to is found on one of them by chance less often.
+Without it noise, which leads into walls, would draw the particles out of the corridors.
 
 The tracker stays what it is without a plan. From it the particles come: at a start that is given, at each fix while
 fixes leave the turn of the track open, and again where nothing on the plan fits the steps any more. So the plan cannot
