@@ -39,10 +39,13 @@ class Terrain:
     off_stairs: float = 2.3  # of a step on stairs beside those that are drawn
     off_lift: float = 4.6  # of a ride in a lift somewhere else than in those that are drawn
     soft_m: float = 0.5  # how well edges are drawn
-    # People choose where to go anew every so many metres, among the directions in which they can. In a corridor there
-    # are few: steps that stay in it say more for it than steps in a hall say for the hall. Of 1.5, 3, 5 and 10 m the
-    # second had the smallest errors on storeys F1 and B1 of the mall (docs/tables/floor_plans_leg.md).
-    leg_m: float = 3.0
+    # People choose where to go anew every `leg_m`, among the directions in which `look_m` are free. In a corridor
+    # there are few: steps that stay in it say more for it than steps in a hall say for the hall. On storeys F1
+    # and B1 of the mall looks of 1.5, 3, 5 and 10 m, each as long as the leg, were tried: 3 m had the smallest
+    # errors. Legs of 3 m have smaller ones there than of 6 m, not on the other storeys, and were wrong and sure
+    # on two walks of nine through the office of humolire whose start was not known; 6 m on none.
+    look_m: float = 3.0
+    leg_m: float = 6.0
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("wall", "room", "outside", "stay_room", "stay_outside", "off_stairs", "off_lift"))
@@ -68,21 +71,21 @@ class Ground:
         return np.asarray(top[cells] * np.where(closed, share, 1.0), dtype=np.float32).ravel()
 
     def of_anybody(self, from_m: FloatArray, length_m: float) -> FloatArray:
-        """What a step from positions (N, 2) costs on average who goes in any direction, (N,)."""
+        """What a step from positions (N, 2) would cost if people chose any direction, (N,): as a share of a leg."""
         index, inside = self.storey.index(from_m)
-        return length_m / self.terrain.leg_m * np.where(inside, self._of_legs[index], 0.0)
+        return length_m / self.terrain.leg_m * np.where(inside, self._of_looks[index], 0.0)
 
     @cached_property
     def of_storey(self) -> float:
         """What a metre costs on average who goes from anywhere in any direction."""
         walkable = self.storey.cells.ravel() <= LIFT
-        return -float(np.log(np.exp(-self._of_legs[walkable]).mean())) / self.terrain.leg_m if walkable.any() else 0.0
+        return -float(np.log(np.exp(-self._of_looks[walkable]).mean())) / self.terrain.leg_m if walkable.any() else 0.0
 
     @cached_property
-    def _of_legs(self) -> _Field:
-        """Minus the logarithm of the mean probability of a leg from each cell, over all directions, flat."""
+    def _of_looks(self) -> _Field:
+        """Minus the logarithm of the mean probability of going `look_m` from each cell, over all directions, flat."""
         height = self.height.reshape(self.storey.cells.shape)
-        (n_rows, n_columns), n = height.shape, round(self.terrain.leg_m / CELL_M)
+        (n_rows, n_columns), n = height.shape, round(self.terrain.look_m / CELL_M)
         around = np.pad(height, n, constant_values=self.terrain.outside)
         prob = np.zeros_like(height)
         for angle_rad in np.arange(_N_DIRECTIONS) * (2.0 * np.pi / _N_DIRECTIONS):

@@ -307,7 +307,7 @@ def radio(tables: Tables, data: Path) -> None:
 def leg(tables: Tables, data: Path) -> None:
     """How often people choose a direction: on the storeys on which it was chosen, and on the others."""
     rows = []
-    for leg_m in (1.5, 3.0, 5.0, 10.0):
+    for leg_m in (3.0, 6.0, 12.0, 100.0):
         row: list[object] = [f"{leg_m:g} m"]
         for pattern in ("_(f1|b1)_", "_f[234]_", "humolire"):
             errors = []

@@ -100,13 +100,13 @@ def test_more_particles_are_needed_where_they_are_spread_further() -> None:
     assert_allclose(needed[1], 45.64 / (2 * 0.05), rtol=0.01)
 
 
-def test_legs_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.FloorPlan) -> None:
+def test_looks_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.FloorPlan) -> None:
     terrain, rng, n = Terrain(stay_room=0.0, stay_outside=0.0), np.random.default_rng(0), 4000
     ground = Ground(plan.storeys[0], terrain)
     for place in ([5.0, 0.0], [20.0, 1.0], [40.0, 9.0], [0.5, 12.0]):
         angle = rng.uniform(0, 2 * math.pi, n)
         from_m = np.full((n, 2), place)
-        to_m = from_m + terrain.leg_m * np.column_stack([np.sin(angle), np.cos(angle)])
+        to_m = from_m + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
         cost, _ = ground.costs(from_m, to_m, np.zeros(n, dtype=bool))
         of_anybody = ground.of_anybody(from_m, terrain.leg_m)
         assert of_anybody[0] > 0.2
@@ -117,8 +117,8 @@ def test_a_corridor_gains_on_a_hall_from_steps_that_stay_in_it(tmp_path: Path) -
     both = [feature("floor", box(-1, -1.4, 41, 1.4)), feature("floor", box(-1, 10, 41, 40))]
     ground = Ground(pdr.FloorPlan.read(write(tmp_path / "p.geojson", both)).storeys[0], Terrain())
     in_corridor, in_hall = ground.of_anybody(np.array([[20.0, 0.0], [20.0, 25.0]]), 0.75)
-    # three of eight directions are free for 3 m, a quarter of which is a step
-    assert in_corridor == pytest.approx(-0.25 * math.log(3 / 8), abs=0.02)
+    # three of eight directions are free for 3 m, and a step is an eighth of a leg
+    assert in_corridor == pytest.approx(-0.125 * math.log(3 / 8), abs=0.01)
     assert in_hall == 0.0
     assert ground.of_anybody(np.array([[500.0, 0.0]]), 0.75) == 0.0
 
@@ -252,7 +252,7 @@ def test_a_walk_along_a_corridor_is_in_the_corridor_rather_than_in_the_hall_besi
     track = pdr.track(WALK, begun(plan, beside), fixes=[pdr.HeadingFix(3.0, math.pi / 2, 0.1)])
     before = int(np.searchsorted(track.time_s, first)) - 1
     in_corridor = sum(c.share for c in track.clusters[before] if c.position_m[1] < 1.5)
-    assert in_corridor > 0.9
+    assert in_corridor > 0.85
 
 
 def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorPlan) -> None:
