@@ -77,9 +77,9 @@ class Ground:
 
     @cached_property
     def of_storey(self) -> float:
-        """What a metre costs on average who goes from anywhere in any direction."""
+        """What a metre costs on average who knows nothing of the plan: from anywhere, in any direction."""
         walkable = self.storey.cells.ravel() <= LIFT
-        return -float(np.log(np.exp(-self._of_looks[walkable]).mean())) / self.terrain.leg_m if walkable.any() else 0.0
+        return -float(np.log(np.exp(-self._of_looks[walkable]).mean())) / self.terrain.look_m if walkable.any() else 0.0
 
     @cached_property
     def _of_looks(self) -> _Field:

@@ -267,8 +267,13 @@ def test_a_walk_that_began_anywhere_is_found_and_sure_only_then(plan: pdr.FloorP
 
 def test_a_walk_that_did_not_begin_where_it_was_said_to_is_lost_and_doubted(plan: pdr.FloorPlan) -> None:
     wrong = pdr.PositionFix(0.0, [25.0, 18.0], 0.25 * np.eye(2))
-    track = pdr.track(WALK, begun(plan, wrong))
-    assert sum(c.share for c in track.clusters[0]) == pytest.approx(0.99, abs=0.005)
+    config = begun(plan, wrong)
+    assert config.on_plan is not None
+    # how long particles find a way on is chance: with this seed for a minute
+    track = pdr.track(WALK, replace(config, on_plan=replace(config.on_plan, seed=1)))
+    known = np.array([sum(c.share for c in clusters) for clusters in track.clusters])
+    assert known[0] == pytest.approx(0.99, abs=0.005)
+    assert known.min() < 0.1
     assert any("nothing on the plan fits" in note for note in track.notes)
 
 
