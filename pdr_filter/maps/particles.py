@@ -4,7 +4,9 @@ A particle is a place on the plan, a heading offset and a log scale, as the stat
 the frame of the start to the plan, and what it went through of late. A step leads it on as `filter.motion` says, in a
 mode drawn from the tracker's probabilities; the direction that strides show is used in closed form, given the particle
 (a Kalman update of its offset, as in a Rao-Blackwellised filter). What the plan makes of the step weighs it
-(`Terrain`), and so do fixes that the tracker used.
+(`Terrain`), and so do fixes that the tracker used. A step along a corridor weighs more than one in a hall: people
+choose where to go among the ways that are free, and whom few are free to is found on one of them by chance less often.
+Without it noise, which leads into walls, would draw the particles out of the corridors.
 
 The tracker stays what it is without a plan. From it the particles come: at a start that is given, at each fix while
 fixes leave the turn of the track open, and again where nothing on the plan fits the steps any more. So the plan cannot
@@ -212,9 +214,10 @@ class ParticleFilter:
             up, down = model.on_stairs
             cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
             x[:, THROUGH] = _THROUGH_MEMORY * x[:, THROUGH] + through
-            state, log_share = _weighed(state, -cost)
-            # whoever pays more for the plan than somebody who knows nothing of it, is not where he is thought to be
-            doubt = max(state.doubt - log_share - ground.of_anybody, _LEAST_DOUBT)
+            # whoever pays more for the plan than somebody who goes anywhere, is not where he is thought to be
+            _, log_share = _weighed(state, -cost)
+            doubt = max(state.doubt - log_share - mean_m * ground.of_storey, _LEAST_DOUBT)
+            state, _ = _weighed(state, ground.of_anybody(from_m, mean_m) - cost)
             state = self._noted(replace(state, doubt=doubt), step.time_s, ground)
         if state.doubt > _MOST_DOUBT or _n_effective(state) < _LEAST_EFFECTIVE:
             return self._again(state, known, model, ground, rng, scale_std, step.time_s)

@@ -1,13 +1,13 @@
 """Walks with a floor plan: how near to the waypoints, how sure, and what a wrong plan does.
 
-usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [radio] [--data ../shared/data]
+usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [radio] [leg] [--data ../shared/data]
 
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone, how much a
-scan of Wi-Fi counts for particles and how uneven steps are on F1 and B1. The other storeys and humolire are other
-walks, but not untouched: what being outside costs is a judgement made after a look at humolire, and a term of the
-filter was dropped because it did not help on the other storeys. Waypoints are good to a metre, which is added to the
-covariances that are compared with them.
+scan of Wi-Fi counts for particles, how uneven steps are and how often people choose a direction on F1 and B1. The other
+storeys and humolire are other walks, but not untouched: what being outside costs is a judgement made after a look at
+humolire, and a term of the filter was dropped because it did not help on the other storeys. Waypoints are good to a
+metre, which is added to the covariances that are compared with them.
 """
 
 from __future__ import annotations
@@ -26,6 +26,7 @@ from scipy.stats import chi2
 from shapely.affinity import rotate, translate
 
 import pdr_filter as pdr
+from pdr_filter.maps.terrain import Terrain
 from pdr_filter.tracks import Track
 from pdr_filter.values import FloatArray
 from tests.benchmarks.common import Tables, median_and, options, paths
@@ -92,6 +93,19 @@ def walks(data: Path, pattern: str = "") -> Iterator[Walk]:
             yield Walk(recording, np.asarray(truth.time_s), place, n_given, data / "maps" / f"{name}.geojson")
 
 
+def _expected_worse(alone: Track, better: Track) -> float:
+    """Probability that a better track is 1.1 times as far off at the end, if both covariances are true.
+
+    What it does not know is independent of what it has learnt: the other's error is its own and a second one, whose
+    covariance is the difference.
+    """
+    own, whole = (np.linalg.eigvalsh(track.position_cov_m2[-1]) for track in (better, alone))
+    rng = np.random.default_rng(0)
+    error = np.sqrt(own) * rng.standard_normal((20_000, 2))
+    learnt = np.sqrt(np.maximum(whole - own, 0.0)) * rng.standard_normal((20_000, 2))
+    return float(np.mean(np.linalg.norm(error, axis=1) > 1.1 * np.linalg.norm(error + learnt, axis=1)))
+
+
 def _coverage(nees: Sequence[FloatArray]) -> str:
     every = np.concatenate(nees)
     return ", ".join(f"{100 * np.mean(every < chi2.ppf(p, 2)):.0f}" for p in (0.5, 0.95))
@@ -101,7 +115,7 @@ def compare(tables: Tables, data: Path) -> None:
     """Dead reckoning, with the plan, and in hindsight: each group, and walk by walk."""
     rows, each = [], []
     for group, pattern in GROUPS.items():
-        errors, nees = [], [[], [], []]
+        errors, nees, expected = [], [[], [], []], []
         for walk in walks(data, pattern):
             plan = pdr.FloorPlan.read(walk.plan)
             tracks = (
@@ -110,17 +124,22 @@ def compare(tables: Tables, data: Path) -> None:
                 pdr.smooth(walk.recording, walk.fixes, config=walk.config, plan=plan).track,
             )
             errors.append([walk.rmse_m(track) for track in tracks])
+            expected.append([_expected_worse(tracks[0], track) for track in tracks[1:]])
             for of_way, track in zip(nees, tracks, strict=True):
                 of_way.append(walk.nees(track))
             each.append([walk.recording.name, len(walk.time_s) - walk.n_given, *(f"{e:.2f}" for e in errors[-1])])
         alone, kept, later = np.array(errors).T
-        worse = [f"{np.mean(e > 1.1 * alone):.2f}, {np.max(e / alone):.2f}" for e in (kept, later)]
+        worse = [
+            f"{100 * np.mean(e > 1.1 * alone):.0f} % ({100 * by_luck:.0f} %), {np.max(e / alone):.2f}"
+            for e, by_luck in zip((kept, later), np.mean(expected, axis=0), strict=True)
+        ]
         figures = (median_and(e, 90) for e in (alone, kept, later))
         rows.append([group, len(alone), *figures, *worse, *map(_coverage, nees)])
     columns = ["walks", "n", "dead reckoning", "with the plan", "in hindsight", "worse", "worse in hindsight"]
     columns += ["covered alone", "with the plan", "in hindsight"]
     about = "RMSE in m: median, 90 % of walks. Worse: share of walks with more than 1.1 times the error of dead "
-    about += "reckoning, and the largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
+    about += "reckoning (expected at the end of walks that were lucky without, by the two covariances), and the "
+    about += "largest ratio. Covered: % of waypoints in the 50 and 95 % ellipses."
     tables.write("floor_plans", columns, rows, about)
     columns = ["walk", "waypoints", "dead reckoning", "with the plan", "in hindsight"]
     tables.write("floor_plans_walks", columns, each, "RMSE in m.")
@@ -172,9 +191,9 @@ def wrong(tables: Tables, data: Path) -> None:
 def seeds(tables: Tables, data: Path) -> None:
     """The same walks with other random numbers."""
     rows = []
-    for group, pattern, every in (("ms_indoor, F2", "_f2_", 3), ("humolire", "humolire", 4)):
+    for group, pattern in (("ms_indoor, F2", "_f2_"), ("humolire", "humolire")):
         errors = []
-        for walk in list(walks(data, pattern))[::every]:
+        for walk in walks(data, pattern):
             plan = pdr.FloorPlan.read(walk.plan)
             configs = [walk.config.with_plan(plan, seed=seed) for seed in range(N_SEEDS)]
             errors.append([walk.rmse_m(pdr.track(walk.recording, c, fixes=walk.fixes)) for c in configs])
@@ -191,8 +210,9 @@ def seeds(tables: Tables, data: Path) -> None:
 
 
 def start(tables: Tables, data: Path) -> None:
-    """Starts of which less is known."""
+    """Starts of which less is known; with Wi-Fi, the map is that of all other walks of the storey."""
     rows = []
+    mapped = {walk.recording.name: map_of(others) for walk, others in left_out(known_walks(data))}
     for group, pattern in (("humolire", "humolire"), ("ms_indoor, all storeys", "ms_indoor")):
         found: dict[str, list[tuple[float, bool, bool]]] = {}
         for whole in walks(data, pattern):
@@ -209,6 +229,10 @@ def start(tables: Tables, data: Path) -> None:
                 "place": {"plan": plan, "start": first},
                 "nothing": {"plan": plan, "start": "anywhere"},
             }
+            if (heard := mapped.get(walk.recording.name)) is not None:
+                grids = {"fixes": heard.grids(walk.recording), "plan": plan}
+                tries["place, with Wi-Fi"] = {**grids, "start": first}
+                tries["nothing, with Wi-Fi"] = {**grids, "start": "anywhere"}
             for known, given in tries.items():
                 track = pdr.track(walk.recording, walk.config, **given)
                 away, nees = np.linalg.norm(walk.away(track), axis=1), walk.nees(track)
@@ -219,7 +243,7 @@ def start(tables: Tables, data: Path) -> None:
                         single = not track.clusters or track.clusters[step][0].share > 0.95
                         sure = bool(single and nees[i] > chi2.ppf(0.95, 2))
                         found.setdefault(f"{known} {at_s:.0f}", []).append((float(away[i]), away[i] < 3.0, sure))
-        for known in tries:
+        for known in dict.fromkeys(key.rsplit(" ", 1)[0] for key in found):
             row: list[object] = [group, known]
             for at_s in (60, 120):
                 of_time = np.array(found.get(f"{known} {at_s}", []), dtype=float).reshape(-1, 3)
@@ -280,9 +304,30 @@ def radio(tables: Tables, data: Path) -> None:
     tables.write("floor_plans_radio_walks", ["walk", "waypoints", "Wi-Fi fixes", "scans", *names], each, about)
 
 
+def leg(tables: Tables, data: Path) -> None:
+    """How often people choose a direction: on the storeys on which it was chosen, and on the others."""
+    rows = []
+    for leg_m in (3.0, 6.0, 12.0, 100.0):
+        row: list[object] = [f"{leg_m:g} m"]
+        for pattern in ("_(f1|b1)_", "_f[234]_", "humolire"):
+            errors = []
+            for walk in walks(data, pattern):
+                config = walk.config.with_plan(pdr.FloorPlan.read(walk.plan))
+                assert config.on_plan is not None
+                config = replace(config, on_plan=replace(config.on_plan, terrain=Terrain(leg_m=leg_m)))
+                alone = walk.rmse_m(pdr.track(walk.recording, walk.config, fixes=walk.fixes))
+                errors.append((alone, walk.rmse_m(pdr.track(walk.recording, config, fixes=walk.fixes))))
+            alone, kept = np.array(errors).T
+            row += [f"{np.median(kept):.2f}, {kept.mean():.2f}", f"{100 * np.mean(kept > 1.1 * alone):.0f} %"]
+        rows.append(row)
+    columns = ["a direction each", "F1 and B1 (chosen on)", "worse", "F2 to F4", "worse", "humolire", "worse"]
+    about = "RMSE in m: median, mean. Worse: share of walks with more than 1.1 times the error of dead reckoning."
+    tables.write("floor_plans_leg", columns, rows, about)
+
+
 def main() -> None:
     """Write the tables that are named."""
-    parts = {"walks": compare, "wrong": wrong, "seeds": seeds, "start": start, "radio": radio}
+    parts = {"walks": compare, "wrong": wrong, "seeds": seeds, "start": start, "radio": radio, "leg": leg}
     arguments = options(__doc__ or "", *parts).parse_args()
     tables = Tables.of("tests.benchmarks.floor_plans", arguments)
     for part in arguments.parts:
