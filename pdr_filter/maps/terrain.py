@@ -84,8 +84,8 @@ class Ground:
     @cached_property
     def _of_looks(self) -> _Field:
         """Minus the logarithm of the mean probability of going `look_m` from each cell, over all directions, flat."""
-        height = self.height.reshape(self.storey.cells.shape)
-        (n_rows, n_columns), n = height.shape, round(self.terrain.look_m / CELL_M)
+        n_rows, n_columns = self.storey.cells.shape
+        height, n = self.height.reshape(n_rows, n_columns), round(self.terrain.look_m / CELL_M)
         around = np.pad(height, n, constant_values=self.terrain.outside)
         prob = np.zeros_like(height)
         for angle_rad in np.arange(_N_DIRECTIONS) * (2.0 * np.pi / _N_DIRECTIONS):
