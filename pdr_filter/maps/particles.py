@@ -214,8 +214,8 @@ class ParticleFilter:
             up, down = model.on_stairs
             cost, through = ground.costs(from_m, x[:, :2], (up + down)[mode] > 0)
             x[:, THROUGH] = _THROUGH_MEMORY * x[:, THROUGH] + through
-            # whoever pays more for the plan than somebody who goes anywhere, is not where he is thought to be
-            _, log_share = _weighed(state, -cost)
+            # whoever pays more for the plan than somebody who knows nothing of it, is not where he is thought to be
+            log_share = math.log(float(state.weight @ np.exp(-cost)))
             doubt = max(state.doubt - log_share - mean_m * ground.of_storey, _LEAST_DOUBT)
             state, _ = _weighed(state, ground.of_anybody(from_m, mean_m) - cost)
             state = self._noted(replace(state, doubt=doubt), step.time_s, ground)

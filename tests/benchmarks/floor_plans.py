@@ -5,9 +5,9 @@ usage: python -m tests.benchmarks.floor_plans [walks] [wrong] [seeds] [start] [r
 The waypoints of the first fifth of a walk are fixes of 0.5 m, the errors are those at all others, in the frame of the
 plan, not aligned. What staying in a room costs (`maps.terrain`) was chosen on storey F1 of ms_indoor alone, how much a
 scan of Wi-Fi counts for particles, how uneven steps are and how often people choose a direction on F1 and B1. The other
-storeys and humolire are other walks, but not untouched: what being outside costs is a judgement made after a look at
-humolire, and a term of the filter was dropped because it did not help on the other storeys. Waypoints are good to a
-metre, which is added to the covariances that are compared with them.
+storeys and humolire are other walks, but not untouched: what being outside costs, and that people choose every 6 m
+rather than 3, are judgements made after a look at humolire, and a term of the filter was dropped because it did not
+help on the other storeys. Waypoints are good to a metre, which is added to the covariances that are compared with them.
 """
 
 from __future__ import annotations
@@ -94,10 +94,10 @@ def walks(data: Path, pattern: str = "") -> Iterator[Walk]:
 
 
 def _expected_worse(alone: Track, better: Track) -> float:
-    """Probability that a better track is 1.1 times as far off at the end, if both covariances are true.
+    """Probability that a better track is more than 1.1 times as far off at the end, if both covariances are true.
 
-    What it does not know is independent of what it has learnt: the other's error is its own and a second one, whose
-    covariance is the difference.
+    What it does not know is independent of what it has learnt: the error of dead reckoning is its own and a second one,
+    whose covariance is the difference (its axes and sizes; both are taken along the same axes).
     """
     own, whole = (np.linalg.eigvalsh(track.position_cov_m2[-1]) for track in (better, alone))
     rng = np.random.default_rng(0)

@@ -15,6 +15,7 @@ from scipy.stats import truncnorm
 import pdr_filter as pdr
 from pdr_filter.maps.clusters import groups, n_needed, on_plan
 from pdr_filter.maps.particles import ParticleState
+from pdr_filter.maps.storey import FREE
 from pdr_filter.maps.terrain import Ground, Terrain
 from pdr_filter.values import FloorPassage
 
@@ -111,6 +112,16 @@ def test_looks_from_anywhere_in_any_direction_weigh_one_on_average(plan: pdr.Flo
         of_anybody = ground.of_anybody(from_m, terrain.leg_m)
         assert of_anybody[0] > 0.2
         assert np.exp(of_anybody - cost).mean() == pytest.approx(1.0, abs=0.25)
+
+
+def test_who_knows_nothing_of_the_plan_pays_the_mean_over_places_and_directions(plan: pdr.FloorPlan) -> None:
+    terrain, rng, n = Terrain(stay_room=0.0, stay_outside=0.0), np.random.default_rng(0), 200_000
+    ground = Ground(plan.storeys[0], terrain)
+    places, angle = rng.uniform([-1.2, -1.2], [41.2, 19.2], (n, 2)), rng.uniform(0, 2 * math.pi, n)
+    places, angle = (of[ground.storey.kind_at(places) == FREE] for of in (places, angle))
+    to_m = places + terrain.look_m * np.column_stack([np.sin(angle), np.cos(angle)])
+    cost, _ = ground.costs(places, to_m, np.zeros(len(places), dtype=bool))
+    assert_allclose(ground.of_storey * terrain.look_m, -np.log(np.exp(-cost).mean()), rtol=0.05)
 
 
 def test_a_corridor_gains_on_a_hall_from_steps_that_stay_in_it(tmp_path: Path) -> None:
