@@ -43,15 +43,16 @@ def server(record: Path) -> Iterator[Server]:
         yield running
 
 
-def recorded(record: Path, track: dict[str, Any], n_samples: int) -> Recording:
-    """The recording of a session when all of it is on the disk."""
+def recorded(record: Path, track: dict[str, Any], walk: Recording) -> Recording:
+    """The recording of a session when all of it is on the disk: its files are written one after the other."""
 
     def whole() -> Recording | None:
         folder = record / track["id"]
-        if not (folder / "accelerometer.csv").exists():
+        if not (folder / "accelerometer.csv").exists() or not (folder / "gyroscope.csv").exists():
             return None
-        recording = pdr.read(folder)
-        return recording if len(recording.accelerometer) >= n_samples else None
+        recording, names = pdr.read(folder), ("accelerometer", "gyroscope", "magnetometer")
+        is_whole = all(len(getattr(recording, n) or ()) >= len(getattr(walk, n)) for n in names)
+        return recording if is_whole else None
 
     return until(whole)
 
@@ -64,7 +65,7 @@ def test_a_pushed_walk_gives_the_track_of_its_recording(server: Server, record: 
     for body in own_messages(walk, "whole"):
         assert server.post(body).status_code == 200
     track = server.tracks()["whole"]
-    again = pdr.track(recorded(record, track, len(walk.accelerometer)))
+    again = pdr.track(recorded(record, track, walk))
     np.testing.assert_array_equal(positions(track), again.position_m)
     assert len(again.time_s) > 50
 
@@ -96,7 +97,7 @@ def test_a_websocket_gets_an_answer_to_each_message_and_the_track_of_its_recordi
         assert json.loads(client.recv(timeout=20))["status"] == 400
     assert {answer["status"] for answer in answers} == {200}
     track = server.tracks()["socket"]
-    again = pdr.track(recorded(record, track, len(walk.accelerometer)))
+    again = pdr.track(recorded(record, track, walk))
     np.testing.assert_array_equal(positions(track), again.position_m)
 
 
@@ -271,7 +272,7 @@ def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording
             assert server.post(body).status_code == 200
         track = server.tracks()["p"]
         steps = [json.loads(line) for line in (tmp_path / track["id"] / "steps.jsonl").read_text().splitlines()]
-        again = pdr.track(recorded(tmp_path, track, len(walk.accelerometer)))
+        again = pdr.track(recorded(tmp_path, track, walk))
     np.testing.assert_array_equal(positions(track), again.position_m)
     assert [s["index"] for s in steps] == list(range(len(steps)))  # none twice
     assert len(again.time_s) > 50
