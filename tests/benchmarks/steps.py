@@ -4,7 +4,8 @@
 
 The step frequency as a function of the power of the motion (the law of the detector); count errors of ubicomp13 by
 placement with the single-scale wavelet, with the default detector, behind the gate, and with left and right evened; the
-same with only every second or fourth sample; F1 of oxford at several rates, also without the faults of the foot
+same with only every second or fourth sample; what two phones on one walk say of the count's own error and of that of
+the truth; F1 of oxford at several rates, also without the faults of the foot
 switches: strides of ordinary length whose halves differ by more than 2.5 times, 0.18 and 0.81 s say. What the gate does
 to handling, with people left out, is in step_gate.py.
 """
@@ -86,6 +87,27 @@ def counts(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
     tables.write("steps_counts", ["placement", "walks", *columns], rows, about)
 
 
+def pairs(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
+    """Errors of two phones that one person carried on one walk: what is common to both is not the detector's."""
+    of_walk: dict[str, list[float]] = defaultdict(list)
+    for recording in walks:
+        of_walk["_".join(recording.name.split("_")[:3])] += count_errors(DEFAULT, [recording])["all"]
+    errors = np.concatenate([np.array(e) for e in of_walk.values()])
+    both = np.array([e for e in of_walk.values() if len(e) == 2])
+    each, apart = np.abs(both).mean(), np.abs(both[:, 0] - both[:, 1]).mean()
+    row = [
+        f"{np.abs(errors).mean():.2f} ± {np.abs(errors).std() / np.sqrt(len(errors)):.2f}",
+        len(both),
+        f"{each:.2f}",
+        f"{apart:.2f}",
+        f"{apart / np.sqrt(2):.2f}",
+        f"{np.corrcoef(both.T)[0, 1]:.2f}",
+    ]
+    columns = [f"{len(walks)} walks", "with two phones", "each of them", "one from the other", "of one alone", "correlation"]
+    about = "Mean absolute count error in per cent (ubicomp13), its standard error, and what the detector has of it."
+    tables.write("steps_pairs", columns, [row], about)
+
+
 def without_faults(true_s: FloatArray, time_s: FloatArray) -> tuple[FloatArray, FloatArray]:
     """Contacts of the switches without those of a faulty stride, and steps without those nearest to one."""
     interval_s = np.diff(true_s)
@@ -153,6 +175,7 @@ def main() -> None:
     counted, switched = (list(recordings(args.data, site)) for site in ("ubicomp13", "oxford"))
     law(tables, [*counted, *switched, *recordings(args.data, "motionsense", "*_jog_*.zip")])
     counts(tables, counted)
+    pairs(tables, counted)
     switches(tables, switched)
 
 
