@@ -103,7 +103,14 @@ def pairs(tables: Tables, walks: Sequence[pdr.Recording]) -> None:
         f"{apart / np.sqrt(2):.2f}",
         f"{np.corrcoef(both.T)[0, 1]:.2f}",
     ]
-    columns = [f"{len(walks)} walks", "with two phones", "each of them", "one from the other", "of one alone", "correlation"]
+    columns = [
+        f"{len(walks)} walks",
+        "with two phones",
+        "each of them",
+        "one from the other",
+        "of one alone",
+        "correlation",
+    ]
     about = "Mean absolute count error in per cent (ubicomp13), its standard error, and what the detector has of it."
     tables.write("steps_pairs", columns, [row], about)
 
