@@ -138,7 +138,7 @@ def _with_merged(config: Config, state: State, merged: Merged) -> tuple[State, O
 
 
 # Samples that go through the stages at once: some minutes, so that memory stays small. No result depends on it.
-PART_SAMPLES = 16_000
+PART_SAMPLES = 32_000
 
 
 def parts(block: ImuBlock) -> Iterator[ImuBlock]:
