@@ -11,7 +11,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.report.trust import doubts
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.tracks import Track
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, PositionFix, Samples, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FixResult, PositionFix, Samples, read_only
 
 WALKING, STATIONARY = CONTEXTS.index("walking"), CONTEXTS.index("stationary")
 
@@ -196,6 +196,19 @@ def test_a_stretch_is_quick_and_soft_where_most_of_its_steps_are(track: Track, s
     steps.frequency_hz[:], steps.vertical_amplitude_mps2[:] = np.where(soft, 3.0, 1.8), 1.0
     found = replace(track, steps=steps).is_quick_and_soft
     assert (found[10:-10] == told).all()  # the ends stand for the steps that are not there
+
+
+@pytest.mark.parametrize(("jump_m", "n_told"), [(2.0, 0), (5.0, 1)])
+def test_a_jump_of_a_track_without_fixes_is_told_with_its_time(track: Track, jump_m: float, n_told: int) -> None:
+    position_m = np.array(track.position_m)
+    sideways = np.array([position_m[30, 1] - position_m[29, 1], position_m[29, 0] - position_m[30, 0]])
+    position_m[30:] += jump_m * sideways / np.linalg.norm(sideways)
+    jumped = replace(track, position_m=read_only(position_m))
+    told = [sentence for sentence in doubts(jumped) if "jumps" in sentence]
+    assert len(told) == n_told
+    assert all(f"m at {track.time_s[30]:.0f} s" in sentence for sentence in told)
+    fix = FixResult("position", 5.0, 5.0, "used", 1.0)
+    assert not any("jumps" in sentence for sentence in doubts(replace(jumped, fixes=(fix,))))
 
 
 @pytest.mark.parametrize(("lasting_s", "n_told"), [(15, 0), (25, 1)])
