@@ -20,8 +20,11 @@ def with_window(windows: RecentWindows, window: WindowContext) -> RecentWindows:
 
 
 def window_before(windows: RecentWindows, time_s: float) -> WindowContext | None:
-    """The last window that has samples of its own at or before a time: later ones belong to later steps."""
-    return next((w for w in reversed(windows) if w.new_since_s <= time_s), None)
+    """The last window that has samples of its own at or before a time: later ones belong to later steps.
+
+    The first window of a segment follows on none: all of its samples are its own.
+    """
+    return next((w for w in reversed(windows) if w.new_since_s <= time_s), windows[0] if windows else None)
 
 
 def n_after(windows: RecentWindows, window: WindowContext) -> int:

@@ -504,6 +504,17 @@ def test_after_a_gap_the_window_before_is_no_evidence_for_the_imm() -> None:
     np.testing.assert_array_equal(probs[0].context_prob, probs[1].context_prob)
 
 
+def test_the_first_window_of_a_segment_is_evidence_for_the_steps_from_its_beginning_on() -> None:
+    filter_ = tracker("imm")
+    first, second = (WindowContext(t, sure(c, 0.95), EVEN_PRIOR) for t, c in ((2.0, RUNNING), (3.0, WALKING)))
+    state, _ = run(filter_, [first, second])
+    state, [early] = updates_of(filter_.on_step(state, a_step(0.4)))
+    assert early.mode_prob[RUNNING] > 0.5
+    np.testing.assert_array_equal(early.context_prob, first.prob)
+    _, [later] = updates_of(filter_.on_step(state, a_step(1.2)))
+    np.testing.assert_array_equal(later.context_prob, first.prob)
+
+
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 def test_a_gap_makes_the_position_less_certain_and_does_not_move_it(weighting: str) -> None:
     filter_ = tracker(weighting)
