@@ -84,6 +84,10 @@ class Directions:
             extra_var_m2=np.array([m.extra_noise_m**2 for m in modes]),
         )
 
+    def step_var_rad2(self, turned_rad: FloatArray | float) -> FloatArray:
+        """Variance (..., M) of the direction of a step alone: who turns in it may walk in any direction in between."""
+        return self.heading_var_rad2 + turned_rad * turned_rad / 12.0
+
     def weighted(self, weights: FloatArray) -> Directions:
         """Of one filter for all modes: the offset of the mode of the highest weight (M,), the mean of the variances."""
         return Directions(
@@ -215,7 +219,13 @@ def advance(
     """
     elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
     move = step_motion(
-        step.device_heading_rad, mean[..., HEADING_OFFSET], mean[..., LOG_SCALE], length_m, length_var_m2, directions
+        step.device_heading_rad,
+        mean[..., HEADING_OFFSET],
+        mean[..., LOG_SCALE],
+        length_m,
+        length_var_m2,
+        directions,
+        step.turned_rad,
     )
     # component by component: of so few numbers broadcasting costs more than the product
     east_m, north_m = move.length_m * move.sine, move.length_m * move.cosine
@@ -274,8 +284,9 @@ def step_motion(
     length_m: FloatArray,
     length_var_m2: FloatArray,
     directions: Directions,
+    turned_rad: FloatArray | float,
 ) -> StepMotion:
-    """`StepMotion` of lengths (..., M)."""
+    """`StepMotion` of lengths (..., M) of steps in which the person turned by `turned_rad`."""
     scale = np.exp(log_scale)
     scaled_m = length_m * scale
     psi = device_heading_rad + heading_offset_rad + directions.heading_offset_rad
@@ -285,7 +296,7 @@ def step_motion(
         scale=scale,
         length_m=scaled_m,
         var_along_m2=scale * scale * length_var_m2,
-        var_across_m2=scaled_m * scaled_m * directions.heading_var_rad2,
+        var_across_m2=scaled_m * scaled_m * directions.step_var_rad2(turned_rad),
     )
 
 

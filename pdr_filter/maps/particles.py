@@ -201,7 +201,7 @@ class ParticleFilter:
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
         own = model.directions
         psi = step.device_heading_rad + x[:, OFFSET]
-        psi += own.heading_offset_rad[mode] + np.sqrt(own.heading_var_rad2)[mode] * z[2]
+        psi += own.heading_offset_rad[mode] + np.sqrt(own.step_var_rad2(step.turned_rad))[mode] * z[2]
         x[:, EAST] += scaled_m * np.sin(psi)
         x[:, NORTH] += scaled_m * np.cos(psi)
         if own.extra_var_m2.any():

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, fields
 
@@ -83,6 +84,11 @@ class Step:
     def is_quick_and_soft(self) -> bool:
         """Whether it is too quick for walking and too soft for running: no model of its length or direction holds."""
         return self.frequency_hz > _QUICK_HZ and self.vertical_amplitude_mps2 < _SOFT_MPS2
+
+    @property
+    def turned_rad(self) -> float:
+        """How far the device turned in it, without sign, at most half a turn."""
+        return min(self.turn_rate_radps * self.duration_s, math.pi)
 
     @property
     def unevenness(self) -> float:

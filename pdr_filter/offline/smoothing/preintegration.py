@@ -93,7 +93,8 @@ def increments(
     directions = Directions.of(modes)
     device_heading_rad = np.asarray(steps.device_heading_rad)[:, None]
     own_var = residual_var + np.array([uneven_var_m2(step) for step in each]).reshape(n, 1) * moves
-    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, own_var, directions)
+    turned_rad = np.array([step.turned_rad for step in each]).reshape(n, 1)
+    move = step_motion(device_heading_rad, 0.0, 0.0, length_m, own_var, directions, turned_rad)
     along, across = move.along, move.across
     displacement_m = move.length_m[..., None] * along
     displacement = np.einsum("km,kma->ka", mode_prob, displacement_m)

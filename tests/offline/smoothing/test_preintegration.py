@@ -74,6 +74,7 @@ def test_an_increment_is_the_step_of_the_filter(from_rest: bool) -> None:
         yaw_bias_std_radps=0.01,
         from_rest=from_rest,
         usual_duration_s=0.4,
+        turn_rate_radps=0.6,
     )
     mode = Mode(
         "sideways", "sideways", known_length(0.7, 0.06), 1.5, heading_drift_rad_per_sqrt_s=0.02, extra_noise_m=0.05
