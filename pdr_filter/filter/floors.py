@@ -111,7 +111,6 @@ def followed(
     at, climbs = storeys_up(state.levels, climbed_m), p_stairs + p_ride > 0.5
     floor = round(at) if climbs or abs(at - state.floor) > 0.5 + _CLEARLY else state.floor
     floor_since_s = state.floor_since_s if floor == state.floor else now_s
-    state = replace(state, floor=floor, floor_since_s=floor_since_s, passages=())
     climbing = state.climbing
     if climbs:
         is_on_stairs = p_stairs > p_ride
@@ -122,11 +121,20 @@ def followed(
             stairs_s=climbing.stairs_s + is_on_stairs * elapsed_s,
             ride_s=climbing.ride_s + (not is_on_stairs) * elapsed_s,
         )
-        return replace(state, climbing=climbing, level_since_s=np.nan, n_level_steps=0, is_used=False)
+        return FloorState(floor, floor_since_s, state.levels, climbing)
     since_s = now_s if math.isnan(state.level_since_s) else state.level_since_s
-    state = replace(state, level_since_s=since_s, n_level_steps=state.n_level_steps + n_steps)
-    if floor == climbing.from_floor:
-        return replace(state, climbing=Climbing(now_s, floor, climbed_m)) if abs(at - floor) < _STILL_THERE else state
+    is_back = floor == climbing.from_floor
+    state = replace(
+        state,
+        floor=floor,
+        floor_since_s=floor_since_s,
+        climbing=Climbing(now_s, floor, climbed_m) if is_back and abs(at - floor) < _STILL_THERE else climbing,
+        level_since_s=since_s,
+        n_level_steps=state.n_level_steps + n_steps,
+        passages=(),
+    )
+    if is_back:
+        return state
     return _arrived(state, now_s, climbed_m) if now_s - since_s >= ARRIVED_S and state.n_level_steps > 0 else state
 
 

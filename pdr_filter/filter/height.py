@@ -198,23 +198,22 @@ def on_step(
     With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs.
     """
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
-    state = replace(state, step_s=step_s)
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
         if step_s > state.known.pressure_s:
-            return replace(state, n_steps=state.n_steps + 1), state.known, ()
+            return replace(state, step_s=step_s, n_steps=state.n_steps + 1), state.known, ()
         i = next(i for i, s in enumerate(state.recent) if step_s <= s.climb.time_s)
         again = [*state.recent[:i], replace(state.recent[i], n_steps=state.recent[i].n_steps + 1)]
         for later in state.recent[i + 1 :]:
             again.append(replace(later, before=_after(again[-1], model)))
         known = _after(again[-1], model)
         own = again[i + 1].before if i + 1 < len(again) else known
-        return replace(state, known=known, recent=tuple(again)), own, ()
+        return replace(state, step_s=step_s, known=known, recent=tuple(again)), own, ()
     passages = tuple(p for later in state.recent[1:] for p in later.before.floors.passages)
     if state.recent:
         passages += state.known.floors.passages
     unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
     known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var)
-    state = replace(state, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
+    state = replace(state, step_s=step_s, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, known, passages + known.floors.passages
 
 

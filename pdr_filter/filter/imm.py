@@ -128,7 +128,7 @@ def update_mode_prob(predicted_mode_prob: FloatArray, log_likelihood: FloatArray
     """
     with np.errstate(divide="ignore"):
         log_posterior = np.log(predicted_mode_prob) + log_likelihood
-    highest = log_posterior.max(axis=-1, keepdims=True)  # NaN if any is
+    highest = np.maximum.reduce(log_posterior, axis=-1, keepdims=True)  # NaN if any is
     if all(map(math.isfinite, highest.ravel().tolist())):
         relative = np.exp(log_posterior - highest)
         return relative / np.add.reduce(relative, axis=-1, keepdims=True)

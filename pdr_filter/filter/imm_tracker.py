@@ -72,9 +72,9 @@ class ImmTracker:
         known, known_cov = learned_heading(pedestrian, step)
         mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
-        length_m, var_m2, parameter_std_m = model.lengths(step)
-        since_s, var = elapsed_s(pedestrian, step), model.own_var_m2(step, length_m)
-        ahead = advance(mixed, mixed_cov, step, length_m, var, model.directions, model.noise, since_s)
+        length_m, var_m2, own_var_m2, parameter_std_m = model.lengths(step)
+        since_s = elapsed_s(pedestrian, step)
+        ahead = advance(mixed, mixed_cov, step, length_m, own_var_m2, model.directions, model.noise, since_s)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = n_after(state.windows, window) if window else 0

@@ -120,14 +120,15 @@ class PedestrianModel:
         """Mode probabilities (M,) to which the transitions lead; from an even start, which an unmixed chain keeps."""
         return np.linalg.matrix_power(self.transition_prob, 1024).mean(axis=0)
 
-    def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray]:
-        """Lengths, their variances, and the standard deviations due to the parameters alone, (M,) each.
+    def lengths(self, step: Step) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        """Lengths, their variances, those of a single step alone, and the std due to the parameters alone, (M,) each.
 
         Modes that move nobody have length zero.
         """
         length_m, parameter_var_m2 = self._lengths.moments(step)
         length_m, parameter_var_m2 = self.moves * length_m, self.moves * parameter_var_m2
-        return length_m, self.own_var_m2(step, length_m) + parameter_var_m2, np.sqrt(parameter_var_m2)
+        own_var_m2 = self.own_var_m2(step, length_m)
+        return length_m, own_var_m2 + parameter_var_m2, own_var_m2, np.sqrt(parameter_var_m2)
 
     def own_var_m2(self, step: Step, length_m: FloatArray) -> FloatArray:
         """Variance (M,) of a single step about the lengths (M,) of the modes.

@@ -164,7 +164,7 @@ def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: floa
         cov[..., o, o] += step.offset_change_std_rad**2
         cov = bound_heading_variance(cov)
     variance = step.walking_heading_std_rad**2
-    if not np.isfinite(variance):
+    if not math.isfinite(variance):
         return mean, cov
     innovation = wrap_angle(step.walking_heading_rad - step.device_heading_rad - frame_rad - mean[..., o])
     gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]

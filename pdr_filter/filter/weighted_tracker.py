@@ -126,7 +126,7 @@ class WeightedTracker:
         before = with_open_turn(state.pedestrian)
         if is_known_to_stand(before, step):
             weights = 1.0 - model.moves
-        length_m, var_m2, parameter_std_m = model.lengths(step)
+        length_m, var_m2, _, parameter_std_m = model.lengths(step)
         mean_length_m = float(weights @ length_m)
         mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)

@@ -180,7 +180,7 @@ class ParticleFilter:
         step = update.step
         rng, state = self._random(state)
         ground = self.ground(update.floor)
-        length_m, _, parameter_std_m = model.lengths(step)
+        length_m, _, own_var_m2, parameter_std_m = model.lengths(step)
         mean_m = float(update.mode_prob @ length_m)
         # the parameters of the lengths are off once for a person, as the scale is
         scale_std = float(update.mode_prob @ parameter_std_m) / mean_m if mean_m > 0 else 0.0
@@ -197,7 +197,7 @@ class ParticleFilter:
         z, prob = rng.standard_normal((4, n)), np.cumsum(update.mode_prob)[:-1]
         mode = np.searchsorted(prob, rng.random(n), side="right")
         log_weight = turned(x, step, known, model, since_s, mode, z[0])
-        own_std_m = np.sqrt(model.own_var_m2(step, length_m) + _UNEVEN_VAR_M2)
+        own_std_m = np.sqrt(own_var_m2 + _UNEVEN_VAR_M2)
         scaled_m = np.exp(x[:, SCALE]) * (length_m[mode] + own_std_m[mode] * z[1])
         own = model.directions
         psi = step.device_heading_rad + x[:, OFFSET]

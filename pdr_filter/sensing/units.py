@@ -6,7 +6,6 @@ told by physics from one that is right: a phone that is looked at would have its
 
 from __future__ import annotations
 
-from bisect import bisect_left
 from dataclasses import dataclass
 
 import numpy as np
@@ -70,9 +69,9 @@ def look(state: UnitsState, time_s: FloatArray, motion: FloatArray) -> UnitsStat
     for column, (x, y, z) in ((1, motion[:, :3].T), (3, motion[:, 3:].T)):
         new[:, column] = np.sqrt(x * x + y * y + z * z)
     rows = np.concatenate([state.rows, new])
-    times_s, start = rows[:, 0].tolist(), 0
+    times_s, start = rows[:, 0], 0
     while len(rows) - start >= _WINDOW_ROWS and times_s[-1] - times_s[start] >= _WINDOW_S:
-        end = max(bisect_left(times_s, times_s[start] + _WINDOW_S, lo=start) + 1, start + _WINDOW_ROWS)
+        end = max(int(times_s.searchsorted(times_s[start] + _WINDOW_S)) + 1, start + _WINDOW_ROWS)
         state, start = _judged(state, rows[start:end]), end
     return replace(state, rows=rows[start:])
 

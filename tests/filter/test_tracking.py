@@ -125,8 +125,8 @@ def test_how_long_an_uneven_step_is_is_less_known(duration_s: float) -> None:
     even = replace(a_step(1.5), duration_s=duration_s, usual_duration_s=duration_s)
     uneven = replace(even, usual_duration_s=0.5)
     m = model()
-    length_m, of_even, _ = m.lengths(even)
-    same_m, of_uneven, _ = m.lengths(uneven)
+    length_m, of_even, *_ = m.lengths(even)
+    same_m, of_uneven, *_ = m.lengths(uneven)
     np.testing.assert_array_equal(same_m, length_m)
     np.testing.assert_allclose(of_uneven - of_even, (0.6 * 0.2) ** 2 * m.moves, atol=1e-12)
 

@@ -159,11 +159,12 @@ class Corridors:
     def drift(self, state: CorridorState) -> tuple[float, float]:
         """By how much headings are too far clockwise since the first step, if there are axes, and its variance."""
         # the steps of the leg that is walked now are off its axis alike
-        return self._moments(state, np.array([1.0, 0.0, 0.0, 0.0]), self.leg_std_rad**2)
+        return _moments(state, state.mean[:, _DRIFT].copy(), state.cov[:, _DRIFT, _DRIFT], self.leg_std_rad**2)
 
     def drift_in_time(self, state: CorridorState) -> tuple[float, float]:
         """The part of the drift that came with time, not with turning, and its variance."""
-        return self._moments(state, np.array([1.0, 0.0, 0.0, -state.turned_rad]), 0.0)
+        of = np.array([1.0, 0.0, 0.0, -state.turned_rad])
+        return _moments(state, state.mean @ of, state.cov @ of @ of, 0.0)
 
     def mixed(self, state: CorridorState, free_rad: float, free_var_rad2: float) -> tuple[float, float]:
         """Mean and variance of the drift, which is known in another way if the walk keeps to no axes.
@@ -174,11 +175,6 @@ class Corridors:
         apart_rad = drift_rad - free_rad
         var_rad2 = prob * var_rad2 + (1.0 - prob) * (free_var_rad2 + prob * apart_rad * apart_rad)
         return free_rad + prob * apart_rad, var_rad2
-
-    def _moments(self, state: CorridorState, of: FloatArray, besides_rad2: float) -> tuple[float, float]:
-        weight, values = np.exp(state.log_weight), state.mean @ of
-        mean = float(weight @ values)
-        return mean, float(weight @ (state.cov @ of @ of + (values - mean) ** 2)) + besides_rad2
 
     def _predict(self, state: CorridorState, elapsed_s: float, turned_rad: float) -> FloatArray:
         """The bank later on: drift + elapsed time times rate + turn times scale, and all else as it was."""
@@ -230,6 +226,14 @@ class Corridors:
         return math.log(self.outlier_prob / _RIGHT_ANGLE)
 
 
+def _moments(state: CorridorState, means: FloatArray, variances: FloatArray, besides: float) -> tuple[float, float]:
+    """Mean and variance over the bank of what has these in its filters, (M,) each."""
+    weight = np.exp(state.log_weight)
+    mean = float(weight.dot(means))
+    away = means - mean
+    return mean, float(weight.dot(variances + away * away)) + besides
+
+
 def _log_sum(log_weight: FloatArray) -> float:
-    largest = float(log_weight.max())
+    largest = float(np.maximum.reduce(log_weight))
     return largest + math.log(float(np.add.reduce(np.exp(log_weight - largest))))

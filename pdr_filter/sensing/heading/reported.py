@@ -38,10 +38,10 @@ class Reported:
         var = self.var_rad2 + lost_var_rad2
         return replace(self, lost_var_rad2=lost, var_rad2=var if math.isinf(var) else min(var, UNKNOWN_VAR_RAD2))
 
-    def at_step(self, step: Step, drift: HeadingDrift) -> Reported:
-        """What the filter still knows at a step, before more is reported."""
+    def at_step(self, step: Step, drift: HeadingDrift, yaw_bias_std_radps: float) -> Reported:
+        """What the filter still knows at a step with this bias, before more is reported."""
         elapsed_s = step.duration_s if math.isnan(self.time_s) else step.time_s - self.time_s
-        wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps)
+        wandered_var, lost_var = drift.variances_rad2(elapsed_s, step.heading_unknown_s, yaw_bias_std_radps)
         return Reported(self.offset_rad, self.var_rad2 + wandered_var, self.lost_var_rad2, step.time_s).after_loss(
             lost_var
         )

@@ -281,12 +281,11 @@ class WalkingHeading:
             for i, (known, _) in enumerate(steps)
         ]
         strides = self._strides(samples, contexts)
-        state = replace(state, contacts_s=contacts_s[-2:])
         result: list[tuple[int, Step]] = []
         for (known, step), of_step, stride, mode in zip(steps, samples, strides, carrying_modes, strict=True):
-            state, step = self._annotate(state, step, of_step, stride, mode)
-            result.append((known, step))
-        return state, result
+            state, found = self._annotate(state, step, of_step, stride, mode)
+            result.append((known, replace(step, **found) if found else step))
+        return replace(state, contacts_s=contacts_s[-2:]), result
 
     def _annotate(
         self,
@@ -295,12 +294,15 @@ class WalkingHeading:
         samples: FloatArray | None,
         stride: Stride | None,
         carrying_mode: int,
-    ) -> tuple[WalkingHeadingState, Step]:
+    ) -> tuple[WalkingHeadingState, dict[str, Any]]:
+        """New state, and the fields of the step that its stride shows."""
+        of_bias_var, loss = state.of_bias_var_rad2, dict[str, float]()
         if samples is not None:
-            state, step = self._with_loss(state, step, samples)
-        reported = state.reported.at_step(step, self.drift)
+            of_bias_var, loss = self._loss(state, step, samples)
+        reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
         if samples is None or stride is None:
-            return replace(state, reported=reported), step if state.place is None else replace(step, **_shown(state))
+            shown_before = {} if state.place is None else _shown(state)
+            return replace(state, reported=reported, of_bias_var_rad2=of_bias_var), loss | shown_before
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         place = self.strides.learn(place, stride, step.duration_s)
@@ -312,7 +314,7 @@ class WalkingHeading:
         walking_rad = stride.device_heading_rad + offset_rad
         if change_std_rad > 0 or step.heading_unknown_s > 0:
             state = self._without_axes(state)
-        of_bias_rad, of_bias_var = samples[_ERROR:, -1].tolist()
+        of_bias_rad, new_bias_var = samples[_ERROR:, -1].tolist()
         state = replace(
             state,
             up=stride.up,
@@ -328,23 +330,24 @@ class WalkingHeading:
             direction_up=stride.up,
             corridors=self.corridors.step(state.corridors, step.time_s, walking_rad),
             of_bias_rad=of_bias_rad,
+            of_bias_var_rad2=of_bias_var,
         )
-        error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var)
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + new_bias_var)
         reported, heard = reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
         shown_too = _shown(state, on_axes=self.corridors.is_sure(state.corridors))
-        return replace(state, reported=reported), replace(step, **heard, **shown_too)
+        return replace(state, reported=reported), loss | heard | shown_too
 
-    def _with_loss(
-        self, state: WalkingHeadingState, step: Step, samples: FloatArray
-    ) -> tuple[WalkingHeadingState, Step]:
-        """The step with what the heading has lost by the bias since the last stride, as the filter's random walk."""
+    def _loss(self, state: WalkingHeadingState, step: Step, samples: FloatArray) -> tuple[float, dict[str, float]]:
+        """Variance of the heading by the bias, and for the step what that has lost since the last stride.
+
+        The loss is that of the filter's random walk.
+        """
         var_rad2 = float(samples[_ERROR_VAR, -1])
         if var_rad2 == 0 and not samples[_ERROR_VAR].any():
-            return state, step
+            return state.of_bias_var_rad2, {}
         lost = max(var_rad2 - state.of_bias_var_rad2, 0.0)
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
-        std = math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))
-        return replace(state, of_bias_var_rad2=var_rad2), replace(step, yaw_bias_std_radps=std)
+        return var_rad2, {"yaw_bias_std_radps": math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))}
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
         """What time has added to the device's heading, rad, and its variance: infinite unless axes are sure."""

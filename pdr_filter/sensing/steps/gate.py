@@ -255,9 +255,9 @@ class StepGate:
         """The last judged step is walking: it leaves if it belongs to a bout, or makes one."""
         continues = contact_s - state.run_s[1] <= self.max_interval_s
         run_s = (state.run_s[0] if continues else contact_s, contact_s)
-        state = replace(state, run_s=run_s, is_bout=continues and state.is_bout)
-        if state.is_bout:
-            return replace(state, held=()), [judged.step for judged in state.held]
+        if continues and state.is_bout:
+            return replace(state, run_s=run_s, held=()), [judged.step for judged in state.held]
+        state = replace(state, run_s=run_s, is_bout=False)
         first, n_walking = self._run(state)
         if n_walking < self.min_steps:
             return self._without_old(state), []
