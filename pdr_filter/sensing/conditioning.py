@@ -32,7 +32,7 @@ MAX_FIELD_UT = 1e4
 # Of time, specific force, angular rate and magnetic field.
 _LIMITS = np.repeat([np.inf, MAX_FORCE_MPS2, MAX_RATE_RADPS, MAX_FIELD_UT], [1, 3, 3, 3])
 # Rows that are conditioned at once: what is made of them fits into a cache.
-_ROWS_AT_ONCE = 2000
+_ROWS_AT_ONCE = 4000
 # So many rows without a believed time, or none that follows another, are worth a word.
 _NOTABLE_DEAF = 200
 
@@ -352,19 +352,25 @@ def _interval_means(time_s: FloatArray, values: FloatArray, grid_s: FloatArray) 
     right = np.minimum(np.maximum(time_s.searchsorted(grid_s, side="right"), 1), len(time_s) - 1)
     left = right - 1
     fraction = ((grid_s - time_s[left]) / (time_s[right] - time_s[left]))[:, None]
-    before, after = values[left], values[right]
-    at_grid = before + (after - before) * fraction
+    before = values.take(left, axis=0)
+    at_grid = values.take(right, axis=0)
+    at_grid -= before
+    at_grid *= fraction
+    at_grid += before
     # All knots inside the grid in order: grid points go in before the first sample at or after them.
     position = time_s.searchsorted(grid_s)
     inside = slice(int(position[0]), int(position[-1]))
     position -= position[0]
     of_grid = position + np.arange(len(grid_s))
-    is_sample = np.ones(inside.stop - inside.start + len(grid_s), dtype=bool)
+    n_inside, n_knots = inside.stop - inside.start, inside.stop - inside.start + len(grid_s)
+    order, is_sample = np.empty(n_knots, dtype=np.intp), np.ones(n_knots, dtype=bool)
     is_sample[of_grid] = False
-    knots_s, knots = np.empty(len(is_sample)), np.empty((len(is_sample), values.shape[1]))
-    knots_s[of_grid], knots_s[is_sample] = grid_s, time_s[inside]
-    knots[of_grid], knots[is_sample] = at_grid, values[inside]
-    areas = 0.5 * (knots[1:] + knots[:-1]) * (knots_s[1:] - knots_s[:-1])[:, None]
+    order[is_sample], order[of_grid] = np.arange(n_inside), np.arange(n_inside, n_knots)
+    knots_s = np.concatenate([time_s[inside], grid_s]).take(order)
+    knots = np.concatenate([values[inside], at_grid]).take(order, axis=0)
+    areas = knots[1:] + knots[:-1]
+    areas *= 0.5
+    areas *= (knots_s[1:] - knots_s[:-1])[:, None]
     first = position[:-1] + np.arange(len(grid_s) - 1)
     # reduceat adds row by row within each interval: the same numbers in the same order however blocks were cut
     return np.add.reduceat(areas, first, axis=0) / (grid_s[1:] - grid_s[:-1])[:, None]

@@ -19,8 +19,9 @@ def wrap_angle(angle_rad: FloatArray | float) -> FloatArray:
     if isinstance(angle_rad, float):  # in Python's numbers, a tenth of the time
         one = (angle_rad + math.pi) % (2 * math.pi) - math.pi
         return np.asarray(-math.pi if one >= math.pi else one)  # NaN stays NaN
-    wrapped = (np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi
-    return np.asarray(np.where(wrapped >= np.pi, -np.pi, wrapped))
+    wrapped = np.asarray((np.asarray(angle_rad) + np.pi) % (2 * np.pi) - np.pi)
+    np.putmask(wrapped, wrapped >= np.pi, -np.pi)
+    return wrapped
 
 
 def heading_from_yaw(yaw_rad: FloatArray | float) -> FloatArray:
