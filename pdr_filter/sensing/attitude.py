@@ -197,7 +197,7 @@ def _bias_window(rows: FloatArray) -> BiasWindow:
     mean = np.add.reduce(rows) / len(rows)
     away = rows[:, :6] - mean[:6]
     rate_x, rate_y, rate_z, force_x, force_y, force_z = (np.add.reduce(away * away) / len(rows)).tolist()
-    up, field_ut = _mean_turned(rows[:, _QUAT], rows[:, _FIELD_AND_ONE])
+    up, field_ut = _mean_turned(rows[:, _QUAT], rows[:, _FIELD_AND_ONE], mean[_FIELD])
     return BiasWindow(
         angular_rate_radps=mean[_RATE],
         angular_rate_std_radps=math.sqrt(rate_x + rate_y + rate_z),
@@ -252,15 +252,17 @@ def _horizontal(quat: FloatArray, vector: FloatArray) -> FloatArray:
     return horizontal
 
 
-def _mean_turned(quat: FloatArray, vector_and_one: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _mean_turned(
+    quat: FloatArray, vector_and_one: FloatArray, mean_vector: FloatArray
+) -> tuple[FloatArray, FloatArray]:
     """Mean up (3,) in the sensor frame, and mean (3,) of vectors turned by (N, 4) to east, north and up.
 
-    From mean products of q_i, q_j and v_k; the vectors (N, 4) have a fourth part v_3 = 1.
+    From mean products of q_i, q_j and v_k; the vectors (N, 4), whose mean is given, have a fourth part v_3 = 1.
     """
     pairs = (quat[:, :, None] * quat[:, None, :]).reshape(len(quat), 16)
     of_pairs = (pairs.T @ vector_and_one / len(quat)).reshape(4, 4, 4).tolist()
     w, x, y, z = range(4)
-    a, b, c = (np.add.reduce(vector_and_one[:, :3]) / len(quat)).tolist()
+    a, b, c = mean_vector.tolist()
 
     def twice(i: int, j: int, k: int) -> float:
         return 2 * of_pairs[i][j][k]

@@ -224,8 +224,8 @@ class GyroBias:
         """State after one more window, whose heading was corrected with the bias of the state before."""
         if not window.angular_rate_known:
             return self.after_gap(state)
-        bank = _predict(self, state, window.up_sensor)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
+        bank = _predict(self, state, window.up_sensor, correction_rad)
         # an angular rate about up lowers the heading, and so does its bias: without the correction it was so much less
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
         bank, n_still = self._see_still(bank, state.n_still, window)
@@ -370,13 +370,12 @@ _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log wei
 _MIN_LOG_WEIGHT = -12.0
 
 
-def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray) -> _Bank:
+def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray, correction_rad: float) -> _Bank:
     """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
-    dt = bias.window_s
     transition = _IDENTITY.copy()
-    transition[_HEADINGS, _BIAS] = -dt * up_sensor
+    transition[_HEADINGS, _BIAS] = -bias.window_s * up_sensor
     mean = state.mean.dot(transition.T)
-    mean[:, _HEADINGS] += dt * _dot(up_sensor, state.bias_radps)
+    mean[:, _HEADINGS] += correction_rad
     return mean, transition @ state.cov @ transition.T + bias.wander_cov, state.log_weight
 
 
@@ -479,4 +478,5 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
 
 
 def _dot(a: FloatArray, b: FloatArray) -> float:
-    return float(a[0] * b[0] + a[1] * b[1] + a[2] * b[2])
+    (x, y, z), (u, v, w) = a.tolist(), b.tolist()
+    return x * u + y * v + z * w
