@@ -212,13 +212,13 @@ def test_a_step_that_was_found_twice_is_counted_by_its_speed() -> None:
 def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     step: Step, turn_rate_radps: float, usual_mps2: float, from_rest: bool
 ) -> None:
-    """At most 0.45 of the height, at least a sixteenth of that, whatever the samples hold."""
+    """At most 0.45 of the height, at least a twentieth of that: each part of the length at its limit is an eighteenth."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
     step = replace(step, stride_amplitude_mps2=step.vertical_amplitude_mps2)
     turning = replace(step, turn_rate_radps=turn_rate_radps)
     straight_m, turning_m = (bounce_fit(1.8).predict(s)[0] for s in (step, turning))
-    assert 0.45 * 1.8 / 16 < turning_m <= straight_m < 0.45 * 1.8
+    assert 0.45 * 1.8 / 20 < turning_m <= straight_m < 0.45 * 1.8
 
 
 def test_who_turns_by_a_radian_a_second_makes_steps_a_fifth_shorter() -> None:

@@ -375,9 +375,10 @@ def test_a_wall_across_the_corridor_is_passed_and_the_contradiction_is_said(tmp_
 
 def test_a_plan_of_another_building_is_said_to_be_of_no_use(tmp_path: Path) -> None:
     plan = pdr.FloorPlan.read(write(tmp_path / "p.geojson", turned(FEATURES, 1.2)))
-    alone, misled = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, plan))
-    assert any("nothing on the plan fits" in note for note in misled.notes)
-    assert np.median(errors_m(misled, WALK)) < np.median(errors_m(alone, WALK)) + 5.0
+    alone = pdr.track(WALK, in_world(), fixes=FIXES)
+    misled = [pdr.track(WALK, in_world().with_plan(plan, seed=seed), fixes=FIXES) for seed in range(3)]
+    assert all(any("nothing on the plan fits" in note for note in track.notes) for track in misled)
+    assert np.median([np.median(errors_m(track, WALK)) for track in misled]) < np.median(errors_m(alone, WALK)) + 4.0
 
 
 def test_a_thousand_particles_are_a_hundred_times_as_fast_as_the_walk(plan: pdr.FloorPlan) -> None:
