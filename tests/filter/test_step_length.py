@@ -212,7 +212,7 @@ def test_a_step_that_was_found_twice_is_counted_by_its_speed() -> None:
 def test_a_length_of_the_default_is_bounded_and_shorter_in_a_turn(
     step: Step, turn_rate_radps: float, usual_mps2: float, from_rest: bool
 ) -> None:
-    """At most 0.45 of the height, at least a twentieth of that: each part of the length at its limit is an eighteenth."""
+    """At most 0.45 of the height, at least a twentieth of that: all parts at their limits are an eighteenth."""
     step = replace(step, from_rest=from_rest, usual_amplitude_mps2=usual_mps2)
     step = replace(step, vertical_amplitude_mps2=max(step.vertical_amplitude_mps2, 0.1))
     step = replace(step, stride_amplitude_mps2=step.vertical_amplitude_mps2)
