@@ -16,12 +16,11 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.report import palette
 from pdr_filter.report.geometry import ellipse_axes, ellipse_rows, places_at, storeys_of, window_starts
+from pdr_filter.report.trust import FARTHEST_M
 from pdr_filter.values import BoolArray, FloatArray, IntArray, TrackRows, rigid_fit
 
 # Rows of all tracks of a page together: 120 bytes a step and 25 a window or a point make less than 1.3 MB.
 _MAX_STEPS, _MAX_WINDOWS, _MAX_POINTS = 8000, 4000, 2000
-# Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
-_FARTHEST_M = 4e7
 # Of the places where a walk may be on a plan; those after them are improbable.
 _MAX_PLACES = 4
 
@@ -100,7 +99,7 @@ def _every(n: int, most: int) -> IntArray:
 
 
 def _shown_rows(track: TrackRows, most: int) -> IntArray:
-    usable: BoolArray = (np.abs(track.position_m) < _FARTHEST_M).all(axis=1) & np.isfinite(track.time_s)  # NaN is not
+    usable: BoolArray = (np.abs(track.position_m) < FARTHEST_M).all(axis=1) & np.isfinite(track.time_s)  # NaN is not
     rows = np.flatnonzero(usable)
     return rows[_every(len(rows), most)]
 
@@ -112,7 +111,7 @@ def _end_s(track: TrackRows) -> float:
 
 def _ellipses(cov_m2: FloatArray) -> tuple[tuple[FloatArray, FloatArray], FloatArray]:
     """Half axes of 95 % ellipses, the longer one first, and its angle from east; NaN where nothing can be drawn."""
-    usable = (np.abs(cov_m2) < _FARTHEST_M**2).all(axis=(1, 2))
+    usable = (np.abs(cov_m2) < FARTHEST_M**2).all(axis=(1, 2))
     half_m, angle_rad = np.full((len(cov_m2), 2), np.nan), np.full(len(cov_m2), np.nan)
     half_m[usable], angle_rad[usable] = ellipse_axes(cov_m2[usable])
     return (half_m[:, 1], half_m[:, 0]), angle_rad
@@ -204,7 +203,7 @@ def _locations(track: TrackRows, recording: Recording) -> dict[str, Any]:
         return {}
     values = recording.location.values
     place_m = track.origin.east_north_m(values[:, 0], values[:, 1])
-    usable = np.flatnonzero((np.abs(place_m) < _FARTHEST_M).all(axis=1))
+    usable = np.flatnonzero((np.abs(place_m) < FARTHEST_M).all(axis=1))
     rows = usable[_every(len(usable), _MAX_POINTS)]
     return {"gps": _points(place_m[rows]) | {"accuracy": _column(values[rows, 3], 1)}} if len(rows) else {}
 

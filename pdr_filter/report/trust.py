@@ -17,6 +17,8 @@ _MIN_RIDE_S = 20.0
 _MAX_TIMES = 8
 # A track without fixes that goes so much further than its step was led anew: of 72 real walks none did by 2 m.
 _JUMP_M = 3.0
+# Nobody walks round the Earth: what is further away is nonsense that would make a dot of all else.
+FARTHEST_M = 4e7
 # Two modes that are as probable as each other count as doubt.
 _DOUBTFUL_MODES = 1.9
 
@@ -161,8 +163,9 @@ def _jumps(track: TrackRows) -> list[str]:
     """One sentence of the steps in which the whole way before showed in another light; fixes and plans may do so."""
     if track.fixes or track.plan is not None:
         return []
-    moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1)
-    late = np.flatnonzero(moved_m > track.step_length_m[1:] + _JUMP_M)
+    with np.errstate(invalid="ignore", over="ignore"):  # a table that was read may hold anything
+        moved_m = np.hypot(*np.diff(track.position_m, axis=0).T)
+    late = np.flatnonzero((moved_m > track.step_length_m[1:] + _JUMP_M) & (moved_m < FARTHEST_M))
     if not len(late):
         return []
     each = [f"{moved_m[i]:.0f} m at {track.time_s[i + 1]:.0f} s" for i in late[:_MAX_TIMES]]

@@ -198,11 +198,11 @@ def test_a_stretch_is_quick_and_soft_where_most_of_its_steps_are(track: Track, s
     assert (found[10:-10] == told).all()  # the ends stand for the steps that are not there
 
 
-@pytest.mark.parametrize(("jump_m", "n_told"), [(2.0, 0), (5.0, 1)])
+@pytest.mark.parametrize(("jump_m", "n_told"), [(2.0, 0), (5.0, 1), (1e300, 0), (np.inf, 0)])
 def test_a_jump_of_a_track_without_fixes_is_told_with_its_time(track: Track, jump_m: float, n_told: int) -> None:
     position_m = np.array(track.position_m)
     sideways = np.array([position_m[30, 1] - position_m[29, 1], position_m[29, 0] - position_m[30, 0]])
-    position_m[30:] += jump_m * sideways / np.linalg.norm(sideways)
+    position_m[30:] += jump_m * sideways / np.linalg.norm(sideways)  # the last two are of a table that was read
     jumped = replace(track, position_m=read_only(position_m))
     told = [sentence for sentence in doubts(jumped) if "jumps" in sentence]
     assert len(told) == n_told
