@@ -16,15 +16,18 @@ from dataclasses import dataclass
 from datetime import date
 from pathlib import Path
 
-# Sums of several threads may differ in the last bit from run to run, and times are those of one core.
-os.environ.setdefault("OMP_NUM_THREADS", "1")
-os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-
 import numpy as np
 from numpy.typing import ArrayLike
+from threadpoolctl import threadpool_limits
 
 import pdr_filter as pdr
 from tests.data_folder import DATA
+
+# Sums of several threads may differ in the last bit from run to run, and times are those of one core: here, where a
+# benchmark has most often imported NumPy before, and in the processes that it starts.
+threadpool_limits(limits=1)
+os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 ROOT = Path(__file__).resolve().parents[2]
 FOLDER = ROOT / "docs" / "tables"
