@@ -5,9 +5,9 @@
 The step frequency as a function of the power of the motion (the law of the detector); count errors of ubicomp13 by
 placement with the single-scale wavelet, with the default detector, behind the gate, and with left and right evened; the
 same with only every second or fourth sample; what two phones on one walk say of the count's own error and of that of
-the truth; F1 of oxford at several rates, also without the faults of the foot
-switches: strides of ordinary length whose halves differ by more than 2.5 times, 0.18 and 0.81 s say. What the gate does
-to handling, with people left out, is in step_gate.py.
+the truth; F1 of oxford at several rates, also without the faults of the foot switches: strides of ordinary length whose
+halves differ by more than 2.5 times, 0.18 and 0.81 s say. What the gate does to handling, with people left out, is in
+step_gate.py.
 """
 
 from __future__ import annotations

@@ -133,6 +133,7 @@ def test_length_noise_lies_along_and_heading_noise_across_the_step(heading_rad: 
     assert along @ P @ along == pytest.approx((2 * 0.05) ** 2)
     assert across @ P @ across == pytest.approx((2 * 0.7 * 0.1) ** 2)
     assert along @ P @ across == pytest.approx(0.0, abs=1e-15)
+    np.testing.assert_allclose(cov[2:, :], 0.0)
 
 
 def test_a_step_in_a_turn_may_lead_in_any_direction_of_the_turn() -> None:
@@ -144,7 +145,6 @@ def test_a_step_in_a_turn_may_lead_in_any_direction_of_the_turn() -> None:
     whirled = replace(step, turn_rate_radps=40.0)
     _, cov = advance_one(np.zeros(4), step=whirled, length_m=0.7)
     assert np.trace(cov[:2, :2]) == pytest.approx(0.7**2 * np.pi**2 / 12)
-    np.testing.assert_allclose(cov[2:, :], 0.0)
 
 
 def test_n_equal_steps_add_up_in_closed_form() -> None:
