@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers import a_step, updates_of
 from made_up import FEATURES, box, errors_m, feature, line, round_the_block, turned, write
 from numpy.testing import assert_allclose, assert_array_equal
 from scipy.stats import truncnorm
@@ -178,6 +179,24 @@ def test_who_came_by_lift_was_in_one(tmp_path: Path) -> None:
     for how in ("stairs", "unknown"):
         same = on_plan.on_passage(before, replace(by_lift, how=how), known, config.model)
         assert_array_equal(same.weight, before.weight)
+
+
+def test_particles_go_in_any_direction_of_the_turn_of_a_step(tmp_path: Path) -> None:
+    field = pdr.FloorPlan.read(write(tmp_path / "p.geojson", [feature("floor", box(-20, -20, 20, 20))]))
+    config, n = pdr.recipes.default().with_plan(field), 20_000
+    on_plan = config.on_plan
+    assert on_plan is not None
+    before = replace(
+        on_plan.init(), particles=np.zeros((n, 6)), weight=np.full(n, 1 / n), way=np.array([[0.5, 0.0, 0.0, 0.0]])
+    )
+    across = []
+    for turn_rate_radps in (0.0, 1.0):
+        step = replace(a_step(), turn_rate_radps=turn_rate_radps)
+        state, [update] = updates_of(config.tracker.on_step(config.tracker.init(), step))
+        after = on_plan.on_step(before, update, state.pedestrian, config.model)
+        east_m, north_m = after.particles[:, :2].T
+        across.append(east_m.var() / np.mean(east_m**2 + north_m**2))
+    assert across[1] - across[0] == pytest.approx(0.5**2 / 12, rel=0.15)
 
 
 # --- invariances ------------------------------------------------------------------------------------------------------
