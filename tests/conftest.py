@@ -9,7 +9,8 @@ import pytest
 
 from tests.data_folder import DATA
 
-# Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core.
+# Tests that `make test` leaves to `make test-all` and CI: all that took more than about a second of one core, and those
+# of studies, training and pages in a browser, which together take long.
 SLOW = frozenset((Path(__file__).parent / "slow_tests.txt").read_text().split())
 
 
