@@ -226,7 +226,8 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
         return state, Output()
     merger, merged = config.merger.finish(state.merger)
     state, output = _with_merged(config, replace(state, merger=merger), merged)
-    state, late = _process(config, state, config.sensing.finish(state.sensing))
+    sensing, events = config.sensing.finish(state.sensing)
+    state, late = _process(config, replace(state, sensing=sensing), events)
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
     end_s = state.sensing.processed_s

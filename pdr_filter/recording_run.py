@@ -307,7 +307,7 @@ def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
     for part in _parts(merge_streams(recording), None):
         state, events = sensing.step(state, part)
         yield from (event for _, event in events)
-    yield from (event for _, event in sensing.finish(state))
+    yield from (event for _, event in sensing.finish(state)[1])
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:

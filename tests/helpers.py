@@ -135,7 +135,7 @@ def sensed(sensing: Sensing, blocks: Sequence[ImuBlock]) -> list[tuple[float, Ev
     for block in blocks:
         state, found = sensing.step(state, block)
         events += found
-    return [*events, *sensing.finish(state)]
+    return [*events, *sensing.finish(state)[1]]
 
 
 def bumps(time_s: np.ndarray, contacts_s: np.ndarray, amplitude_mps2: float, frequency_hz: float) -> np.ndarray:

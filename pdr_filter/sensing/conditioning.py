@@ -39,7 +39,7 @@ _NOTABLE_DEAF = 200
 
 @dataclass(frozen=True, slots=True, eq=False)
 class UniformBlock:
-    """Consecutive samples at a constant rate, a whole number of hops.
+    """Consecutive samples at a constant rate: whole hops, but for the last ones of a segment.
 
     Where a sensor is missing for longer than the longest bridged gap its values are zero and `*_known` is False.
     """
@@ -163,12 +163,13 @@ class Conditioner:
     max_gap_s : float
         A longer time without samples is a gap: no sample is invented there, and later stages start afresh.
     hop_samples : int
-        Output comes in whole hops of this many samples; at a gap up to one hop is dropped.
+        Output comes in whole hops of this many samples, and what is left of one at a gap and in the end. Each hop costs
+        the later stages as much as some hundred samples; the longer it is, the later a step is known.
     """
 
     rate_hz: float = 100.0
     max_gap_s: float = 0.3
-    hop_samples: int = 10
+    hop_samples: int = 20
 
     def __post_init__(self) -> None:
         check_numbers(self)
@@ -189,6 +190,11 @@ class Conditioner:
             outputs += found
         return state, _joined(outputs)
 
+    def finish(self, state: ConditionerState) -> tuple[ConditionerState, list[UniformBlock]]:
+        """New state and what is left of a hop, when no further sample will come."""
+        # a segment that has not begun has no samples for the later stages to begin with
+        return self._resample(state, state.rows, hop_samples=1) if state.n_emitted > 0 else (state, [])
+
     def _some(self, state: ConditionerState, block: ImuBlock) -> tuple[ConditionerState, list[UniformBlock]]:
         """The same of samples whose rows fit into a cache."""
         state, rows = self._accept(state, block)
@@ -203,8 +209,10 @@ class Conditioner:
             if len(state.rows) == 0:
                 state = replace(state, segment_start_s=part[0, 0])
             elif part[0, 0] - state.rows[-1, 0] > self.max_gap_s:
+                state, output = self.finish(state)
+                outputs += output
                 state = self._start_segment(state, part)
-            state, output = self._resample(state, np.concatenate([state.rows, part]))
+            state, output = self._resample(state, np.concatenate([state.rows, part]), self.hop_samples)
             outputs += output
         return state, outputs
 
@@ -247,8 +255,8 @@ class Conditioner:
         return replace(state, last_rate=last_rate, last_field=last_field, **kept_state), rows
 
     def _start_segment(self, state: ConditionerState, part: FloatArray) -> ConditionerState:
-        # The gap is counted from the end of what was emitted: a dropped partial hop is lost time too. If nothing of
-        # the old segment was emitted, the gap before it is still open and adds up.
+        # The gap is counted from the end of what was emitted. If nothing of the old segment was, the gap before it is
+        # still open and adds up.
         emitted_until_s = state.segment_start_s + state.n_emitted / self.rate_hz
         gap_s = float(part[0, 0] - emitted_until_s)
         unreported = state.gap_before_s if state.n_emitted == 0 else 0.0
@@ -267,14 +275,16 @@ class Conditioner:
             report=report,
         )
 
-    def _resample(self, state: ConditionerState, rows: FloatArray) -> tuple[ConditionerState, list[UniformBlock]]:
-        """Mean of the linear interpolant over each interval of the grid that the rows cover."""
+    def _resample(
+        self, state: ConditionerState, rows: FloatArray, hop_samples: int
+    ) -> tuple[ConditionerState, list[UniformBlock]]:
+        """Mean of the linear interpolant over each interval of the grid that the rows cover, in whole hops."""
         # A grid point needs a sample after it: interpolated from the left alone it would have other last bits.
         last_s = float(rows[-1, 0])
         last = math.ceil((last_s - state.segment_start_s) * self.rate_hz) + 1
         while last > 0 and state.segment_start_s + last / self.rate_hz >= last_s:
             last -= 1
-        n_complete = last // self.hop_samples * self.hop_samples
+        n_complete = last // hop_samples * hop_samples
         if n_complete <= state.n_emitted:
             return replace(state, rows=rows), []
         index = np.arange(state.n_emitted, n_complete + 1)

@@ -6,6 +6,7 @@ import math
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -136,7 +137,17 @@ class Sensing:
     def step(self, state: SensingState, block: ImuBlock) -> tuple[SensingState, list[tuple[float, Event]]]:
         """New state, and the events with the time at which each became known."""
         conditioner, uniform = self.conditioner.step(state.conditioner, block)
-        state = replace(state, conditioner=conditioner)
+        return self._take(replace(state, conditioner=conditioner), uniform)
+
+    def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
+        """New state when the recording has ended, and the steps that were still waiting for samples."""
+        conditioner, uniform = self.conditioner.finish(state.conditioner)
+        state, events = self._take(replace(state, conditioner=conditioner), uniform)
+        return state, [*events, *self._close_segment(state)[1]]
+
+    def _take(
+        self, state: SensingState, uniform: Sequence[UniformBlock]
+    ) -> tuple[SensingState, list[tuple[float, Event]]]:
         events: list[tuple[float, Event]] = []
         for part in uniform:
             if part.gap_before_s > 0 and state.n_samples > 0:
@@ -146,10 +157,6 @@ class Sensing:
             state, found = self._sense(state, part)
             events += found
         return state, events
-
-    def finish(self, state: SensingState) -> list[tuple[float, Event]]:
-        """The steps that were still waiting for samples when the recording ended."""
-        return self._close_segment(state)[1]
 
     def device(self, state: SensingState) -> Device:
         """What is known of the phone by now."""
@@ -233,8 +240,8 @@ def feature_windows(stage: FeatureWindows, blocks: Iterable[ImuBlock]) -> Iterat
     """Feature windows of samples: what training learns from, the same that `LearnedContexts` classifies."""
     conditioner, attitude_estimator = Conditioner(stage.rate_hz), AttitudeEstimator(stage.rate_hz)
     intake, attitude_state, state = conditioner.init(), attitude_estimator.init(), stage.init()
-    for block in blocks:
-        intake, uniform = conditioner.step(intake, block)
+    for block in chain(blocks, [None]):
+        intake, uniform = conditioner.finish(intake) if block is None else conditioner.step(intake, block)
         for part in uniform:
             if part.gap_before_s > 0:
                 attitude_state, state = attitude_estimator.after_gap(attitude_state), stage.init()

@@ -51,7 +51,7 @@ def thinned(recording: pdr.Recording, keep_every: int) -> pdr.Recording:
 
 def step_times(sensing: Sensing, recording: pdr.Recording) -> FloatArray:
     state, events = sensing.step(sensing.init(), merge_streams(recording))
-    return np.array([e.time_s for _, e in [*events, *sensing.finish(state)] if isinstance(e, Step)])
+    return np.array([e.time_s for _, e in [*events, *sensing.finish(state)[1]] if isinstance(e, Step)])
 
 
 def count_errors(sensing: Sensing, recordings: Iterable[pdr.Recording]) -> dict[str, list[float]]:

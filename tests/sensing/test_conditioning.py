@@ -75,6 +75,18 @@ def test_output_comes_in_whole_hops_at_the_asked_rate() -> None:
     assert state.report.n_emitted == 217
 
 
+def test_what_is_left_of_a_hop_comes_in_the_end_unless_nothing_came_before() -> None:
+    conditioner, time_s = Conditioner(), np.arange(455) / 100
+    state, blocks = condition(conditioner, [imu(time_s, linear(time_s))])
+    state, last = conditioner.finish(state)
+    out = joined([*blocks, *last])
+    assert (len(blocks[0].time_s), len(out["time_s"]), state.report.n_emitted) == (440, 453, 453)
+    np.testing.assert_allclose(np.diff(out["time_s"]), 0.01)
+    np.testing.assert_allclose(out["specific_force_mps2"], linear(out["time_s"]), atol=1e-9)
+    state, blocks = condition(conditioner, [imu(time_s[:12])])
+    assert (blocks, conditioner.finish(state)[1]) == ([], [])
+
+
 # --- what is wrong with samples -------------------------------------------------------------------------------------
 
 
@@ -118,7 +130,7 @@ def test_a_longer_stretch_of_rows_that_are_not_finite_is_a_gap() -> None:
     force[100:140] = np.nan
     state, blocks = condition(Conditioner(), [imu(time_s, force)])
     assert state.report.n_gaps == 1
-    assert [b.gap_before_s for b in blocks] == [np.inf, pytest.approx(time_s[140] - 0.9)]
+    assert [b.gap_before_s for b in blocks] == [np.inf, pytest.approx(time_s[140] - 0.98)]
     assert state.report.n_not_finite == 40
 
 
@@ -136,9 +148,9 @@ def test_no_sample_is_invented_in_a_gap_and_the_gap_is_the_time_without_output()
     out = joined(blocks)
     first, second = blocks
     assert not ((out["time_s"] > 2.03) & (out["time_s"] < 7.0)).any()
-    assert first.time_s[-1] == pytest.approx(1.995)  # the three samples that make no hop are dropped
+    assert first.time_s[-1] == pytest.approx(2.015)  # of the last hop as much as has a sample after it
     assert second.time_s[0] == pytest.approx(7.005)
-    assert second.gap_before_s == pytest.approx(5.0)
+    assert second.gap_before_s == pytest.approx(4.98)
     lost_s = second.gap_before_s
     assert (state.report.n_gaps, state.report.lost_s, state.report.longest_gap_s) == (1, lost_s, lost_s)
     np.testing.assert_allclose(out["specific_force_mps2"], linear(out["time_s"]), atol=1e-9)
