@@ -13,14 +13,15 @@ there, the same bits that the finished recording gives. Times of the samples are
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+import math
+from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
 from pdr_filter.io.describe import GAP_INTERVALS
 from pdr_filter.sensing.conditioning import at_times
-from pdr_filter.values import FloatArray, ImuBlock, check_numbers
+from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace
 
 Sensor = Literal["accelerometer", "gyroscope", "magnetometer", "barometer"]
 SENSORS: tuple[Sensor, ...] = get_args(Sensor)
@@ -34,7 +35,7 @@ _SET_BACK_S = 60.0
 _RATE_SAMPLES = 64
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class StreamState:
     """One sensor: what waits or is still needed, in order of time, and what has come."""
 
@@ -55,7 +56,7 @@ class StreamState:
         return float(1.0 / np.median(intervals_s)) if len(intervals_s) else np.nan
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class MergerState:
     """The sensors, in the order of `SENSORS`, and how far they are merged."""
 
@@ -121,10 +122,11 @@ class StreamMerger:
         state = self._arrived(state, sensor, np.column_stack([time_s, values]))
         force = state.stream("accelerometer")
         before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())
-        n_whole = self._n_whole(force, before_s)
+        n_whole = self._n_whole(force, len(force.rows), before_s)
         frontier_s = float(force.rows[n_whole - 1, 0]) if n_whole else state.released_s
         passed_s = {name: self._passed_s(state.stream(name), frontier_s) for name in SENSORS[1:]}
-        awaited_s = [p for p in passed_s.values() if frontier_s - float(np.fmax(p, state.first_s)) <= self.wait_s]
+        first_s = -np.inf if math.isnan(state.first_s) else state.first_s
+        awaited_s = [p for p in passed_s.values() if frontier_s - max(p, first_s) <= self.wait_s]
         ready_s = min([frontier_s, *awaited_s]) - self.reorder_s
         n = min(int(np.searchsorted(force.rows[:, 0], ready_s, side="right")), n_whole)
         return self._released(state, max(n, len(force.rows) - _MAX_ROWS), passed_s["barometer"] - self.reorder_s)
@@ -144,22 +146,22 @@ class StreamMerger:
 
     def _arrived(self, state: MergerState, sensor: Sensor, new: FloatArray) -> MergerState:
         """State in which rows wait; the late ones are dropped."""
-        timed = new[np.isfinite(new[:, 0])]
-        n_late = 0
+        finite = np.isfinite(new)
+        timed = new if finite.all() else new[finite[:, 0]]
         if sensor == "accelerometer":
             state, kept = self._in_time(state, timed)
             n_late = len(timed) - len(kept)
         else:
             # between two samples both are needed, so that one without a value is none
-            kept = timed[np.isfinite(timed[:, 1:]).all(axis=1)]
-            is_late = kept[:, 0] <= (state.pressure_s if sensor == "barometer" else state.released_s)
-            n_late = int(is_late.sum())
-            kept = kept[~is_late]
+            known = new[finite.all(axis=1)]
+            kept = known[known[:, 0] > (state.pressure_s if sensor == "barometer" else state.released_s)]
+            n_late = len(known) - len(kept)
         stream = state.stream(sensor)
         rows = np.concatenate([stream.rows, kept])
-        if sensor != "accelerometer":
+        intervals_s = rows[1:, 0] - rows[:-1, 0]
+        if sensor != "accelerometer" and (intervals_s <= 0).any():
             rows = rows[np.unique(rows[:, 0], return_index=True)[1]]
-        elif (np.diff(rows[:, 0]) < 0).any():
+        elif (intervals_s < 0).any():
             rows = rows[np.argsort(rows[:, 0], kind="stable")]
         n_over = 0 if sensor == "accelerometer" else max(len(rows) - _MAX_ROWS, 0)
         stream = replace(
@@ -193,34 +195,40 @@ class StreamMerger:
         kept = (replace(new, n_received=s.n_received, n_late=s.n_late) for new, s in begun)
         return MergerState(tuple(kept))
 
-    def _n_whole(self, stream: StreamState, before_s: float, others_s: float = -np.inf) -> int:
-        """How many rows lie before the first hole that may still be filled.
+    def _n_whole(self, stream: StreamState, n: int, before_s: float, others_s: float = -np.inf) -> int:
+        """How many of the first n rows lie before the first hole that may still be filled.
 
         `before_s` is the last time before them, `others_s` how far the accelerometer has come, if they are of another
         sensor.
         """
-        time_s = stream.rows[:, 0]
-        intervals_s = np.diff(time_s, prepend=before_s)
+        time_s = stream.rows[:n, 0]
+        intervals_s = time_s.copy()
+        intervals_s[:1] -= before_s
+        intervals_s[1:] -= time_s[:-1]
         if not (intervals_s > self.max_gap_s).any():
-            return len(time_s)
+            return n
         usual_s = 1.0 / stream.rate_hz if stream.rate_hz > 0 else 0.0
         holes = np.flatnonzero(intervals_s > max(self.max_gap_s, GAP_INTERVALS * usual_s))
         begin_s = time_s[holes] - intervals_s[holes]
         waits = holes[(time_s[-1] - time_s[holes] < self.wait_s) & (others_s - begin_s <= self.wait_s)]
-        return int(waits[0]) if len(waits) else len(time_s)
+        return int(waits[0]) if len(waits) else n
 
     def _passed_s(self, stream: StreamState, frontier_s: float) -> float:
         """How far a sensor has come, of which nothing counts that is far ahead of the accelerometer."""
-        n = int(np.searchsorted(stream.rows[:, 0], frontier_s + self.wait_s, side="right"))
-        near = replace(stream, rows=stream.rows[:n])
-        n = self._n_whole(near, float(near.rows[0, 0]), frontier_s) if n else 0
+        time_s = stream.rows[:, 0]
+        n = int(time_s.searchsorted(frontier_s + self.wait_s, side="right"))
+        n = self._n_whole(stream, n, float(time_s[0]), frontier_s) if n else 0
         # what comes before the first sample takes its value from the first two
         interpolates = stream.rows.shape[1] > 2
-        return float(near.rows[n - 1, 0]) if n > interpolates else -np.inf
+        return float(time_s[n - 1]) if n > interpolates else -np.inf
 
     def _released(self, state: MergerState, n: int, pressure_until_s: float) -> tuple[MergerState, Merged]:
         """State without the first rows of the accelerometer, which leave, and pressures up to a time."""
         force, pressure = state.stream("accelerometer"), state.stream("barometer")
+        due = int(pressure.rows[:, 0].searchsorted(pressure_until_s, side="right"))
+        out = pressure.rows[:due][pressure.rows[:due, 0] > state.pressure_s]
+        if n == len(out) == 0:
+            return state, _NOTHING
         leaving, left = force.rows[:n], force.rows[n:]
         time_s = leaving[:, 0]
         rate, field_ut = (
@@ -236,9 +244,6 @@ class StreamMerger:
                 # the two before are needed: what comes after the last sample is held by both
                 first = max(int(np.searchsorted(stream.rows[:, 0], state.released_s, side="right")) - 2, 0)
                 state = _with(state, sensor, replace(stream, rows=stream.rows[first:]))
-        due = int(np.searchsorted(pressure.rows[:, 0], pressure_until_s, side="right"))
-        is_new = pressure.rows[:due, 0] > state.pressure_s
-        out = pressure.rows[:due][is_new]
         if len(out):
             state = replace(state, pressure_s=float(out[-1, 0]))
             state = _with(state, "barometer", replace(pressure, rows=pressure.rows[due - 1 :]))
@@ -246,6 +251,7 @@ class StreamMerger:
 
 
 _NO_LATE = (np.nan, np.nan)
+_NOTHING = Merged(np.empty(0), np.empty(0), ImuBlock(np.empty(0), *np.empty((3, 0, 3))))
 
 
 def _with(state: MergerState, sensor: Sensor, stream: StreamState) -> MergerState:

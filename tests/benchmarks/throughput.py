@@ -1,6 +1,6 @@
 """How fast the whole pipeline is: recordings of all sets, their stages, an hour, a day in blocks, a block, a start.
 
-usage: python -m tests.benchmarks.throughput [recordings] [stages] [pushed] [hour] [costs] [day] [start]
+usage: python -m tests.benchmarks.throughput [recordings] [stages] [pushed] [calls] [hour] [costs] [day] [start]
        [--before TREE] [--every 4]
 
 The hour is the embedded simulated walk repeated in time; costs are those of one real walk, a part of the filter left
@@ -322,6 +322,35 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
     tables.write("throughput_parts", ["what", "ms a second", "ms a step more", "times real time"], rows, about)
 
 
+def of_calls(tables: Tables, args: argparse.Namespace) -> None:
+    """A minute of a real walk, pushed in larger and smaller pieces, merged and as its sensors come."""
+    block = pdr.merge_streams(pdr.read(args.data / "oxiod" / "oxiod_anon_floor1_handheld1.zip"))
+    n = int(np.searchsorted(block.time_s, block.time_s[0] + 60.0))
+
+    def merged(samples: int) -> None:
+        online = pdr.OnlineFilter()
+        for i in range(0, n, samples):
+            part = slice(i, i + samples)
+            sensors = block.specific_force_mps2[part], block.angular_rate_radps[part], block.magnetic_field_ut[part]
+            online.push(block.time_s[part], *sensors)
+
+    def apart(samples: int) -> None:
+        online = pdr.OnlineFilter()
+        for i in range(0, n, samples):
+            part = slice(i, i + samples)
+            online.push_accelerometer(block.time_s[part], block.specific_force_mps2[part])
+            online.push_gyroscope(block.time_s[part], block.angular_rate_radps[part])
+            online.push_magnetometer(block.time_s[part], block.magnetic_field_ut[part])
+
+    pieces = {"blocks of 1 s": 100, "blocks of 0.1 s": 10, "single samples": 1}
+    runs = [lambda way=way, size=size: way(size) for size in pieces.values() for way in (merged, apart)]
+    taken = np.min([[best_s(run, 1) for run in runs] for _ in range(3)], axis=0).reshape(-1, 2)
+    rows = [[what, *(f"{1e3 * t / 60.0:.1f}" for t in both)] for what, both in zip(pieces, taken, strict=True)]
+    columns = ["ms of a core for a second of data", "`push`", "`push_accelerometer`, `push_gyroscope`, ..."]
+    about = f"60 s of walking, {n / 60.0:.0f} Hz, three sensors; the least of three runs in turns, {load()}."
+    tables.write("throughput_calls", columns, rows, about)
+
+
 def of_a_day(tables: Tables, args: argparse.Namespace) -> None:
     """A day in blocks of a minute: whether its cost is that of its length, and its memory that of an hour."""
     block, online, rows = pdr.merge_streams(long_walk(1.0)), pdr.OnlineFilter(), []
@@ -359,6 +388,7 @@ PARTS: dict[str, Callable[[Tables, argparse.Namespace], None]] = {
     "recordings": of_recordings,
     "stages": of_stages,
     "pushed": of_pushed,
+    "calls": of_calls,
     "hour": of_an_hour,
     "costs": of_parts,
     "day": of_a_day,
