@@ -7,6 +7,7 @@ there, the same bits that the finished recording gives. Times of the samples are
 - where more than `max_gap_s` of a sensor, and more than 2.5 usual intervals, are missing, what came after waits until
   it spans `wait_s`: a message that was overtaken fills the hole;
 - a sensor that is more than `wait_s` behind the accelerometer is silent, and nobody waits for it any more;
+- what may leave is looked at when a sensor has come `bunch_s` further: once for some samples that come one by one;
 - samples of the accelerometer whose time has left are late, and dropped. A minute of late ones alone is a clock that
   was set back: everything starts afresh, and `sensing.clock` follows it.
 """
@@ -64,6 +65,7 @@ class MergerState:
     first_s: float = np.nan  # of the accelerometer
     released_s: float = -np.inf  # of the accelerometer, the last that left
     pressure_s: float = -np.inf  # of the barometer, the last that left
+    looked_s: tuple[float, ...] = len(SENSORS) * (-np.inf,)  # how far each had come when it was seen what may leave
     late_s: tuple[float, float] = (np.nan, np.nan)  # first and largest time of late rows without one in time between
 
     def stream(self, sensor: Sensor) -> StreamState:
@@ -100,16 +102,19 @@ class StreamMerger:
     reorder_s : float
         How far a sample may be behind a later one of its sensor; all wait so long. For messages over a network that may
         overtake each other, as much as one of them holds, or put them in order before.
+    bunch_s : float
+        How much later than it could a sample may leave.
     max_gap_s : float
         As of `merge_streams`.
     """
 
     wait_s: float = 5.0
     reorder_s: float = 0.1
+    bunch_s: float = 0.05
     max_gap_s: float = 0.3
 
     def __post_init__(self) -> None:
-        check_numbers(self, zero=("reorder_s",))
+        check_numbers(self, zero=("reorder_s", "bunch_s"))
 
     def init(self) -> MergerState:
         """State before the first sample."""
@@ -120,6 +125,10 @@ class StreamMerger:
     ) -> tuple[MergerState, Merged]:
         """New state, and what may leave after samples (N,), (N, d) of one sensor."""
         state = self._arrived(state, sensor, np.column_stack([time_s, values]))
+        at = SENSORS.index(sensor)
+        if abs(state.streams[at].last_s - state.looked_s[at]) < self.bunch_s:
+            return state, _NOTHING
+        state = replace(state, looked_s=tuple(stream.last_s for stream in state.streams))
         force = state.stream("accelerometer")
         before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())
         n_whole = self._n_whole(force, len(force.rows), before_s)

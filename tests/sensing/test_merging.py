@@ -202,6 +202,27 @@ def test_a_single_row_is_taken_as_a_block_of_one() -> None:
     )  # type: ignore[index]
 
 
+def test_single_samples_leave_some_at_once_and_hardly_later_than_they_could() -> None:
+    merger, state = StreamMerger(), StreamMerger().init()
+    n_releases = 0
+    for time_s in 0.01 * np.arange(1000):
+        for sensor in ("gyroscope", "magnetometer", "accelerometer"):
+            state, output = merger.step(state, sensor, np.array([time_s]), np.zeros((1, 3)))  # type: ignore[arg-type]
+            n_releases += len(output.block.time_s) > 0
+        if time_s > 6.0:  # the barometer is not waited for any more
+            assert time_s - state.released_s <= merger.reorder_s + merger.bunch_s + 0.011
+    assert 100 < n_releases < 250
+
+
+def test_a_block_leaves_when_the_last_sensor_has_passed_it() -> None:
+    merger, state = StreamMerger(), StreamMerger().init()
+    for second in range(10):
+        time_s = second + 0.01 * np.arange(100)
+        for sensor in ("gyroscope", "magnetometer", "accelerometer"):
+            state, _ = merger.step(state, sensor, time_s, np.zeros((100, 3)))  # type: ignore[arg-type]
+    assert state.released_s == pytest.approx(time_s[-1] - merger.reorder_s, abs=0.011)
+
+
 def test_a_sensor_that_falls_silent_gets_a_note_and_stops_nobody_for_longer_than_the_wait() -> None:
     merger = StreamMerger()
     online, time_s = pdr.OnlineFilter(), 0.01 * np.arange(2000)
