@@ -114,7 +114,10 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
                 found += matlab_sheets(members, name)
     if not found:
         listed = ", ".join(members.names[:8])
-        raise RecordingError(f"{members.path}: no table of samples in it (found: {listed or 'nothing'})")
+        raise RecordingError(
+            f"{members.path}: no table of samples in it (found: {listed or 'nothing'}); a table has a line of names, "
+            "and below it a line of numbers for each sample, two or more"
+        )
     return found
 
 

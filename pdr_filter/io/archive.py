@@ -207,7 +207,12 @@ def open_members(path: Path) -> Generator[Members]:
                 raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
             if begin == _GZIP:
                 packed = Members(path, is_gzip=True)
-                if packed.head(packed.names[0], 2) == _ZIP:
+                begin = packed.head(packed.names[0], 2)
+                if not begin:
+                    raise RecordingError(
+                        f"{path}: the file in it is empty (0 bytes); copy or export the recording again"
+                    )
+                if begin == _ZIP:
                     file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
                 else:
                     _refuse_others(path, packed.head(packed.names[0], 512))

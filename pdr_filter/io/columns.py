@@ -16,7 +16,8 @@ from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 ACCELERATION, LINEAR, GRAVITY = "acceleration", "linear_acceleration", "gravity"
 RATE, FIELD = "gyroscope", "magnetometer"
-VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD)
+ROTATION = "rotation"  # of some apps the angular rate, of others the orientation
+VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
 SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
@@ -28,6 +29,7 @@ _WORDS = {
     GRAVITY: "gravity grav gravitation",
     RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate "
     "gyroskop",
+    ROTATION: "rotation rot",
     FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",
     "light": "illuminance light lux",
@@ -62,15 +64,14 @@ _ACCELERATIONS = {
     **dict.fromkeys(("m/s^2", "m/s2", "m/s/s", "ms^-2"), 1.0),
     **{"g": STANDARD_GRAVITY_MPS2, "mg": 1e-3 * STANDARD_GRAVITY_MPS2},
 }
+_RATES = {
+    "rad/s": 1.0,
+    **dict.fromkeys(("deg/s", "\u00b0/s", "dps"), math.pi / 180),
+    "mdps": math.pi / 180e3,
+}
 UNITS: dict[str, dict[str, float]] = {
     **dict.fromkeys((ACCELERATION, LINEAR, GRAVITY), _ACCELERATIONS),
-    RATE: {
-        "rad/s": 1.0,
-        "deg/s": math.pi / 180,
-        "\u00b0/s": math.pi / 180,
-        "dps": math.pi / 180,
-        "mdps": math.pi / 180e3,
-    },
+    **dict.fromkeys((RATE, ROTATION), _RATES),
     FIELD: {"ut": 1.0, "mt": 1000.0, "t": 1e6, "gauss": 100.0, "g": 100.0},
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},
@@ -140,7 +141,8 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     """The quantity that the name of a file or a sheet says anywhere, and its preference; "" if none."""
     found = letters(name)
     words = {letters(word) for word in re.split(r"[^A-Za-z]+", name)}
-    fitting = [w for w in QUANTITY_OF if (w in found if len(w) > _SHORTEST else w in words) and w not in ("bar", "g")]
+    fitting = [w for w in QUANTITY_OF if (w in found if len(w) > _SHORTEST else w in words)]
+    fitting = [w for w in fitting if w not in ("bar", "g", "rotation", "rot")]
     fitting += [w for w in ("bar",) if w in words]
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
     return (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
@@ -158,6 +160,8 @@ def column_of(place: int, name: str) -> Column:
     for axis, rest in ((stem[-1:], stem[:-1]), (stem[:1], stem[1:])):  # the axis behind the word, or before it
         if axis in ("x", "y", "z"):
             quantity, preference = quantity_of_stem(rest)
+            if quantity == ROTATION and unit:
+                quantity = RATE if unit in UNITS[RATE] else ""
             if quantity in VECTORS:
                 unit = unit or ("g" if rest in ("gf", "gforce") else "")
                 return Column(place, name, quantity, axis, unit, rest, preference)
@@ -181,7 +185,9 @@ def is_time(name: str) -> bool:
     stem = letters(bare)
     is_word = not _TIME_WORDS.isdisjoint(bare.lower().split())
     is_unit = any(re.fullmatch(pattern, stem) for pattern in _TIME_UNIT_WORDS.values())
-    return is_word or is_unit or stem in ("t", "ts") or _TIME.search(stem) is not None
+    letter, _, unit = bare.strip().lower().partition("_")  # as in t_ms
+    is_letter = stem in ("t", "ts") or (letter in ("t", "ts") and unit in TIME_UNITS)
+    return is_word or is_unit or is_letter or _TIME.search(stem) is not None
 
 
 def nanoseconds_of(fields: Sequence[str], place: int) -> int | None:

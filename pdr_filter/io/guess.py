@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, SCALARS, TIME_UNITS, UNITS
+from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, ROTATION, SCALARS, TIME_UNITS, UNITS
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.dialects import Dialect
 from pdr_filter.io.errors import RecordingError
@@ -28,6 +28,11 @@ _G_OF_GRAVITY = (0.8, 1.25)
 _LEAST_GRAVITY_MPS2 = limits.SPECIFIC_FORCE_RANGE_MPS2[0]
 # A gyroscope in deg/s that is taken for one in rad/s makes gravity turn 57 times too little.
 _DEGREES_BELOW = 0.13  # the geometric mean of 1 and pi/180
+# An angular rate turns gravity as far as it says, in rad/s or deg/s, within this factor; where gravity hardly turns,
+# its mean over two seconds is a small share of its norm. Of 107 recordings that takes 89, and of their phones'
+# orientations, as quaternions, rotation vectors or Euler angles, none.
+_TURNS_AS_SAID = (0.5, 2.0)
+_RATE_SHARE = 0.25
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
     **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
@@ -81,9 +86,10 @@ def guess(
     streams = [_stream(group, data[group.sheet], dialect, rate_hz) for group in groups]
     streams = [s for s in streams if len(s.values)]
     forces = _forces(streams, dialect, result, where)
+    streams = [_as_rate(s, forces) for s in streams]
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
-    time_s, force = forces[0].time_s, sum(s.factor * _like(s, forces[0]) for s in forces)
+    time_s, force = forces[0].time_s, _force(forces)
     for quantity in (RATE, FIELD, *SCALARS, "location"):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
@@ -99,7 +105,7 @@ def guess(
                     None,
                     rate_hz,
                 )
-            chosen.append(_with_unit(near, np.asarray(force), time_s, result))
+            chosen.append(_with_unit(near, force, time_s, result))
     left_out = sorted({s.data.sheet.name for s in streams} - {s.data.sheet.name for s in chosen})
     if left_out:
         result.notes.append(f"left out: {', '.join(left_out)[:200]}")
@@ -133,8 +139,8 @@ def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: D
     names = ", ".join(data[groups[0].sheet].sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
     raise RecordingError(
-        f"{where}: {app} no column of times (columns: {names}); export it with times, or give the rate: "
-        'pdr-filter convert FILE --map MAP.toml with "[time]" and "rate_hz = ..." in it'
+        f"{where}: {app} no column of times (columns: {names}); export it with times, or give column or rate: "
+        'pdr-filter convert FILE --map MAP.toml with "[time]" and \'column = "..."\' or "rate_hz = ..." in it'
     )
 
 
@@ -177,8 +183,13 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
     found = [_with_force_unit(s) for s in streams if s.group.quantity in (ACCELERATION, LINEAR, GRAVITY)]
     if not found:
         others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
+        used = {(s.data.sheet.name, p) for s in streams for p in (*s.group.places, s.group.time)}
+        sheets = {s.data.sheet.name: s.data.sheet.fields for s in streams}
+        rest = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
+        is_there = ", ".join(rest)[:200]
+        remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
         raise RecordingError(
-            f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again"
+            f"{where}: {app} has no accelerometer (sensors seen: {others}); record it and export again{remedy}"
         )
     of = {q: [s for s in found if s.group.quantity == q] for q in (ACCELERATION, LINEAR, GRAVITY)}
     # What ROS calls linear acceleration has gravity in it.
@@ -265,6 +276,24 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
+
+
+def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
+    """What is called a rotation as a gyroscope, if it turns gravity as one does; else as it is, and not used."""
+    if s.group.quantity != ROTATION:
+        return s
+    factor = turning(forces[0].time_s, _force(forces), s.time_s, s.values)
+    if factor is None:
+        is_rate = s.constant < _RATE_SHARE * median_norm(s.values)
+    else:
+        low, high = _TURNS_AS_SAID
+        is_rate = any(low < factor / unit < high for unit in UNITS[RATE].values())
+    return replace(s, group=replace(s.group, quantity=RATE, preference=0)) if is_rate else s
+
+
+def _force(forces: Sequence[_Stream]) -> FloatArray:
+    """The specific force in m/s2, the sum where gravity is apart."""
+    return np.asarray(sum(s.factor * _like(s, forces[0]) for s in forces))
 
 
 def _is_of_earth(s: _Stream) -> bool:

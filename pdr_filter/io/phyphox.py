@@ -16,6 +16,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
+from pdr_filter.io import columns as vocabulary
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
@@ -58,13 +59,24 @@ _NAMES = {*STREAM_OF, *WITHOUT_GRAVITY, *(name for names in LOCATION for name in
 
 
 def looks_like(header: str) -> bool:
-    """Whether the header line of a CSV file is one of phyphox: a time, and a column of a sensor with its unit."""
+    """Whether the header line of a CSV file is one of phyphox: a time, and a column of a sensor with its unit.
+
+    One with a further vector under a name that phyphox does not write is another app's.
+    """
     for separator in SEPARATORS:
         time, _, others = header.partition(separator)
         if time.strip('"') == TIME and others:
-            parts = _name_axis_unit(others.split(separator, 1)[0].strip('" '))
-            return parts is not None and (not parts[0] or parts[0] in _NAMES)
+            first, *further = (field.strip('" ') for field in others.split(separator))
+            parts = _name_axis_unit(first)
+            is_first = parts is not None and (not parts[0] or parts[0] in _NAMES)
+            return is_first and not any(map(_is_of_another_app, further))
     return False
+
+
+def _is_of_another_app(field: str) -> bool:
+    parts = _name_axis_unit(field)
+    is_known = parts is not None and (not parts[0] or parts[0] in _NAMES)
+    return not is_known and vocabulary.column_of(0, field.partition("(")[0]).quantity in vocabulary.VECTORS
 
 
 def read_phyphox(path: str | Path) -> Recording:

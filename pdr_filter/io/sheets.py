@@ -15,7 +15,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
-from pdr_filter.io.columns import is_unit
+from pdr_filter.io.columns import column_of, is_time, is_unit
 from pdr_filter.io.dates import as_nanoseconds, column_nanoseconds, is_date, without_midnights
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.table import Layout, NumberTable, concatenated, finite, header_fields, parse_blocks
@@ -26,6 +26,9 @@ _NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|-?
 _WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # of which the first of numbers begins the table
 _LINES_COMPARED = 8
+# Some apps and spreadsheets write a header in the code page of the phone; numbers are the same in all of them. The
+# first in which most names are known is taken.
+_CODE_PAGES = ("latin-1", "cp1251", "gbk", "shift_jis", "big5", "euc_kr")
 _MOST_SENSORS = 40  # of a phone that writes a row for each sample of any of them
 # A whole number from here on would lose digits as a float: nanoseconds and microseconds since 1970.
 LARGEST_FLOAT_WHOLE = 2**53
@@ -197,10 +200,17 @@ def _lines(head: bytes) -> list[str]:
     """The whole lines of the first bytes of a text."""
     try:
         text = head.decode("utf-8-sig")
-    except UnicodeDecodeError:  # some apps write their header in the code of the phone; numbers are the same in all
-        text = head.decode("latin-1")
+    except UnicodeDecodeError:
+        text = max((head.decode(page, "replace") for page in _CODE_PAGES), key=_n_known)
     lines = text.replace("\r\n", "\n").replace("\r", "\n").split("\n")
     return lines[:-1] if len(head) == limits.HEAD_BYTES else lines
+
+
+def _n_known(text: str) -> int:
+    """How many fields of the first lines that are not ASCII are names of a time or a sensor."""
+    fields = {field.strip(' "') for line in text.splitlines()[:_LINES_TRIED] for field in re.split(r"[,;|\t]", line)}
+    columns = [(name, column_of(0, name)) for name in fields if not name.isascii()]
+    return sum(is_time(name) or bool(column.quantity or column.axis) for name, column in columns)
 
 
 def _layout(lines: list[str], separator: str) -> _Found | None:

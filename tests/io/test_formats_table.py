@@ -157,6 +157,7 @@ LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sen
 WIFI = "test_wifi_files.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
 GENERIC, HOSTILE, TABLES = "test_generic_csv.py", "test_hostile_files.py", "test_tables.py"
+NAMES = "test_names_of_columns.py"
 MATLAB, ROS, JSON = "test_matlab.py", "test_ros_bag.py", "test_json_tables.py"
 WRAPPED, DATES = "test_wrapped.py", "test_dates.py"
 
@@ -301,6 +302,13 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
     ("tables", "units that no name says"): [
         (TABLES, "test_the_walk_comes_back"),
         (TABLES, "test_the_gyroscope_is_checked_with_how_gravity_turns"),
+    ],
+    ("tables", "`Rotation X` without a unit: an angular rate or an orientation"): [
+        (NAMES, "test_a_rotation_that_turns_gravity_is_a_rate_and_one_that_does_not_is_an_orientation"),
+        (NAMES, "test_a_rotation_that_averages_out_is_a_gyroscope_also_beside_columns_like_those_of_phyphox"),
+    ],
+    ("tables", "a header in a code page, such as cp1251"): [
+        (NAMES, "test_a_header_in_a_code_page_is_read_and_shown_as_it_was_written")
     ],
     ("tables", "dates and clock times, with or without a zone, `mm:ss.000`; midnight, the full hour"): [
         (TABLES, "test_dates_are_read_however_they_are_written"),

@@ -450,9 +450,9 @@ def test_a_blank_line_after_each_changes_nothing(tmp_path: Path, end: str) -> No
 
 
 def test_columns_that_were_not_used_are_named(tmp_path: Path) -> None:
-    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Rotation %", RATE)
+    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Swing %", RATE)
     (tmp_path / "walk.csv").write_text(table_text(columns))
-    assert "columns not used: Rotation x, Rotation y, Rotation z" in reading_report(read(tmp_path / "walk.csv")).lines()
+    assert "columns not used: Swing x, Swing y, Swing z" in reading_report(read(tmp_path / "walk.csv")).lines()
 
 
 def test_a_header_that_is_there_again_is_two_recordings(tmp_path: Path) -> None:

@@ -1,0 +1,120 @@
+"""Tables whose columns have names that no app is known for: other words, other code pages, a column too few."""
+
+from __future__ import annotations
+
+import gzip
+from pathlib import Path
+
+import numpy as np
+import pytest
+from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_text
+
+from pdr_filter.io.any_table import read_guessed
+from pdr_filter.io.formats import read
+
+WALK = on_one_clock(a_walk(50.0))
+TIME_S, FORCE = WALK.accelerometer.time_s, WALK.accelerometer.values
+assert WALK.gyroscope is not None
+RATE = WALK.gyroscope.values
+BOTH = "accelerometer gyroscope"
+
+
+@pytest.mark.parametrize("unit", [1.0, np.pi / 180])
+@pytest.mark.parametrize("names", ["Rotation %", "rot%", "Rotation % (rad/s)"])
+def test_a_rotation_that_averages_out_is_a_gyroscope_also_beside_columns_like_those_of_phyphox(
+    tmp_path: Path, names: str, unit: float
+) -> None:
+    names = names.replace("rad", "deg") if unit < 1 else names
+    columns = {"Time (s)": TIME_S} | axes("Acceleration % (m/s^2)", FORCE) | axes(names, RATE / unit)
+    recording = read(write_text(tmp_path / "walk.csv", table_text(columns)))
+    if "(" in names or unit == 1.0:  # a gyroscope that hardly turns gravity shows no degrees
+        assert_same_streams(recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+    assert recording.gyroscope is not None
+
+
+def turning_phone() -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+    """Times, specific force, angular rate and orientation, as half angles, of a phone that is tilted to and fro."""
+    time_s = np.arange(0.0, 30.0, 0.02)
+    angle = 0.5 + 0.8 * np.sin(2 * np.pi * time_s / 8)
+    still = np.zeros_like(time_s)
+    force = 9.81 * np.column_stack([still, np.sin(angle), np.cos(angle)])
+    return (
+        time_s,
+        force,
+        np.column_stack([np.gradient(angle, time_s), still, still]),
+        np.column_stack([np.sin(angle / 2), still, still]),
+    )
+
+
+@pytest.mark.parametrize(("factor", "unit"), [(1.0, "rad/s"), (180 / np.pi, "deg/s")])
+def test_a_rotation_that_turns_gravity_is_a_rate_and_one_that_does_not_is_an_orientation(
+    tmp_path: Path, factor: float, unit: str
+) -> None:
+    time_s, force, rate, half_angles = turning_phone()
+    columns = {"time": time_s} | axes("acc%", force)
+    found = read_guessed(write_text(tmp_path / "rate.csv", table_text(columns | axes("rotation_%", factor * rate))))
+    assert any(f"rotation_z, {unit}" in line for line in found.guess.evidence)
+    assert found.recording.gyroscope is not None
+    np.testing.assert_allclose(found.recording.gyroscope.values, rate, atol=1e-12)
+    of_orientation = table_text(columns | axes("rotation_%", factor * half_angles))
+    assert read(write_text(tmp_path / "half_angles.csv", of_orientation)).gyroscope is None
+
+
+def test_a_rotation_in_degrees_is_no_rate(tmp_path: Path) -> None:
+    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("Rotation % (deg)", RATE)
+    assert read(write_text(tmp_path / "walk.csv", table_text(columns))).gyroscope is None
+
+
+def test_a_gyroscope_by_its_name_goes_before_a_rotation(tmp_path: Path) -> None:
+    columns = {"time": TIME_S} | axes("acc%", FORCE) | axes("rot%", 2 * RATE) | axes("gyro%", RATE)
+    assert_same_streams(read(write_text(tmp_path / "walk.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("encoding", "time", "force", "rate"),
+    [
+        ("cp1251", "Время (с)", "Ускорение % (м/с2)", "Гироскоп % (рад/с)"),  # noqa: RUF001
+        ("gbk", "时间", "加速度 % (m/s^2)", "陀螺仪 % (rad/s)"),
+        ("shift_jis", "時間", "加速度 % (m/s^2)", "ジャイロ % (rad/s)"),
+        ("euc_kr", "시간", "가속도 % (m/s^2)", "자이로 % (rad/s)"),
+        ("latin-1", "Zeit", "Beschleunigung % (m/s²)", "Drehrate über % (rad/s)"),
+    ],
+)
+def test_a_header_in_a_code_page_is_read_and_shown_as_it_was_written(
+    tmp_path: Path, encoding: str, time: str, force: str, rate: str
+) -> None:
+    text = table_text({time: TIME_S} | axes(force, FORCE) | axes(rate, RATE), ";", ",")
+    found = read_guessed(write_text(tmp_path / "walk.csv", text, encoding))
+    assert_same_streams(found.recording, WALK, BOTH, time_s=1e-6, rtol=1e-9)
+    assert found.guess.mapping.streams[0].columns == tuple(axes(force, FORCE))
+
+
+@pytest.mark.parametrize(("unit", "per_s"), [("ms", 1e3), ("us", 1e6), ("s", 1.0)])
+def test_a_letter_with_a_unit_is_a_time(tmp_path: Path, unit: str, per_s: float) -> None:
+    columns = {f"t_{unit}": TIME_S * per_s} | axes("a%", FORCE) | axes("g%", RATE)
+    assert_same_streams(read(write_text(tmp_path / "walk.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)
+
+
+def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:
+    columns = {"t": TIME_S} | axes("f%", FORCE) | axes("w%", RATE)
+    message = refusal(write_text(tmp_path / "walk.csv", table_text(columns)))
+    assert "no accelerometer (sensors seen: gyroscope)" in message
+    assert "among fx, fy, fz, say so: pdr-filter convert FILE --map MAP.toml" in message
+
+
+def test_a_table_without_a_time_is_asked_for_its_column_or_its_rate(tmp_path: Path) -> None:
+    message = refusal(write_text(tmp_path / "walk.csv", table_text({"sample": TIME_S} | axes("a%", FORCE))))
+    assert "no column of times" in message
+    assert 'column = "..."' in message
+    assert "rate_hz = ..." in message
+
+
+@pytest.mark.parametrize("rows", ["", "0.0,0.1,0.2,9.8,0,0,0\n"])
+def test_a_table_of_less_than_two_samples_is_refused_with_what_it_lacks(tmp_path: Path, rows: str) -> None:
+    path = write_text(tmp_path / "walk.csv", "time,ax,ay,az,gx,gy,gz\n" + rows)
+    assert "a line of numbers for each sample, two or more" in refusal(path)
+
+
+def test_nothing_in_a_gz_is_called_empty(tmp_path: Path) -> None:
+    (tmp_path / "walk.csv.gz").write_bytes(gzip.compress(b""))
+    assert "the file in it is empty (0 bytes)" in refusal(tmp_path / "walk.csv.gz")
