@@ -243,6 +243,24 @@ def test_several_tracks_are_chosen_from_and_each_has_its_own_words(
     assert shown(browser)["east, north"] == ", ".join(f"{round(v, 2):.1f}" for v in other.position_m[-1]) + " m"
 
 
+def test_tracks_that_coincide_are_all_seen(browser: Browser, track: Track, tmp_path: Path) -> None:
+    walking = np.tile(np.eye(len(track.contexts))[track.contexts.index("walking")], (track.n_steps, 1))
+    level = replace(track, context_prob=walking)  # whose steps have one colour
+    browser.open(write_report([replace(level, name=name) for name in ("one", "two", "three")], tmp_path / "page.html"))
+    colours = browser.value("JSON.parse(document.getElementById('data').textContent).tracks.map(t => t.colour)")
+    others = {colour.upper() for colour in colours[1:]}
+    assert len(others) == 2
+    assert others <= colours_of(browser, "#map")
+    browser.click("[name='other tracks']")
+    assert others.isdisjoint(colours_of(browser, "#map"))
+
+
+def test_a_heading_just_left_of_north_is_0_and_not_360_degrees(browser: Browser, track: Track, tmp_path: Path) -> None:
+    left = replace(track, walking_heading_rad=np.full(track.n_steps, -np.radians(0.3)))
+    browser.open(write_report(left, tmp_path / "page.html"))
+    assert shown(browser)["heading"] == "0°"
+
+
 def test_places_where_a_walk_may_be_are_drawn_for_the_step_that_is_shown(
     browser: Browser, track: Track, tmp_path: Path
 ) -> None:

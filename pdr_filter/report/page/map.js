@@ -61,10 +61,14 @@ class WayMap extends PlaneMap {
     if (shown("plan")) this.drawPlan(track.plan);
     if (track.gps && shown("GPS")) this.drawGps(track.gps);
     if (shown("ellipses")) track.ellipses.forEach(k => this.polygon(this.ellipseOf(k), "--accent", { fillOpacity: 0.08, opacity: 0.45 }));
-    if (shown("other tracks")) {
-      this.tracks.filter(t => t !== track).forEach(t => this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2 })));
-    }
+    const others = shown("other tracks") ? this.tracks.filter(t => t !== track) : [];
+    others.forEach(t => this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2 })));
     this.drawWay(track);
+    // Where they coincide each shows on the chosen one, in dashes that take turns; a canvas knows no dashOffset.
+    others.forEach((t, k) => {
+      const dashArray = [0, 20 * k, 10, 20 * (others.length - k) - 10];
+      this.still.addLayer(L.polyline(this.wayOf(t), { color: t.colour, weight: 2, lineCap: "butt", dashArray }));
+    });
     if (track.truth && shown("truth")) this.drawTruth(track.truth);
     this.drawEnds(track);
     this.show(this.row);

@@ -33,7 +33,7 @@
       ["step", `${t.number[k]} of ${t.n_steps}`],
       ["time", `${clock(t.time[k], 1)}`],
       ["length", `${number(t.length[k], 2)} m`],
-      ["heading", `${number(t.heading[k], 0)}°`],
+      ["heading", `${number(t.heading[k] === null ? null : Math.round(t.heading[k]) % 360, 0)}°`],
       ["speed", t.speed[k] === null ? "–" : `${number(t.speed[k], 2)} ± ${number(t.speed_std[k], 2)} m/s`],
       ["walked", `${number(t.walked[k], 1)} m`],
       ["east, north", `${number(t.east[k], 1)}, ${number(t.north[k], 1)} m`],
