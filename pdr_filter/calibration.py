@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
 from pathlib import Path
@@ -247,9 +247,10 @@ class Calibration:
 
     def report(self) -> str:
         """Parameters, errors and doubts as text."""
-        notes = [f"- {note}" for note in self.notes[:_MOST_NOTES]]
-        if len(self.notes) > _MOST_NOTES:
-            notes.append(f"- and {len(self.notes) - _MOST_NOTES} more notes")
+        of_all = _once(self.notes)
+        notes = [f"- {note}" for note in of_all[:_MOST_NOTES]]
+        if len(of_all) > _MOST_NOTES:
+            notes.append(f"- and {how_many(len(of_all) - _MOST_NOTES, 'more note')}")
         parts = [self._parameter_lines(), self._error_lines(), self._people_lines(), notes]
         return "\n\n".join("\n".join(lines) for lines in parts if lines)
 
@@ -415,6 +416,14 @@ def _assemble(description: Mapping[str, Any], arrays: Arrays) -> Calibration:
         notes=tuple(description["notes"]),
         card=description["card"],
     )
+
+
+def _once(notes: Sequence[str]) -> list[str]:
+    """Notes of which many end alike, as those of recordings do, once, with how many there are more."""
+    alike: dict[str, list[str]] = {}
+    for note in notes:
+        alike.setdefault(note.rpartition(": ")[2], []).append(note)
+    return [f"{first} (and {len(more)} more alike)" if more else first for first, *more in alike.values()]
 
 
 def _model_to_plain(model: StepLengthModel) -> dict[str, Any]:

@@ -81,7 +81,7 @@ def calibrate(
     if measure not in ("displacement", "length"):  # otherwise the reason of every recording
         raise ValueError(f'measure must be "displacement" or "length", got {measure!r}')
     if loss not in LOSSES:
-        raise ValueError(f"loss must be one of {LOSSES}, got {loss!r}")
+        raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
     if anchor_std_m is not None and not 0 <= anchor_std_m < inf:
         raise ValueError(f"anchor_std_m must be 0 or more, got {anchor_std_m}")
     check_format(file_format)
@@ -115,8 +115,8 @@ def calibrate(
     notes = [note for one in in_order for note in one.notes]
     if not segments:
         raise ValueError("nothing to calibrate with: " + ("; ".join(notes) or "no recordings"))
-    notes += without_name(sum(one.is_nameless for one in in_order), subject, each_a_person)
-    return calibrate_segments(segments, priors, model=model, prior_std=prior_std, loss=loss, notes=notes)
+    whose = without_name(sum(one.is_nameless for one in in_order), subject, each_a_person)
+    return calibrate_segments(segments, priors, model=model, prior_std=prior_std, loss=loss, notes=(*whose, *notes))
 
 
 def models_in(priors: Mapping[str, StepLengthPrior]) -> list[tuple[str, StepLengthModel]]:

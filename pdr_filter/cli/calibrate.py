@@ -49,7 +49,7 @@ def calibrate(
     out: Annotated[Path, typer.Option(help="Where the calibration goes: NAME.json, with NAME.npz beside it.")],
     how: Estimation,
     figure: Annotated[Path | None, typer.Option(help="Also draw it, as PNG, PDF or SVG.")] = None,
-    jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings, of folders too, on N processes.")] = None,
+    jobs: Annotated[int | None, typer.Option(min=1, help="Reduce recordings on N processes.")] = None,
     scheduler: Scheduler = None,
     resume: Annotated[
         Path | None, typer.Option(help="Folder that keeps each reduced recording, to go on after a kill.")
@@ -61,8 +61,12 @@ def calibrate(
     that cannot be used are left out and named in the report.
     """
     import pdr_filter as pdr
+    from pdr_filter.classifiers.artefact import file_pair
+    from pdr_filter.plot.figures import check_picture
 
     with console.one_line_errors(), console.progress("calibrating") as show:
+        if figure is not None:
+            check_picture(figure)
         options: Any = {
             "model": how.model,
             "loss": how.loss,
@@ -72,10 +76,10 @@ def calibrate(
             "progress": show,
         }
         if jobs is None and scheduler is None and resume is None:
-            result = pdr.calibrate([pdr.read(file) for file in files], **options)
+            result = pdr.calibrate([pdr.read(file) for file in console.recordings_of(files)], **options)
         else:
             result = pdr.batch.calibrate(files, jobs=jobs or 1, scheduler=scheduler, resume=resume, **options)
-        before = console.there(out, out.with_suffix(".npz"), figure)
+        before = console.there(*file_pair(out), figure)
         written = [result.save(out)]
         if figure is not None:
             result.plot(figure)

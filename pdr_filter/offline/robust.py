@@ -42,7 +42,7 @@ def weights(misfit: FloatArray, loss: str, mu: float = 1.0) -> FloatArray:
         return 1 / (1 + (misfit / _CAUCHY) ** 2)
     if loss == "gnc":
         return truncated_weights(misfit**2, np.full(misfit.shape, DISTRUST**2), mu)
-    raise ValueError(f"loss must be one of {LOSSES}, got {loss!r}")
+    raise ValueError(f"loss must be one of {', '.join(LOSSES)}, got {loss!r}")
 
 
 @cache

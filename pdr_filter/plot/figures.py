@@ -48,12 +48,20 @@ def lined(axes: Axes) -> None:
     axes.set_axisbelow(True)
 
 
+def check_picture(path: str | Path) -> Path:
+    """The path; ValueError if matplotlib makes no pictures with its suffix."""
+    path, known = Path(path), FigureCanvasAgg.get_supported_filetypes()
+    if path.suffix and path.suffix[1:].lower() not in known:
+        raise ValueError(f"{path}: no kind of picture, got {path.suffix!r}; use .png, .pdf, .svg or none")
+    return path
+
+
 def save(figure: Figure | SubFigure | Axes | None, path: str | Path) -> Path:
     """Save a figure, or that of axes, with its fonts, and return the path; the suffix gives the format."""
     whole = figure.get_figure(root=True) if isinstance(figure, Axes | SubFigure) else figure
     if not isinstance(whole, Figure):
         raise ValueError(f"figure must be a figure or axes that belong to one, got {figure!r}")
-    path = Path(path)
+    path = check_picture(path)
     with rc_context({"pdf.fonttype": _TRUETYPE, "ps.fonttype": _TRUETYPE}), whole_file(path) as file:
         whole.savefig(file, dpi=120, format=path.suffix.removeprefix(".") or None)
     return path

@@ -105,6 +105,7 @@ def calibrate(
     if len(known) != len(chosen):
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
     check_subject(subject, each_a_person)
+    forms_of(priors, model, prior_std)  # what it refuses it refuses before walks are tracked
     segments: list[Segment] = []
     notes: list[str] = []
     nameless = 0
@@ -119,9 +120,15 @@ def calibrate(
             progress(done / len(chosen))
     if not segments:
         raise ValueError("nothing to calibrate with: " + "; ".join(notes))
-    notes += without_name(nameless, subject, each_a_person)
+    whose = without_name(nameless, subject, each_a_person)
     return calibrate_segments(
-        segments, priors, model=model, prior_std=prior_std, loss=loss, recording_std=recording_std, notes=notes
+        segments,
+        priors,
+        model=model,
+        prior_std=prior_std,
+        loss=loss,
+        recording_std=recording_std,
+        notes=(*whose, *notes),
     )
 
 
@@ -133,6 +140,9 @@ def check_subject(subject: str | None, each_a_person: bool) -> None:
 
 def without_name(n_recordings: int, subject: str | None, each_a_person: bool) -> list[str]:
     """What was made of recordings that do not say whose they are, in words."""
+    unused = "each_a_person (--each-a-person)" if each_a_person else f"subject {subject!r}" if subject else ""
+    if n_recordings == 0 and unused:
+        return [f"every recording says whose it is: {unused} was not used"]
     if n_recordings == 0 or subject is not None:
         return []
     what = "1 recording has" if n_recordings == 1 else f"{n_recordings} recordings have"
@@ -165,7 +175,7 @@ def calibrate_segments(
     full = forms[name]
     sums = integrate(segments, models_of(full), start_of(full))
     found = solved(segments, sums, full, loss, recording_std)
-    return _assemble(segments, sums, found, full, recording_std, (*choice, *notes))
+    return _assemble(segments, sums, found, full, recording_std, choice, notes)
 
 
 def _assemble(
@@ -174,6 +184,7 @@ def _assemble(
     found: ParameterEstimate,
     priors: Mapping[str, StepLengthPrior],
     recording_std: float,
+    choice: Sequence[str],
     notes: Sequence[str],
 ) -> Calibration:
     models = models_of(priors)
@@ -194,7 +205,8 @@ def _assemble(
         recording_std=found.recording_std,
         n_segments=_shares(segments, models),
         segments=rows,
-        notes=(*bias_warnings(rows, recording_std), *notes, *_notes(rows, found, models)),
+        # what is wrong with the whole, before what each of many recordings has to say
+        notes=(*bias_warnings(rows, recording_std), *choice, *_notes(rows, found, models), *notes),
         card={
             "date": date.today().isoformat(),
             "pdr_filter": __version__,

@@ -40,6 +40,10 @@ def forms_of(
         raise ValueError(f"priors has a model of walking, and model is {model!r}: leave out one of them")
     if model is not None and model not in known:
         raise ValueError(f"model must be one of {', '.join(known)}, got {model!r}")
+    if prior_std is not None and not 0 < prior_std <= 1:
+        raise ValueError(
+            f"prior_std (--prior) must be a share of a step, above 0 and up to 1, got {prior_std}; 0.1 is usual"
+        )
     chosen = {"given": given} if "walking" in given else known if model is None else {model: known[model]}
     forms: dict[str, dict[str, StepLengthPrior]] = {}
     for name, own in chosen.items():

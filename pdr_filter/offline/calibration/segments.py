@@ -353,7 +353,7 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
     elif recording.location is not None and len(recording.location) > 1:
         found = _between_fixes(recording.location.time_s, recording.location.values)
     else:
-        return [], ["no truth of known length, no waypoints, no position fixes: nothing to calibrate with"]
+        return [], ["no truth of known length, no waypoints, no position fixes"]
     good: list[_Stretch] = []
     bad: dict[str, list[str]] = {}
     for s in found:
