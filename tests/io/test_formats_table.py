@@ -157,7 +157,7 @@ LOGGER, PHYPHOX, GET = "test_sensor_logger.py", "test_phyphox.py", "test_get_sen
 WIFI = "test_wifi_files.py"
 INDOOR, MOTION, RONIN, HERE = "test_indoor_location.py", "test_core_motion.py", "test_ronin.py", "test_formats_table.py"
 GENERIC, HOSTILE, TABLES = "test_generic_csv.py", "test_hostile_files.py", "test_tables.py"
-NAMES = "test_names_of_columns.py"
+NAMES, TIMES = "test_names_of_columns.py", "test_table_times.py"
 MATLAB, ROS, JSON = "test_matlab.py", "test_ros_bag.py", "test_json_tables.py"
 WRAPPED, DATES = "test_wrapped.py", "test_dates.py"
 
@@ -311,16 +311,16 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (NAMES, "test_a_header_in_a_code_page_is_read_and_shown_as_it_was_written")
     ],
     ("tables", "dates and clock times, with or without a zone, `mm:ss.000`; midnight, the full hour"): [
-        (TABLES, "test_dates_are_read_however_they_are_written"),
-        (TABLES, "test_a_clock_goes_on_at_midnight"),
+        (TIMES, "test_dates_are_read_however_they_are_written"),
+        (TIMES, "test_a_clock_goes_on_at_midnight"),
         (DATES, "test_minutes_and_seconds_go_on_at_the_full_hour"),
     ],
     ("tables", "times that a spreadsheet rounded (`mm:ss.0`, `18:23`, `1.7E+18`)"): [
-        (TABLES, "test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened"),
+        (TIMES, "test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened"),
         (LOGGER, "test_times_that_a_spreadsheet_rounded_are_replaced_by_the_seconds_elapsed"),
     ],
     ("tables", "nanoseconds since the phone was started, as large as milliseconds since 1970"): [
-        (TABLES, "test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate")
+        (TIMES, "test_nanoseconds_since_the_phone_was_started_are_known_by_the_rate")
     ],
     ("tables", "decimal commas between commas; a header that is there again"): [
         (TABLES, "test_decimal_commas_between_commas_are_refused_with_what_to_export"),
@@ -330,7 +330,7 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (JSON, "test_the_walk_comes_back")
     ],
     ("JSON", "cut off in the middle of an object"): [(JSON, "test_what_is_cut_off_is_left_out_with_a_note")],
-    ("tables", "declared milliseconds at 2 Hz"): [(TABLES, "test_milliseconds_that_are_declared_are_believed_at_2_hz")],
+    ("tables", "declared milliseconds at 2 Hz"): [(TIMES, "test_milliseconds_that_are_declared_are_believed_at_2_hz")],
     ("tables", "the sign of an app on two systems"): [
         (TABLES, "test_the_sign_that_nothing_shows_is_noted_and_can_be_said"),
         (GENERIC, "test_what_is_in_g_without_an_app_that_is_known_is_read_once_its_platform_is_said"),

@@ -1,0 +1,147 @@
+"""`pdr-filter calibrate` and `smooth`: what is made of whole recordings afterwards."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from commands import one_line, run
+
+import pdr_filter as pdr
+from pdr_filter.io.own_format import write_recording
+from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
+
+
+def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
+    from pdr_filter.simulate import Leg, simulate
+
+    legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=15.0, turn_rad=1.5)]
+    walks = [write_recording(simulate(legs, seed=s, name=f"walk_{s}"), tmp_path / f"walk_{s}.zip") for s in (1, 2)]
+    result = run("calibrate", *walks, "--out", tmp_path / "me.json", "--figure", tmp_path / "me.png")
+    assert result.exit_code == 0
+    assert "4 segments" in result.stdout
+    assert (tmp_path / "me.png").read_bytes().startswith(b"\x89PNG")
+    result = run("track", "--json", "--calibration", tmp_path / "me.json", walks[0])
+    assert result.exit_code == 0
+    recording = pdr.read(walks[0])
+    calibrated = pdr.track(recording, calibration=tmp_path / "me.json")
+    assert json.loads(result.stdout) == calibrated.summary()
+    truth_m = 35.0
+    assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
+
+
+def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:
+    from pdr_filter.calibration import load_calibration
+    from pdr_filter.simulate import Leg, simulate
+
+    walks: list[Path] = []
+    for name in ("a", "b"):
+        recording = replace(simulate([Leg("walking", distance_m=25.0)], seed=1, name=name), meta={})
+        walks.append(write_recording(recording, tmp_path / f"{name}.zip"))
+    out = tmp_path / "me.json"
+    options = ("--model", "kim", "--loss", "none", "--prior", "0.3", "--subject", "anna")
+    result = run("calibrate", *walks, "--out", out, *options)
+    assert result.exit_code == 0
+    found = load_calibration(out)
+    assert type(found.models["walking"]).__name__ == "KimStepLength"
+    assert list(found.subjects) == ["anna"]
+    expected = pdr.calibrate([pdr.read(w) for w in walks], model="kim", loss="none", prior_std=0.3, subject="anna")
+    np.testing.assert_array_equal(found.theta, expected.theta)
+    for extra in ((), ("--resume", tmp_path / "kept")):
+        assert run("calibrate", *walks, "--out", out, "--each-a-person", *extra).exit_code == 0
+        assert list(load_calibration(out).subjects) == ["a", "b"]
+    assert run("calibrate", *walks, "--out", out, "--model", "guess").exit_code == 2
+
+
+def test_a_calibration_without_segments_ends_with_one_line_that_says_so(walk: Path, tmp_path: Path) -> None:
+    recording = pdr.read(walk)
+    bare = replace(recording, truth=replace(recording.truth, segments=None, strides=None, waypoints=None))
+    path = write_recording(bare, tmp_path / "bare.zip")
+    result = run("calibrate", path, "--out", tmp_path / "me.json")
+    assert result.exit_code == 2
+    assert "error:" in result.stderr
+    assert not (tmp_path / "me.json").exists()
+
+
+def test_a_walk_is_smoothed_against_its_waypoints(walk: Path, tmp_path: Path) -> None:
+    result = run("smooth", walk, "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "observations" in result.stdout
+    assert "step scale" in result.stdout
+    assert {p.suffix for p in tmp_path.iterdir()} >= {".csv", ".png"}
+
+
+def test_a_walk_is_smoothed_against_fixes_of_a_file(walk: Path, tmp_path: Path) -> None:
+    points = pdr.read(walk).truth.waypoints
+    rows = [f"{p.time_s},{p.east_m},{p.north_m}" for p in points]
+    (tmp_path / "fixes.csv").write_text("\n".join(["time_s,east_m,north_m", *rows]) + "\n", encoding="utf-8")
+    by_file = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--fix-std", "0.5")
+    assert by_file.exit_code == 0
+    assert by_file.stdout == run("smooth", walk, "--fix-std", "0.5").stdout
+    (tmp_path / "own.csv").write_text("east_m,north_m,std_m,time_s\n0,0,0.5,1\n3,4,2,9\n", encoding="utf-8")
+    first, second = fixes_of_file(tmp_path / "own.csv")
+    np.testing.assert_array_equal([first.cov_m2[0, 0], second.cov_m2[1, 1]], [0.25, 4.0])
+    np.testing.assert_array_equal([*second.position_m, second.time_s], [3.0, 4.0, 9.0])
+    for content, words in (
+        ("time_s,east_m\n1,2\n", "no column 'north_m'"),
+        ("time_s,east_m,north_m\n", "no fixes"),
+        ("time_s,east_m,north_m\n1,,3\n", "row 1"),
+        ("time_s,east_m,north_m,std_m\n1,2,3,0\n", "std_m must be positive"),
+    ):
+        (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+        result = run("smooth", walk, "--fixes", tmp_path / "bad.csv")
+        assert result.exit_code == 2
+        assert words in result.stderr
+
+
+def test_a_walk_is_smoothed_with_loop_closures_of_a_file(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "loops.csv").write_text("first_s,second_s\n3,110\n", encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "loops.csv", "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "1 observations, 0 not used" in result.stdout
+    smoothed = pdr.smooth(pdr.read(walk), loop_closures=[LoopClosure(3.0, 110.0)])
+    smoothed.track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
+    (tmp_path / "fixes.csv").write_text("time_s,east_m,north_m\n3,5,5\n100,5,30\n", encoding="utf-8")
+    both = run("smooth", walk, "--fixes", tmp_path / "fixes.csv", "--loop-closures", tmp_path / "loops.csv")
+    assert "3 observations" in both.stdout
+
+
+def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Path) -> None:
+    walk = pdr.simulate.simulate([pdr.simulate.Leg("walking", distance_m=60.0)], seed=2, name="located")
+    truth, here = walk.truth.position, pdr.Origin(43.77, 11.25)
+    time_s = np.arange(1.0, walk.duration_s, 2.0)
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, truth[n]) for n in ("north_m", "east_m")])  # to the east
+    values = np.column_stack([*here.latitude_longitude_deg(place_m), np.full((len(time_s), 2), 4.0)])
+    located = replace(walk, location=pdr.Samples(time_s, values), truth=replace(walk.truth, waypoints=None))
+    result = run("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
+    assert result.exit_code == 0
+    line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
+    longitude_deg, latitude_deg = np.array(line).T
+    assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
+    bare = run("smooth", replace(located, location=None).save(tmp_path / "bare.zip"))
+    assert (bare.exit_code, "located has no waypoints; give fixes" in one_line(bare.stderr)) == (2, True)
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        ("first_s,std_m\n1,2\n", "no column 'second_s'"),
+        ("first_s,second_s\n", "no loop closures"),
+        ("first_s,second_s\n1,\n", "row 1: first_s,second_s must all be numbers"),
+        ("first_s,second_s\n1,x\n", "'x' is not a number"),
+        ("first_s,second_s\n1,9\n9,9\n", "row 2: first_s must be before second_s, got 9 and 9"),
+        ("first_s,second_s,std_m\n1,9,0\n", "row 1: std_m must be positive"),
+        ("first_s,second_s\n1,900\n", "loop closure 1 at 900.0 s is outside the recording, 0.0 to 11"),
+    ],
+)
+def test_a_file_of_loop_closures_that_cannot_be_used_is_one_line(
+    walk: Path, tmp_path: Path, content: str, words: str
+) -> None:
+    (tmp_path / "bad.csv").write_text(content, encoding="utf-8")
+    result = run("smooth", walk, "--loop-closures", tmp_path / "bad.csv")
+    assert (result.exit_code, result.stdout) == (2, "")
+    assert words in one_line(result.stderr)

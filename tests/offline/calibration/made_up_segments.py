@@ -1,0 +1,95 @@
+"""Segments of made-up people, to calibrate on."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from pdr_filter.calibration import TYPICAL_STEP
+from pdr_filter.filter.step_length import (
+    FrequencyVarianceStepLength,
+    StepLengthModel,
+    length_and_jacobian,
+)
+from pdr_filter.offline.calibration.priors import StepLengthPrior
+from pdr_filter.offline.calibration.segments import Segment, SegmentSums
+from pdr_filter.values import CONTEXTS, Step
+
+INF = np.inf
+WALKING = CONTEXTS.index("walking")
+
+
+def step(frequency_hz: float, variance: float = 4.0, mean_abs_mps2: float = 1.7, amplitude_mps2: float = 2.4) -> Step:
+    return replace(
+        TYPICAL_STEP,
+        frequency_hz=frequency_hz,
+        duration_s=1 / frequency_hz,
+        variance=variance,
+        vertical_amplitude_mps2=amplitude_mps2,
+        mean_abs_mps2=mean_abs_mps2,
+    )
+
+
+def of_context(n: int, **prob: float) -> np.ndarray:
+    return np.tile([prob.get(c, 0.0) for c in CONTEXTS], (n, 1))
+
+
+def segment(
+    rng: np.random.Generator,
+    model: StepLengthModel,
+    theta: np.ndarray,
+    subject: str = "anna",
+    *,
+    n: int = 14,
+    recording: str = "",
+    turn_rad: float = 0.0,
+    error_m: float = 0.0,
+    **prob: float,
+) -> Segment:
+    """A segment whose displacement is that of its steps under theta, in a straight line or along an arc."""
+    pace = rng.normal(1.9, 0.15)
+    features = (rng.normal(pace, 0.1, n), rng.normal(4, 1, n), rng.normal(rng.uniform(1.2, 2.4), 0.2, n))
+    steps = tuple(step(*values) for values in zip(*features, strict=True))
+    heading = rng.uniform(0, 6) + np.linspace(0, turn_rad, n)
+    length = np.array([length_and_jacobian(model, s, theta)[0] for s in steps])
+    vector = np.array([length @ np.sin(heading), length @ np.cos(heading)])
+    return Segment(
+        subject=subject,
+        recording=recording or subject,
+        distance_m=float(np.hypot(*vector)) + error_m,
+        steps=steps,
+        inside=np.ones(n),
+        heading_rad=heading,
+        context_prob=of_context(n, **(prob or {"walking": 1.0})),
+    )
+
+
+def flat(n_params: int, personal: int = 0) -> StepLengthPrior:
+    """Nothing is known: the first parameters are each person's own, without a tie."""
+    between = np.where(np.arange(n_params) < personal, INF, 0.0)
+    return StepLengthPrior(FrequencyVarianceStepLength(), np.zeros(n_params), np.full(n_params, INF), between)
+
+
+def design(rng: np.random.Generator, n_people: int = 15, per_person: int = 33) -> tuple[SegmentSums, np.ndarray]:
+    """Segments of eq. 14, summed lengths, and the matrix H of all of them."""
+    n = n_people * per_person
+    person = rng.permutation(np.repeat(np.arange(n_people), per_person))
+    steps = rng.integers(12, 20, n).astype(float)
+    rows = np.stack([np.ones(n), rng.normal(1.9, 0.15, n), rng.normal(4.0, 0.7, n)], axis=1) * steps[:, None]
+    full = np.zeros((n, n_people + 2))
+    full[np.arange(n), person], full[:, n_people:] = rows[:, 0], rows[:, 1:]
+    k = np.concatenate([rng.normal(0.4, 0.05, n_people), [0.2, 0.005]])
+    sums = SegmentSums(
+        regressors=np.stack([rows, np.zeros_like(rows)], axis=1),
+        offset_m=np.zeros((n, 2)),
+        distance_m=full @ k + rng.normal(0, 0.3, n),
+        anchor_std_m=np.ones(n),
+        n_steps=steps,
+        context=np.full(n, WALKING),
+        subject=person,
+        recording=person,
+        subjects=tuple(f"s{i}" for i in range(n_people)),
+        recordings=tuple(f"r{i}" for i in range(n_people)),
+    )
+    return sums, full
