@@ -11,13 +11,13 @@ import pytest
 from commands import one_line, run
 
 import pdr_filter as pdr
+from pdr_filter.calibration import load_calibration
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
+from pdr_filter.simulate import Leg, simulate
 
 
 def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
-    from pdr_filter.simulate import Leg, simulate
-
     legs = [Leg("walking", distance_m=20.0), Leg("walking", distance_m=15.0, turn_rad=1.5)]
     walks = [write_recording(simulate(legs, seed=s, name=f"walk_{s}"), tmp_path / f"walk_{s}.zip") for s in (1, 2)]
     result = run("calibrate", *walks, "--out", tmp_path / "me.json", "--figure", tmp_path / "me.png")
@@ -34,9 +34,6 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
 
 
 def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:
-    from pdr_filter.calibration import load_calibration
-    from pdr_filter.simulate import Leg, simulate
-
     walks: list[Path] = []
     for name in ("a", "b"):
         recording = replace(simulate([Leg("walking", distance_m=25.0)], seed=1, name=name), meta={})
@@ -145,3 +142,32 @@ def test_a_file_of_loop_closures_that_cannot_be_used_is_one_line(
     result = run("smooth", walk, "--loop-closures", tmp_path / "bad.csv")
     assert (result.exit_code, result.stdout) == (2, "")
     assert words in one_line(result.stderr)
+
+
+def test_a_calibration_of_a_folder_is_that_of_the_recordings_in_it(tmp_path: Path) -> None:
+    folder = tmp_path / "walks"
+    folder.mkdir()
+    walks = [
+        write_recording(simulate([Leg("walking", distance_m=25.0)], seed=seed, name=name), folder / f"{name}.zip")
+        for seed, name in enumerate("ab")
+    ]
+    thetas: list[np.ndarray] = []
+    for given in ([folder], walks):
+        assert run("calibrate", *given, "--out", tmp_path / "me.json").exit_code == 0
+        thetas.append(load_calibration(tmp_path / "me.json").theta)
+    np.testing.assert_array_equal(*thetas)
+
+
+def test_a_calibration_names_the_files_that_it_replaced_and_no_others(walk: Path, tmp_path: Path) -> None:
+    (tmp_path / "me.npz").write_text("of something else")
+    first = run("calibrate", walk, "--out", tmp_path / "me.csv")
+    assert "replaced" not in first.stderr
+    assert (tmp_path / "me.npz").read_text() == "of something else"
+    again = run("calibrate", walk, "--out", tmp_path / "me.csv").stderr.replace("\n", "")
+    assert f"replaced, as they were there before: {tmp_path / 'me.csv.json'}, {tmp_path / 'me.csv.npz'}" in again
+
+
+def test_a_figure_of_no_known_kind_is_refused_before_a_file_is_read(tmp_path: Path) -> None:
+    result = run("calibrate", tmp_path / "nowhere.zip", "--out", tmp_path / "me.json", "--figure", "me.xyz")
+    assert result.exit_code == 2
+    assert "me.xyz: no kind of picture, got '.xyz'; use .png, .pdf, .svg" in one_line(result.stderr)

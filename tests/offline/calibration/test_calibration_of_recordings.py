@@ -6,15 +6,14 @@ import subprocess
 import sys
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
 import pdr_filter as pdr
 from pdr_filter.calibration import Calibration, load_calibration
-from pdr_filter.filter.step_length import (
-    BounceStepLength,
-)
+from pdr_filter.filter.step_length import BounceStepLength
 from pdr_filter.io.recording import Recording, Subject, Truth
 from pdr_filter.offline.calibration.fit import calibrate
 from pdr_filter.offline.calibration.priors import DEFAULT_PRIORS
@@ -151,6 +150,43 @@ def test_recordings_without_subject_are_of_one_person_unless_somebody_says_other
     assert set(named.subjects) == {"simulated", "anna"}
     with pytest.raises(ValueError, match="'anna' names one person, and each_a_person says that there are several"):
         calibrate(nameless, tracks=[track, track], subject="anna", each_a_person=True)
+
+
+@pytest.mark.parametrize(
+    ("options", "named"),
+    [({"subject": "anna"}, "subject 'anna'"), ({"each_a_person": True}, "each_a_person (--each-a-person)")],
+)
+def test_a_name_that_no_recording_needs_is_said_to_be_unused(
+    walk: tuple[Recording, Track], options: dict[str, Any], named: str
+) -> None:
+    recording, track = walk
+    found = calibrate(recording, tracks=[track], **options)
+    assert f"every recording says whose it is: {named} was not used" in found.notes
+
+
+@pytest.mark.parametrize("prior_std", [0.0, -0.1, 10.0, np.nan])
+def test_a_prior_in_percent_is_refused_before_a_walk_is_tracked(
+    walk: tuple[Recording, Track], prior_std: float
+) -> None:
+    with pytest.raises(ValueError, match=r"prior_std \(--prior\) must be a share"):
+        calibrate(walk[0], tracks=[None], prior_std=prior_std)  # type: ignore[list-item]
+
+
+def test_the_report_has_what_is_wrong_with_the_whole_before_what_many_recordings_say_alike(
+    walk: tuple[Recording, Track],
+) -> None:
+    recording, track = walk
+    end_s = float(recording.truth.segments.end_s[2])
+    bent = with_segments(recording, [(0.0, end_s, 24.0)])
+    many = [replace(bent, name=f"walk {i}") for i in range(20)]
+    found = calibrate(many, tracks=[track] * len(many))
+    assert sum("turns in" in note for note in found.notes) == len(many)
+    lines = found.report().splitlines()
+    (of_turns,) = [i for i, line in enumerate(lines) if "turns in" in line]
+    assert lines[of_turns].startswith("- walk 0: turns in 0.0-")
+    assert lines[of_turns].endswith("instead of displacement (and 19 more alike)")
+    (of_contexts,) = [i for i, line in enumerate(lines) if "no segments of" in line]
+    assert of_contexts < of_turns
 
 
 # --- what the filter takes of it ------------------------------------------------------------------------------------
