@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, is_dataclass, replace
 from itertools import pairwise
+from os import PathLike
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -16,7 +17,18 @@ from pdr_filter.filter import step_length
 from pdr_filter.filter.step_length import TYPICAL_STEP, StepLengthFit, StepLengthModel, length_and_jacobian
 from pdr_filter.io.limits import HEIGHT_RANGE_M
 from pdr_filter.io.recording import Subject
-from pdr_filter.values import CONTEXTS, FloatArray, Note, Table, check_columns, check_cov, how_many, read_only, table
+from pdr_filter.values import (
+    CONTEXTS,
+    FloatArray,
+    Note,
+    Table,
+    check_columns,
+    check_cov,
+    how_many,
+    pickled,
+    read_only,
+    table,
+)
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -105,6 +117,8 @@ class Calibration:
     segments: Table
     notes: tuple[str, ...] = ()
     card: Mapping[str, Any] | None = None
+
+    __reduce__ = pickled
 
     def __post_init__(self) -> None:
         for name in _ARRAYS:
@@ -400,6 +414,8 @@ def _shortened(name: str) -> str:
 
 def load_calibration(path: str | Path) -> Calibration:
     """A saved calibration, from the path of its .json or .npz; ValueError names the file and the remedy."""
+    if not isinstance(path, str | PathLike):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(f"calibration must be a Calibration, or the path of a saved one, got {path!r}")
     return FORMAT.read(path, _assemble)
 
 

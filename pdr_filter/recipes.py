@@ -41,6 +41,10 @@ def default(subject: Subject | None = None) -> Config:
 
     Of the subject only the height counts; how people differ in their step lengths beyond it is `scale_std`.
     """
+    if not isinstance(subject, Subject | None):  # pyright: ignore[reportUnnecessaryIsInstance]
+        raise ValueError(
+            f"subject must be a Subject, got {subject!r}: such as that of a recording, or of recording.of_height(1.78)"
+        )
     height_m = subject.height_m if subject else None
     if height_m is not None:
         check_height(height_m)

@@ -51,6 +51,7 @@ from pdr_filter.values import (
     Table,
     Windows,
     check_fix,
+    check_several,
     read_only,
     step_table,
     wrap_angle,
@@ -137,6 +138,7 @@ def track(
     'hc'
     """
     config = on_plan(given_or_default(recording, config), plan, start)
+    check_several(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
     with_location = uses_location(recording, config, fixes, gnss)

@@ -43,14 +43,42 @@ def test_a_recipe_that_was_not_called_is_no_configuration(walk: pdr.Recording, n
         pdr.OnlineFilter(config)
 
 
-@pytest.mark.parametrize("height_m", [175, 0.0, -1.7, np.nan])
-def test_a_height_in_centimetres_is_refused(walk: pdr.Recording, height_m: float) -> None:
+@pytest.mark.parametrize("height_m", [175, 0.0, -1.7, np.nan, "1.8"])
+def test_a_height_in_centimetres_or_as_text_is_refused(walk: pdr.Recording, height_m: Any) -> None:
     with pytest.raises(ValueError, match="height_m must be the height of a person in metres"):
         pdr.OnlineFilter(height_m=height_m)
     with pytest.raises(ValueError, match="height_m"):
         pdr.track(walk.of_height(height_m))
     with pytest.raises(ValueError, match="height_m"):
         pdr.batch.track([], out="never.csv", height_m=height_m)
+
+
+def test_a_height_in_place_of_a_subject_is_refused() -> None:
+    with pytest.raises(ValueError, match=r"subject must be a Subject, got 1\.8"):
+        pdr.recipes.default(1.8)  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("taker", [pdr.track, pdr.smooth, lambda _, plan: pdr.OnlineFilter(plan=plan)])
+def test_the_path_of_a_plan_is_refused_with_how_to_read_it(walk: pdr.Recording, taker: Callable[..., Any]) -> None:
+    with pytest.raises(ValueError, match=r"plan must be a FloorPlan, got 'mall\.geojson': pdr_filter\.FloorPlan\.read"):
+        taker(walk, plan="mall.geojson")
+
+
+@pytest.mark.parametrize("taker", [pdr.track, pdr.smooth])
+def test_one_fix_in_place_of_several_is_refused(walk: pdr.Recording, taker: Callable[..., Any]) -> None:
+    with pytest.raises(ValueError, match=r"fixes must be a sequence, got one PositionFix: give \[fix\]"):
+        taker(walk, fixes=pdr.PositionFix(5.0, (0.0, 0.0), np.eye(2)))
+
+
+@pytest.mark.parametrize("taker", [pdr.track, pdr.smooth])
+def test_what_is_no_calibration_is_refused(walk: pdr.Recording, taker: Callable[..., Any]) -> None:
+    with pytest.raises(ValueError, match=r"calibration must be a Calibration, or the path of a saved one, got \{\}"):
+        taker(walk, calibration={})
+
+
+def test_a_path_to_calibrate_with_is_named_as_it_was_given() -> None:
+    with pytest.raises(ValueError, match=r"recording must be a Recording, got 'walk\.zip'"):
+        pdr.calibrate("walk.zip")  # type: ignore[arg-type]
 
 
 @pytest.mark.parametrize(

@@ -4,20 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, fields, replace
+from numbers import Real
 from pathlib import Path
 from typing import Any
 
 from pdr_filter.io import limits
 from pdr_filter.io.own_writer import write_own_format
 from pdr_filter.io.texts import printable
-from pdr_filter.values import Samples, Table, Wifi
+from pdr_filter.values import Samples, Table, Wifi, pickled
 
 
 def check_height(height_m: float) -> None:
     """ValueError unless it is the height of a person in metres, a child's included."""
     low, high = limits.HEIGHT_RANGE_M
-    if not low <= height_m <= high:
-        raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m}")
+    if not isinstance(height_m, Real) or not low <= height_m <= high:
+        raise ValueError(f"height_m must be the height of a person in metres, {low} to {high}, got {height_m!r}")
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,6 +42,8 @@ class Truth:
     strides: Table | None = None
     segments: Table | None = None
     labels: Table | None = None
+
+    __reduce__ = pickled
 
     def present(self) -> tuple[str, ...]:
         """Names of the tables that exist."""

@@ -151,6 +151,10 @@ class ParticleFilter:
     @classmethod
     def of(cls, plan: FloorPlan, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
         """The filter on a plan from a start: a place, the name of an area, or "anywhere"."""
+        if not isinstance(plan, FloorPlan):  # pyright: ignore[reportUnnecessaryIsInstance]
+            raise ValueError(
+                f"plan must be a FloorPlan, got {plan!r}: pdr_filter.FloorPlan.read(path) makes one of a file"
+            )
         return cls(plan, None if start is None else start_of(plan, start), seed=seed)
 
     @cached_property

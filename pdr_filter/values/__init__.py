@@ -13,6 +13,7 @@ from pdr_filter.values.arrays import (
     check_transition_prob,
     frozen,
     median,
+    pickled,
     read_only,
     table,
 )
@@ -29,6 +30,7 @@ from pdr_filter.values.fixes import (
     SpeedFix,
     Standstill,
     check_fix,
+    check_several,
     received_s,
     repetition,
 )
@@ -93,6 +95,7 @@ __all__ = [
     "check_declared",
     "check_fix",
     "check_numbers",
+    "check_several",
     "check_transition_prob",
     "check_whole",
     "circular_mean",
@@ -102,6 +105,7 @@ __all__ = [
     "how_often",
     "loudness",
     "median",
+    "pickled",
     "read_only",
     "received_s",
     "repetition",

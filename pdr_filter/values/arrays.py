@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from dataclasses import fields
 from typing import Any, cast
 
 import numpy as np
@@ -56,6 +57,18 @@ def frozen(array: FloatArray) -> FloatArray:
     """The array itself, read-only from now on: for one that was just made."""
     array.flags.writeable = False
     return array
+
+
+def pickled(self: Any) -> tuple[Callable[..., Any], tuple[Any, ...]]:
+    """`__reduce__` of a dataclass whose arrays stay read-only when it is pickled or copied, which NumPy forgets."""
+    return _again, (type(self), {f.name: getattr(self, f.name) for f in fields(self)})
+
+
+def _again(cls: type[Any], values: Mapping[str, Any]) -> Any:
+    value = object.__new__(cls)
+    for name, own in values.items():
+        object.__setattr__(value, name, frozen(own.view()) if isinstance(own, np.ndarray) else own)
+    return value
 
 
 def table(columns: Mapping[str, ArrayLike]) -> Table:

@@ -293,6 +293,12 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill
 
 
+def check_several(fixes: object) -> None:
+    """ValueError for one fix where there may be several."""
+    if isinstance(fixes, Fix):
+        raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
+
+
 def check_fix(fix: object, has_plan: bool) -> None:
     """ValueError unless it is a fix that the filter can use."""
     if not isinstance(fix, PositionFix | GridFix | HeadingFix | SpeedFix | Standstill):

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.values.angles import wrap_angle
-from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, read_only
+from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
 from pdr_filter.values.on_plan import Cluster
@@ -76,6 +76,8 @@ class TrackRows:
     # (K,) with a plan: where the walk may be after each step, the most probable place first; none before its start
     clusters: tuple[tuple[Cluster, ...], ...] = ()
     effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,) of its particles
+
+    __reduce__ = pickled
 
     def __repr__(self) -> str:
         return f"Track({self.name!r}, {self.n_steps} steps, {self.distance_m:.1f} m, {self.weighting})"

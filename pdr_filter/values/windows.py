@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.arrays import FloatArray, pickled
 
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
@@ -21,6 +21,8 @@ class Windows:
     irregular_prob: FloatArray  # (W,) that the motion moves nobody: the phone taken out, turned, put away
     climb_rate_mps: FloatArray  # (W,) from the barometer, up positive; NaN without
     model: tuple[str, ...]  # (W,) name of the model that classified the context
+
+    __reduce__ = pickled
 
     def __len__(self) -> int:
         return len(self.time_s)

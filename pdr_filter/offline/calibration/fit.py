@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from datetime import date
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -98,7 +99,7 @@ def calibrate(
     >>> abs(pdr.track(walk, calibration="my_k.json").distance_m - 120) < 3
     True
     """
-    chosen = [recordings] if isinstance(recordings, Recording) else list(recordings)
+    chosen = [recordings] if isinstance(recordings, Recording | str | Path) else list(recordings)
     if not chosen:
         raise ValueError("no recordings: give at least one")
     known = list(tracks) if tracks is not None else [None] * len(chosen)

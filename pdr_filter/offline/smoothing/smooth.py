@@ -53,6 +53,7 @@ from pdr_filter.values import (
     IntArray,
     PositionFix,
     Table,
+    pickled,
     read_only,
     table,
     wrap_angle,
@@ -85,6 +86,8 @@ class Smoothed:
     observations: Table
     floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
     notes: tuple[str, ...]
+
+    __reduce__ = pickled
 
     @property
     def scale(self) -> float:

@@ -1,0 +1,60 @@
+"""Results stay read-only however they are copied."""
+
+from __future__ import annotations
+
+import copy
+import pickle
+from collections.abc import Callable, Iterator
+from dataclasses import fields, is_dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import pdr_filter as pdr
+
+
+def arrays_of(value: Any) -> Iterator[np.ndarray]:
+    """The arrays of a value and of the values in it, but for those of the phone."""
+    if isinstance(value, np.ndarray):
+        yield value
+    elif is_dataclass(value):
+        for each in fields(value):
+            if each.name != "device":
+                yield from arrays_of(getattr(value, each.name))
+
+
+@pytest.fixture(scope="module")
+def results() -> dict[str, Any]:
+    walk = pdr.simulate.demo_walk()
+    fixes = [pdr.PositionFix(20.0, (0.0, 10.0), np.eye(2))]
+    return {
+        "track": pdr.track(walk, fixes=fixes),
+        "windows": pdr.classify(walk),
+        "smoothed": pdr.smooth(walk, fixes),
+        "calibration": pdr.calibrate(walk),
+        "truth": walk.truth,
+    }
+
+
+@pytest.mark.parametrize("name", ["track", "windows", "smoothed", "calibration", "truth"])
+@pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
+def test_a_copy_of_a_result_is_the_same_and_read_only(
+    results: dict[str, Any], name: str, copied: Callable[[Any], Any]
+) -> None:
+    result = results[name]
+    other = copied(result)
+    assert type(other) is type(result)
+    pairs = list(zip(arrays_of(other), arrays_of(result), strict=True))
+    assert len(pairs) >= 5
+    for ours, theirs in pairs:
+        assert not ours.flags.writeable
+        assert type(ours) is type(theirs)
+        assert ours.tobytes() == theirs.tobytes()
+
+
+def test_a_copy_leaves_an_array_that_somebody_put_into_a_track_writeable(results: dict[str, Any]) -> None:
+    own_m = np.zeros_like(results["track"].position_m)
+    changed = copy.copy(replace(results["track"], position_m=own_m))
+    assert own_m.flags.writeable
+    assert not changed.position_m.flags.writeable
