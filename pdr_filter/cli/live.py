@@ -20,6 +20,7 @@ import typer
 from pdr_filter.cli import console
 
 if TYPE_CHECKING:
+    from pdr_filter.io.recording import Recording
     from pdr_filter.live.hub import Live
 
 
@@ -99,7 +100,13 @@ class Sources:
     replay: Annotated[Path | None, typer.Option(help="A recording to be walked again.")] = None
     speed: Annotated[float, typer.Option(min=0.01, help="How many times as fast.")] = 1.0
 
-    def tasks(self, shared: Live) -> list[Coroutine[Any, Any, None]]:
+    def walk(self) -> Recording | None:
+        """The recording to be walked again."""
+        from pdr_filter.io.formats import read
+
+        return None if self.replay is None else read(self.replay)
+
+    def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
         """What fetches samples."""
         from pdr_filter.live import sources
 
@@ -112,7 +119,7 @@ class Sources:
             *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
             *(sources.Mqtt(address, shared.take).run for address in self.mqtt or ()),
         ]
-        replay = [] if self.replay is None else [sources.replay(self.replay, self.speed, shared.take)]
+        replay = [] if walk is None else [sources.replay(walk, self.speed, shared.take)]
         return [*(sources.again(source, say) for source in made), *replay]
 
 
@@ -140,6 +147,7 @@ def live(
         from pdr_filter.live.settings import Settings
 
         phones.check()
+        walk = sources.walk()  # one that cannot be read is no reason to serve
         is_open = not is_loopback(address.host)
         token = (address.token or made_token(record)) if is_open or address.token else ""
         platform = "" if phones.platform is None else phones.platform.value
@@ -163,7 +171,7 @@ def live(
             _say(address, port, token)
 
         bound = opened.enter_context(_bound(address.host, address.port))
-        asyncio.run(_run(shared, uvicorn.Server(config), bound, sources, say))
+        asyncio.run(_run(shared, uvicorn.Server(config), bound, partial(sources.tasks, walk), say))
 
 
 def _bound(host: str, port: int) -> socket.socket:
@@ -178,11 +186,17 @@ def _bound(host: str, port: int) -> socket.socket:
     return made
 
 
-async def _run(shared: Live, server: Any, bound: socket.socket, sources: Sources, say: Callable[[int], None]) -> None:
+async def _run(
+    shared: Live,
+    server: Any,
+    bound: socket.socket,
+    tasks: Callable[[Live], list[Coroutine[Any, Any, None]]],
+    say: Callable[[int], None],
+) -> None:
     """Serve with workers that run."""
     try:
         await shared.start()
-        await _served(server, bound, sources.tasks(shared), say)
+        await _served(server, bound, tasks(shared), say)
     finally:
         await shared.stop()
 

@@ -7,12 +7,12 @@ import json
 import urllib.request
 import uuid
 from collections.abc import Awaitable, Callable, Iterator, Mapping
-from pathlib import Path
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 
+from pdr_filter.io.recording import Recording
 from pdr_filter.live.access import MAX_BODY_BYTES
 from pdr_filter.live.messages import (
     ANDROID_SENSORS,
@@ -48,11 +48,8 @@ async def _given(take: Taker, body: bytes, **named: str) -> None:
         await asyncio.sleep(_PART_S)
 
 
-async def replay(file: Path, speed: float, take: Taker) -> None:
+async def replay(recording: Recording, speed: float, take: Taker) -> None:
     """Send a recording as if it were walked now, or `speed` times as fast."""
-    from pdr_filter.io.formats import read
-
-    recording = await asyncio.to_thread(read, file)
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.

@@ -9,6 +9,8 @@ import os
 import signal
 import socket
 import ssl
+import subprocess
+import sys
 import threading
 import time
 from collections.abc import Iterator
@@ -276,6 +278,17 @@ def test_a_server_that_is_killed_in_the_middle_of_a_walk_goes_on(walk: Recording
     np.testing.assert_array_equal(positions(track), again.position_m)
     assert [s["index"] for s in steps] == list(range(len(steps)))  # none twice
     assert len(again.time_s) > 50
+
+
+def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) -> None:
+    for name, content in (("nowhere.zip", None), ("broken.zip", b"no zip")):
+        if content is not None:
+            (tmp_path / name).write_bytes(content)
+        program = [sys.executable, "-c", "from pdr_filter.cli import main; main()", "live", "--port", "0", "--replay"]
+        done = subprocess.run([*program, str(tmp_path / name)], capture_output=True, text=True, timeout=60, check=False)
+        assert done.returncode == 2
+        assert f"{name}: " in done.stderr
+        assert "page" not in done.stdout
 
 
 def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path) -> None:
