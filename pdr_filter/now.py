@@ -99,11 +99,11 @@ def now(config: Config, state: State) -> Now:
     Behind the last accepted step come the candidates: steps that the gate has not judged yet, and those that wait for a
     bout while walking is more probable than not. From the last contact the position goes on at the smoothed speed, in
     the direction of the step turned by half of what the phone has turned since, until the next contact is overdue or
-    the phone is quiet.
+    the phone is quiet. After `finish` nothing is provisional.
     """
     sensing, newest_s = state.sensing, _newest_s(state)
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
-    for step in _candidates(sensing.gate):
+    for step in () if state.finished else _candidates(sensing.gate):
         tracker, output = config.tracker.on_step(tracker, step)
         last = output.updates[-1]
         steps.append(ProvisionalStep(step.time_s, last.position_m))
@@ -117,7 +117,7 @@ def now(config: Config, state: State) -> Now:
         place = last.of_start or own
         place = replace(place, heading_rad=place.heading_rad + turned_rad)
     speed_mps, speed_std_mps, way_m = 0.0, math.nan, 0.0
-    if last is not None and _walks(config, state, last, bool(steps)):
+    if last is not None and not state.finished and _walks(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         way_m = speed_mps * max(newest_s - last.step.time_s, 0.0)
         place = _further(place, way_m, device_rad - last.step.device_heading_rad)

@@ -36,6 +36,19 @@ def test_now_changes_nothing_and_says_the_same_again() -> None:
     assert online.save() == blob
 
 
+@pytest.mark.parametrize("until_s", [8.0, 12.3, 15.0, np.inf])
+def test_after_the_end_nothing_is_provisional(until_s: float) -> None:
+    online = pdr.OnlineFilter()
+    assert any(now.is_provisional for now in walked(online, until_s))
+    online.finish()
+    now = online.now()
+    assert not now.is_provisional
+    assert now.provisional_steps == ()
+    assert now.walking_speed_mps == 0.0
+    np.testing.assert_array_equal(now.position_m, online.position_m)
+    np.testing.assert_array_equal(now.position_cov_m2, online.position_cov_m2)
+
+
 @pytest.mark.parametrize("weighting", ["imm", "wc"])
 def test_the_position_of_now_is_nearer_to_the_track_that_is_accepted_later_than_the_last_accepted_one(
     weighting: str,
