@@ -96,10 +96,11 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
     differ = len({column.stem for column in columns if column.quantity and len(column.stem) == 1}) > 1
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
     for column in columns:
-        if not column.axis or (of_file and of_file not in VECTORS):
-            continue
         quantity = column.quantity
-        if not quantity or (len(column.stem) == 1 and not differ):
+        says_little = not quantity or (len(column.stem) == 1 and not differ)
+        if not column.axis or (says_little and of_file and of_file not in VECTORS):
+            continue
+        if says_little:
             before = max((t for t in times if t < column.place), default=-1)
             of_time = quantity_of_file(sheet.fields[before])[0] if before >= 0 else ""
             by_name = [q for q in (of_time, of_file) if q in VECTORS]

@@ -95,6 +95,13 @@ def test_a_letter_with_a_unit_is_a_time(tmp_path: Path, unit: str, per_s: float)
     assert_same_streams(read(write_text(tmp_path / "walk.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)
 
 
+@pytest.mark.parametrize("name", ["light_walk.csv", "walking speed.csv", "pressure.csv", "position 2.csv"])
+def test_columns_that_say_their_sensor_count_more_than_the_name_of_their_file(tmp_path: Path, name: str) -> None:
+    for force, rate in (("acc%", "gyro%"), ("a%", "g%")):
+        path = write_text(tmp_path / name, table_text({"t": TIME_S} | axes(force, FORCE) | axes(rate, RATE)))
+        assert_same_streams(read(path), WALK, BOTH, 1e-6, 1e-9)
+
+
 def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:
     columns = {"t": TIME_S} | axes("f%", FORCE) | axes("w%", RATE)
     message = refusal(write_text(tmp_path / "walk.csv", table_text(columns)))
