@@ -22,7 +22,7 @@ from pdr_filter.io.table import Layout, NumberTable, concatenated, finite, heade
 from pdr_filter.values import FloatArray, IntArray
 
 _SEPARATORS = (",", ";", "\t", "|", " ")
-_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|-?inf|-?Infinity")
+_NUMBER = re.compile(r"[+-]?(\d+[.,]?\d*|[.,]\d+)([eE][+-]?\d+)?|nan|NaN|null|None|#?N/?A|-?inf|-?Infinity")
 _WHOLE = re.compile(r"[+-]?\d+")
 _LINES_TRIED = 40  # of which the first of numbers begins the table
 _LINES_COMPARED = 8

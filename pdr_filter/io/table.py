@@ -20,6 +20,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
+UNKNOWN = ("null", "None", "NA", "N/A", "#N/A")  # what programs write for no value, beside nothing and NaN
 LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 
@@ -253,7 +254,7 @@ def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
             arrow_csv.ConvertOptions(
                 include_columns=names,
                 column_types=kinds,
-                null_values=["", "null", "None"],
+                null_values=["", *UNKNOWN],
                 decimal_point=layout.decimal,
             ),
         )
@@ -355,7 +356,7 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
 def to_number(field: str) -> float | None:
     """The number in a field, NaN if it is empty, None if it is text."""
     field = field.strip()
-    if not field or field in ("null", "None"):
+    if not field or field in UNKNOWN:
         return math.nan
     if "_" in field:  # Python would read 1_0 as ten
         return None
@@ -368,7 +369,7 @@ def to_number(field: str) -> float | None:
 def whole_number(field: str) -> int | None:
     """The whole number in a field without loss, None if it is empty; ValueError if it is something else."""
     field = field.strip()
-    if not field or field in ("null", "nan", "NaN"):
+    if not field or field in ("nan", "NaN", *UNKNOWN):
         return None
     if len(field) > 40 or "_" in field:
         raise ValueError(field[:40])

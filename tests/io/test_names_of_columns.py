@@ -102,6 +102,20 @@ def test_columns_that_say_their_sensor_count_more_than_the_name_of_their_file(tm
         assert_same_streams(read(path), WALK, BOTH, 1e-6, 1e-9)
 
 
+@pytest.mark.parametrize("unknown", ["", "NA", "N/A", "#N/A", "NaN", "null", "None"])
+@pytest.mark.parametrize("copies", [1, 30])  # the larger one is parsed by pyarrow, if that is installed
+def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, unknown: str, copies: int) -> None:
+    time_s = np.arange(copies * len(TIME_S)) / 50
+    columns = {"t": time_s} | axes("acc%", np.tile(FORCE, (copies, 1))) | axes("gyro%", np.tile(RATE, (copies, 1)))
+    names, *rows = table_text(columns).splitlines()
+    rows[0::7] = [row.rsplit(",", 3)[0] + f",{unknown},{unknown},{unknown}" for row in rows[0::7]]
+    recording = read(write_text(tmp_path / "walk.csv", "\n".join([names, *rows]) + "\n"))
+    assert recording.gyroscope is not None
+    known = np.arange(len(time_s)) % 7 != 0
+    np.testing.assert_array_equal(recording.gyroscope.values, np.tile(RATE, (copies, 1))[known])
+    np.testing.assert_array_equal(recording.accelerometer.values, np.tile(FORCE, (copies, 1)))
+
+
 def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:
     columns = {"t": TIME_S} | axes("f%", FORCE) | axes("w%", RATE)
     message = refusal(write_text(tmp_path / "walk.csv", table_text(columns)))
