@@ -10,7 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from commands import one_line, run
+from commands import demo_file, one_line, run
 from typer.testing import CliRunner
 
 import pdr_filter as pdr
@@ -20,6 +20,18 @@ from pdr_filter.io.recording import Truth
 from pdr_filter.training import run as training
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return demo_file(tmp_path_factory.mktemp("walks"))
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    path = tmp_path / "broken.zip"
+    path.write_text("this is no zip file")
+    return path
 
 
 # --- text of others ------------------------------------------------------------------------------------------------

@@ -8,13 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import one_line, run
+from commands import demo_file, one_line, run
 
 import pdr_filter as pdr
 from pdr_filter.calibration import load_calibration
 from pdr_filter.io.own_format import write_recording
 from pdr_filter.offline.smoothing.observations import LoopClosure, fixes_of_file
 from pdr_filter.simulate import Leg, simulate
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return demo_file(tmp_path_factory.mktemp("walks"))
 
 
 def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from commands import one_line, run
+from commands import demo_file, one_line, run
 from heard import round_a_block, walk_with_wifi
 
 import pdr_filter as pdr
@@ -20,6 +20,18 @@ from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.sensing.contexts.learned import LearnedContexts
 
 MODELS = Path(__file__).resolve().parents[2] / "models"
+
+
+@pytest.fixture(scope="module")
+def walk(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return demo_file(tmp_path_factory.mktemp("walks"))
+
+
+@pytest.fixture
+def broken(tmp_path: Path) -> Path:
+    path = tmp_path / "broken.zip"
+    path.write_text("this is no zip file")
+    return path
 
 
 def test_a_person_whom_no_fix_measured_is_not_written_and_that_is_said(walk: Path, tmp_path: Path) -> None:
