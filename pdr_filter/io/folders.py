@@ -68,8 +68,8 @@ def only_recording_in(path: Path) -> Path:
                 f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
             )
         raise RecordingError(
-            f"{path}: holds {len(parts)} recordings ({listed}); read one, such as {path / parts[0]}, "
-            "or give its recordings as recordings_in lists them"
+            f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
+            f"{path / parts[0]}, or each that pdr_filter.io.folders.recordings_in lists"
         )
     return path
 

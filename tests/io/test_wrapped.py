@@ -105,6 +105,14 @@ def test_a_folder_around_several_recordings_names_them(tmp_path: Path) -> None:
     assert str(tmp_path / "export" / "a") in message
 
 
+def test_of_many_recordings_three_are_named_and_that_there_are_more(tmp_path: Path) -> None:
+    for name in "abcd":
+        write_folder(tmp_path / "export" / name, FILES)
+    message = refusal(tmp_path / "export")
+    assert "holds 4 recordings (a, b, c, ...); read one, such as" in message
+    assert "pdr_filter.io.folders.recordings_in" in message
+
+
 def test_a_folder_with_more_files_than_recordings_have_is_not_searched(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
