@@ -78,7 +78,7 @@ def read_plan(
     """
     path = Path(path)
     if not path.exists():
-        raise FileNotFoundError(f"{path}: no such file")
+        raise ValueError(f"{path}: no such file; check the path")
     try:
         content = read_json(path, limits.MAX_PLAN_BYTES)
         features, properties = content["features"], content.get("properties") or {}

@@ -11,7 +11,7 @@ import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.io.files import read_json, write_text
-from pdr_filter.values import FloatArray, read_only
+from pdr_filter.values import FloatArray, pickled, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
 # give 0.01 to 0.05 degrees/s for a kelvin, 0.0002 to 0.0009 rad/s; phones subtract most of the slow part themselves.
@@ -36,6 +36,8 @@ class Device:
 
     bias_radps: FloatArray = field(default_factory=lambda: read_only(np.zeros(3)))  # (3,)
     bias_cov_radps2: FloatArray = field(default_factory=lambda: read_only(0.005**2 * np.eye(3)))  # (3, 3)
+
+    __reduce__ = pickled
 
     def __post_init__(self) -> None:
         bias, cov = np.asarray(self.bias_radps, dtype=float), np.asarray(self.bias_cov_radps2, dtype=float)

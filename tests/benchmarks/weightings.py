@@ -236,7 +236,7 @@ def real(tables: Tables, sets: Mapping[str, list[Walk]]) -> None:
     rows, of_prob, of_doubt = [], [], []
     for name, walks in sets.items():
         people = len({w.person for w in walks})
-        what = f"{name} ({len(walks)} of {people} people)"
+        what = f"{name} ({len(walks)} of {people} {'person' if people == 1 else 'people'})"
         known = np.array([w.known_m for w in walks])
         moved = known > 0
         for weighting, found in columns_of([distances_m(w) for w in walks]).items():

@@ -125,6 +125,11 @@ def test_longitude_and_latitude_exchanged_are_told_by_the_origin(tmp_path: Path)
 OTHER = '{"type": "Topology", "features": []}'
 
 
+def test_a_plan_that_is_not_there_is_refused_by_its_path(tmp_path: Path) -> None:
+    with pytest.raises(ValueError, match=r"none\.geojson: no such file; check the path"):
+        pdr.FloorPlan.read(tmp_path / "none.geojson")
+
+
 @pytest.mark.parametrize("text", ["", "{}", "[1, 2]", '{"type": "Feature"}', '{"type": "FeatureCollection"}', OTHER])
 def test_what_is_no_collection_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "plan.geojson"

@@ -15,13 +15,12 @@ import pdr_filter as pdr
 
 
 def arrays_of(value: Any) -> Iterator[np.ndarray]:
-    """The arrays of a value and of the values in it, but for those of the phone."""
+    """The arrays of a value and of the values in it."""
     if isinstance(value, np.ndarray):
         yield value
     elif is_dataclass(value):
         for each in fields(value):
-            if each.name != "device":
-                yield from arrays_of(getattr(value, each.name))
+            yield from arrays_of(getattr(value, each.name))
 
 
 @pytest.fixture(scope="module")
