@@ -125,11 +125,11 @@ class StreamMerger:
     ) -> tuple[MergerState, Merged]:
         """New state, and what may leave after samples (N,), (N, d) of one sensor."""
         state = self._arrived(state, sensor, np.column_stack([time_s, values]))
-        at = SENSORS.index(sensor)
-        if abs(state.streams[at].last_s - state.looked_s[at]) < self.bunch_s:
+        at, force = SENSORS.index(sensor), state.stream("accelerometer")
+        # a clock that stands still comes no further, but its samples may not wait without end
+        if abs(state.streams[at].last_s - state.looked_s[at]) < self.bunch_s and len(force.rows) <= _MAX_ROWS:
             return state, _NOTHING
         state = replace(state, looked_s=tuple(stream.last_s for stream in state.streams))
-        force = state.stream("accelerometer")
         before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())
         n_whole = self._n_whole(force, len(force.rows), before_s)
         frontier_s = float(force.rows[n_whole - 1, 0]) if n_whole else state.released_s

@@ -268,6 +268,13 @@ def test_what_waits_is_bounded(sensor: Sensor) -> None:
     assert len(state.stream(sensor).rows) <= _MAX_ROWS
 
 
+def test_what_waits_while_the_clock_stands_still_is_bounded() -> None:
+    merger, state = StreamMerger(), StreamMerger().init()
+    for _ in range(30):
+        state, _ = merger.step(state, "accelerometer", np.full(1000, 7.0), np.zeros((1000, 3)))
+    assert len(state.stream("accelerometer").rows) <= _MAX_ROWS
+
+
 def test_a_single_time_far_ahead_stops_nothing() -> None:
     for sensor in ("accelerometer", "gyroscope"):
         pieces = pieces_of(RECORDING, 0, longest_s=0.2)
