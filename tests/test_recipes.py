@@ -64,6 +64,29 @@ def test_a_slow_jog_in_circles_is_as_long_as_it_was(data_dir: Path, name: str) -
     assert track.step_length_m[inside].sum() == pytest.approx(true_m, rel=0.1)
 
 
+def test_steps_of_a_jog_are_off_by_what_the_running_mode_says(data_dir: Path) -> None:
+    """Sums of eight steps, turned onto the path and scaled to it over 48: along and across, divided by sqrt(8)."""
+    off: list[np.ndarray] = []
+    for name in ("oxiod_user1_room_running1_6", "oxiod_user1_room_running1_7"):
+        recording = pdr.read(data_dir / "oxiod" / f"{name}.zip")
+        track, truth = pdr.track(recording), recording.truth.position
+        inside = (track.time_s > truth.time_s[0]) & (track.time_s < truth.time_s[-1])
+        path = [np.interp(track.time_s[inside], truth.time_s, truth[c]) for c in ("north_m", "east_m")]
+        own, true = np.diff(track.position_m[inside] @ [1j, 1.0]), np.diff(path[0] + 1j * path[1])
+        true = true * np.abs(own).sum() / np.abs(true).sum()
+        n = len(own) // 48 * 48
+        own, true = own[:n].reshape(-1, 6, 8), true[:n].reshape(-1, 6, 8)
+        turn = (own * true.conj()).sum(axis=(1, 2), keepdims=True)
+        error = (own * (turn / np.abs(turn)).conj() - true).sum(axis=2)
+        error = error * np.exp(-1j * np.angle(true.sum(axis=2)))
+        error = (error - error.mean(axis=1, keepdims=True)) * np.sqrt(6 / 5 / 8)
+        off.append(np.stack([error.real, error.imag / np.abs(own).mean()]).reshape(2, -1))
+    along_m, across_rad = np.sqrt((np.concatenate(off, axis=1) ** 2).mean(axis=1))
+    running = next(m for m in recipes.default().model.modes if m.context == "running")
+    assert along_m == pytest.approx(running.step_length.residual_std_m, rel=0.2)
+    assert across_rad == pytest.approx(running.heading_std_rad, rel=0.2)
+
+
 def test_one_window_moves_the_modes_of_the_default_by_its_odds() -> None:
     """p(c | x) / prior(c)^0.2, whole: tempered or with the prior divided out whole it would be another number."""
     model = recipes.default().model
