@@ -30,9 +30,9 @@ _DOWNSTAIRS = known_length(0.43, 0.10, shared_std_m=0.10)
 _SIDEWAYS = known_length(0.45, 0.15)
 # Jogging at 2.7 steps a second and 2.6 m/s: 0.95 m a step, with 0.35 m s of change with cadence (after Cavanagh and
 # Kram, "Stride length in distance running", Med. Sci. Sports Exerc. 21, 1989). Not fitted: the only running here with
-# truth is in rooms of 4 to 6 m, at that cadence and as hard, but with steps of 0.46 to 0.62 m. Hence the spread. How
-# far a step is off by itself, and its direction, is of one of these rooms (oxiod, sums of eight steps, divided by the
-# square root of eight): 0.2 m, and as much across, of 0.53 m.
+# truth is in rooms of 4 to 6 m, at that cadence and as hard, but with steps of 0.46 to 0.62 m. Hence the spread. What a
+# step is off by itself, along and across, was measured in one of these rooms: 0.2 m each, of 0.53 m (oxiod: errors of
+# eight steps together, over the square root of eight).
 _RUNNING = StepLengthFit(
     FrequencyVarianceStepLength(),
     theta=np.array([0.0, 0.35, 0.0]),
