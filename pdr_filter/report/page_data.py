@@ -44,7 +44,7 @@ def track_data(track: TrackRows, recording: Recording | None, plan: FloorPlan | 
         "heading": _column(np.degrees(track.walking_heading_rad[shown]) % 360.0, 1),
         "speed": _column(track.smoothed_speed_mps[shown], 2),
         "speed_std": _column(track.smoothed_speed_std_mps[shown], 3),
-        "std": _column(np.where(np.isfinite(major_m), track.position_std_m[shown], np.nan), 2),
+        "std": _column(np.where(np.isfinite(major_m), track.position_std_m[shown], np.nan), 1),  # as all reports say it
         "major": _column(major_m, 2),
         "minor": _column(minor_m, 2),
         "angle": _column(angle_rad, 3),

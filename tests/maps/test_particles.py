@@ -193,7 +193,8 @@ def test_particles_go_in_any_direction_of_the_turn_of_a_step(tmp_path: Path) -> 
     for turn_rate_radps in (0.0, 1.0):
         step = replace(a_step(), turn_rate_radps=turn_rate_radps)
         state, [update] = updates_of(config.tracker.on_step(config.tracker.init(), step))
-        after = on_plan.on_step(before, update, state.pedestrian, config.model)
+        walking = replace(update, mode_prob=np.array([m.context == "walking" for m in config.model.modes], dtype=float))
+        after = on_plan.on_step(before, walking, state.pedestrian, config.model)
         east_m, north_m = after.particles[:, :2].T
         across.append(east_m.var() / np.mean(east_m**2 + north_m**2))
     assert across[1] - across[0] == pytest.approx(0.5**2 / 12, rel=0.15)
@@ -234,7 +235,7 @@ def test_the_same_seed_gives_the_same_bits_and_another_one_nearly_the_same_track
     other = pdr.track(WALK, in_world(1, plan), fixes=FIXES)
     assert_array_equal(first.position_m, again.position_m)
     away = np.linalg.norm(first.position_m - other.position_m, axis=1)
-    assert 0 < np.median(away) < 0.3
+    assert 0 < np.median(away) < 0.5 * np.median(first.position_std_m)
 
 
 def test_a_plan_that_is_turned_turns_the_track(plan: pdr.FloorPlan, tmp_path: Path) -> None:
@@ -264,7 +265,8 @@ def test_walls_keep_a_drifting_track_in_the_corridor(plan: pdr.FloorPlan) -> Non
     alone, kept = (pdr.track(WALK, in_world(), fixes=FIXES, plan=p) for p in (None, plan))
     assert kept.frame == "plan" and kept.plan is plan
     assert np.median(errors_m(kept, WALK)) < 0.5 * np.median(errors_m(alone, WALK))
-    assert errors_m(kept, WALK)[-1] < 1.5
+    assert errors_m(kept, WALK)[-1] < 0.5 * errors_m(alone, WALK)[-1]
+    assert errors_m(kept, WALK)[-1] < 2.0 * kept.position_std_m[-1]
     assert len(kept.clusters) == kept.n_steps == len(kept.effective_sample_size)
 
 

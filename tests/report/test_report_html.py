@@ -99,7 +99,7 @@ def test_every_step_is_given_with_its_numbers(page: str, track: Track) -> None:
         ("speed", track.smoothed_speed_mps, 2),
         ("speed_std", track.smoothed_speed_std_mps, 3),
         ("walked", track.walked_m, 1),
-        ("std", track.position_std_m, 2),
+        ("std", track.position_std_m, 1),
         ("major", RADIUS_95 * track.position_std_m, 2),
     ):
         np.testing.assert_allclose(seen[name], values, atol=0.51 * 10**-digits, err_msg=name)
