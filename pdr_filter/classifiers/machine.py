@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from pdr_filter.classifiers.artefact import Arrays
-from pdr_filter.values import FloatArray, IntArray, read_only
+from pdr_filter.values import FloatArray, IntArray, pickled, read_only
 
 
 class Stored:
     """Base of a frozen dataclass of numbers, strings and arrays, which are stored as arrays of the same names."""
 
     __slots__ = ()
+    __reduce__ = pickled
 
     def to_arrays(self) -> Arrays:
         """Return the plain arrays that `from_arrays` takes, integers as int32."""

@@ -22,7 +22,7 @@ from pdr_filter.classifiers.kernel_machine import RelevanceVectors
 from pdr_filter.classifiers.machine import Machine
 from pdr_filter.classifiers.probability_calibration import slipped, tempered
 from pdr_filter.classifiers.softmax import SoftmaxRegression
-from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, read_only
+from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, pickled, read_only
 
 # Version 2: heads, temperature, limit of the features, familiarity.
 FORMAT = ArtefactFormat("context_model", 2, "train it again, or use the version that wrote it")
@@ -113,6 +113,8 @@ class ContextModel:
     feature_limit: float = np.inf
     familiarity: Familiarity | None = None
     stairs: Familiarity | None = None
+
+    __reduce__ = pickled
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "feature_names", tuple(self.feature_names))

@@ -111,7 +111,7 @@ def smooth(
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
-    """Smooth a whole recording against fixes and loop closures, or else its own waypoints or locations.
+    """Smooth a whole recording against fixes and loop closures, or else its own waypoints or locations, if it has any.
 
     Times in the files are seconds of the recording.
     """
@@ -138,7 +138,7 @@ def smooth(
         )
         if nothing_given and recording.truth.waypoints is None and recording.location is not None:
             origin, known_places = fixes_of(recording.location, where["plan"].origin if where else None)
-        elif nothing_given:
+        elif nothing_given and recording.truth.waypoints is not None:
             known_places = waypoint_fixes(recording, fix_std_m)
         result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed, **where)
         track = result.track if origin is None else result.track.placed(origin)

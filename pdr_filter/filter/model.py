@@ -12,7 +12,7 @@ from pdr_filter.filter.frame import START_FRAME, Frame
 from pdr_filter.filter.motion import Directions, Mode, MotionNoise
 from pdr_filter.filter.step_length import StepLengths, uneven_var_m2
 from pdr_filter.filter.weighting import ModeEvidence
-from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob
+from pdr_filter.values import CONTEXTS, FloatArray, Step, check_numbers, check_transition_prob, pickled, read_only
 
 
 @dataclass(frozen=True, eq=False)
@@ -43,6 +43,8 @@ class PedestrianModel:
     scalar_gate_nis: float = 10.8
     frame: Frame = START_FRAME  # of the fixes; `UNKNOWN_FRAME` until some have shown its origin and north to the track
 
+    __reduce__ = pickled
+
     def __post_init__(self) -> None:
         if not self.modes:
             raise ValueError("modes must hold one mode at least, got none")
@@ -55,6 +57,7 @@ class PedestrianModel:
         if len(set(names)) < len(names):
             raise ValueError(f"mode names must be distinct, got {names}")
         check_transition_prob(self.transition_prob, len(self.modes))
+        object.__setattr__(self, "transition_prob", read_only(self.transition_prob))
 
     def check_one_mode_for_each_context(self) -> None:
         """ValueError unless the modes are the contexts, each once."""

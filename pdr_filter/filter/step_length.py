@@ -12,7 +12,7 @@ from typing import Protocol, TypeGuard
 
 import numpy as np
 
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, read_only
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Step, check_numbers, pickled, read_only
 
 
 class _Parameters(Protocol):
@@ -297,6 +297,8 @@ class StepLengthFit:
     theta: FloatArray  # (p,)
     theta_cov: FloatArray  # (p, p)
     residual_std_m: float  # standard deviation of a single step about the model
+
+    __reduce__ = pickled
 
     def __post_init__(self) -> None:
         check_numbers(self, zero=("residual_std_m",))

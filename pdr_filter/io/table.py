@@ -20,7 +20,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.values import FloatArray, IntArray
 
 SEPARATORS = (",", ";", "\t")
-UNKNOWN = ("null", "None", "NA", "N/A", "#N/A")  # what programs write for no value, beside nothing and NaN
+UNKNOWN = ("null", "None", "NA", "N/A", "#N/A", "-", "--")  # what programs write for no value, beside nothing and NaN
 LARGE_BYTES = 1024**2  # of a block; below, loading pyarrow takes longer than it saves
 
 

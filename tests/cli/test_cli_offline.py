@@ -124,8 +124,16 @@ def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Pat
     line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
     longitude_deg, latitude_deg = np.array(line).T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
-    bare = run("smooth", replace(located, location=None).save(tmp_path / "bare.zip"))
-    assert (bare.exit_code, "located has no waypoints; give fixes" in one_line(bare.stderr)) == (2, True)
+
+
+def test_a_walk_of_which_no_place_is_known_is_smoothed_as_by_the_function(walk: Path, tmp_path: Path) -> None:
+    recording = pdr.read(walk)
+    bare = replace(recording, location=None, truth=replace(recording.truth, waypoints=None))
+    result = run("smooth", bare.save(tmp_path / "bare.zip"), "--out", tmp_path)
+    assert result.exit_code == 0
+    assert "0 observations, 0 not used" in result.stdout
+    pdr.smooth(bare).track.to_csv(tmp_path / "expected.csv")
+    assert (tmp_path / "demo_walk.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
 
 
 @pytest.mark.parametrize(

@@ -102,7 +102,7 @@ def test_columns_that_say_their_sensor_count_more_than_the_name_of_their_file(tm
         assert_same_streams(read(path), WALK, BOTH, 1e-6, 1e-9)
 
 
-@pytest.mark.parametrize("unknown", ["", "NA", "N/A", "#N/A", "NaN", "null", "None"])
+@pytest.mark.parametrize("unknown", ["", "NA", "N/A", "#N/A", "NaN", "null", "None", "-", "--"])
 @pytest.mark.parametrize("copies", [1, 30])  # the larger one is parsed by pyarrow, if that is installed
 def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, unknown: str, copies: int) -> None:
     time_s = np.arange(copies * len(TIME_S)) / 50
@@ -114,6 +114,23 @@ def test_what_programs_write_for_no_value_is_an_unknown_value(tmp_path: Path, un
     known = np.arange(len(time_s)) % 7 != 0
     np.testing.assert_array_equal(recording.gyroscope.values, np.tile(RATE, (copies, 1))[known])
     np.testing.assert_array_equal(recording.accelerometer.values, np.tile(FORCE, (copies, 1)))
+
+
+@pytest.mark.parametrize("name", ["linear_a%", "lin_a%", "user_a%", "lin_acc_%", "LinearAcceleration%", "user_acc_%"])
+def test_acceleration_called_linear_needs_gravity(tmp_path: Path, name: str) -> None:
+    gravity = np.tile(FORCE.mean(axis=0), (len(FORCE), 1))
+    alone = {"t": TIME_S} | axes(name, FORCE - gravity) | axes("g%", RATE)
+    message = refusal(write_text(tmp_path / "alone.csv", table_text(alone)))
+    assert f"({name.replace('%', 'x')}, " in message
+    assert "lacks gravity" in message
+    assert "export the accelerometer itself instead" in message
+    both = alone | axes("gravity_%", gravity)
+    assert_same_streams(read(write_text(tmp_path / "both.csv", table_text(both))), WALK, BOTH, 1e-6, 1e-9)
+
+
+def test_a_file_of_user_a_is_not_one_of_linear_acceleration(tmp_path: Path) -> None:
+    columns = {"t": TIME_S} | axes("a%", FORCE) | axes("g%", RATE)
+    assert_same_streams(read(write_text(tmp_path / "user_a.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)
 
 
 def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:

@@ -1,4 +1,4 @@
-"""Results stay read-only however they are copied."""
+"""Results and configurations stay read-only however they are copied."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ def arrays_of(value: Any) -> Iterator[np.ndarray]:
     """The arrays of a value and of the values in it."""
     if isinstance(value, np.ndarray):
         yield value
+    elif isinstance(value, tuple):
+        for item in value:
+            yield from arrays_of(item)
     elif is_dataclass(value):
         for each in fields(value):
             yield from arrays_of(getattr(value, each.name))
@@ -33,10 +36,11 @@ def results() -> dict[str, Any]:
         "smoothed": pdr.smooth(walk, fixes),
         "calibration": pdr.calibrate(walk),
         "truth": walk.truth,
+        "config": pdr.recipes.default(),
     }
 
 
-@pytest.mark.parametrize("name", ["track", "windows", "smoothed", "calibration", "truth"])
+@pytest.mark.parametrize("name", ["track", "windows", "smoothed", "calibration", "truth", "config"])
 @pytest.mark.parametrize("copied", [copy.copy, copy.deepcopy, lambda value: pickle.loads(pickle.dumps(value))])
 def test_a_copy_of_a_result_is_the_same_and_read_only(
     results: dict[str, Any], name: str, copied: Callable[[Any], Any]

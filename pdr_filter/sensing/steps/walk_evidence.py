@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, check_numbers, read_only
+from pdr_filter.values import FloatArray, check_numbers, pickled, read_only
 
 # Rate at which the evidence looks at the force: steps are below 5 Hz.
 EVIDENCE_HZ = 25.0
@@ -40,6 +40,8 @@ class WalkEvidence:
     scale: FloatArray  # (4,) s
     weight: FloatArray  # (4,) w
     intercept: float  # b
+
+    __reduce__ = pickled
 
     def __post_init__(self) -> None:
         check_numbers(self, signed=("intercept",))
