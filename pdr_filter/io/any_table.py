@@ -9,7 +9,7 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.columns import ACCELERATION, VECTORS, quantity_of_file
+from pdr_filter.io.columns import ACCELERATION, VECTORS, letters, quantity_of_file
 from pdr_filter.io.dialects import dialect_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
@@ -23,6 +23,7 @@ from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
 from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
+_DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -105,6 +106,8 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
             for name in texts
             if name not in of_json and (sheet := text_sheet(members, name, separator)) is not None
         ]
+        for sheet in whole:
+            _check_one_device(sheet)
         found = [part for sheet in whole for part in _by_sensor(sheet)]
         for name in of_json:
             if not members.is_container or sensors_of(members, name):
@@ -119,6 +122,19 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
             "and below it a line of numbers for each sample, two or more"
         )
     return found
+
+
+def _check_one_device(sheet: TextSheet) -> None:
+    """RecordingError where a column says that the rows are of several devices."""
+    for i, name in enumerate(sheet.fields):
+        if letters(name) not in _DEVICES:
+            continue
+        values = [part.name for part in sheet.by_text(i)]
+        if len(values) > 1 and not any(quantity_of_file(value)[0] for value in values):
+            raise RecordingError(
+                f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "
+                "of several devices, and a recording is of one; write the rows of each into a file of its own"
+            )
 
 
 def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:

@@ -23,12 +23,12 @@ LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration accelerationwithg gf gforce "
-    "specificforce beschleunigung",
+    "specificforce beschleunigung accelerazione accelerometro aceleracion acelerometro",
     LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
     "useracceleration useraccel useracc accelerationwithoutg linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
     RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate "
-    "gyroskop",
+    "gyroskop giroscopio",
     ROTATION: "rotation rot",
     FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",

@@ -92,8 +92,8 @@ def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[i
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
     """Quantity and the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
-    # Letters that differ, as in ax and wx, say more than the name of a file.
-    differ = len({column.stem for column in columns if column.quantity and len(column.stem) == 1}) > 1
+    # Sensors that differ, as in ax and wx or in ax and gyro_x, say more than the name of a file.
+    differ = len({column.stem for column in columns if column.quantity in VECTORS}) > 1
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
     for column in columns:
         quantity = column.quantity

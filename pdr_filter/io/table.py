@@ -349,7 +349,8 @@ def _no_number(row: list[str], i: int, layout: Layout, where: str) -> RecordingE
         )
     return RecordingError(
         f"{where}, column {name}: {row[layout.picked[i]].strip()[:60]!r} is not a number; "
-        f"use {layout.decimal!r} as decimal point and leave unknown values empty"
+        f"use {layout.decimal!r} as decimal point, no mark between thousands, leave unknown values empty, and take out "
+        "lines that are no samples"
     )
 
 

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import time
+from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
@@ -36,6 +37,8 @@ _MAX_PATH = 20_000
 # What is known of now is told this often at most, and a path that turns while its north is sought.
 # Turning a step costs some 50 us: of a path of hours that is a share of one in a hundred.
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
+# Of the charts a page that comes late is told five minutes.
+_HISTORY, _HISTORY_STEP_S = 300, 1.0
 # Much less than what a sensor may be behind the others, `sensing.merging`.
 _PART_S = 1.0
 _FIX_STD_RANGE_M = (0.01, 1000.0)
@@ -76,6 +79,7 @@ class Session:
         # Of each of these steps where it is in the frame of the start, if its place turns while north is sought.
         self._starts: list[Place | None] = []
         self._unsaved_at = math.inf  # since when something is not saved
+        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of what `now` said, for the charts
         self._is_untold = False  # whether there is more than the last `now` said
         self._judged: tuple[FixResult, ...] = ()  # fixes of which it is told what became of them
         self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
@@ -227,7 +231,11 @@ class Session:
             return []
         self._now_at = time.monotonic()
         sent = None if math.isnan(received_s) else received_s
-        return [{"event": "now", "id": self.id, "received_unix_s": sent, **online.now().to_dict()}]
+        now = online.now().to_dict()
+        last_s = self._history[-1]["time_s"] if self._history else -math.inf
+        if now["time_s"] is not None and not 0 <= now["time_s"] - last_s < _HISTORY_STEP_S:
+            self._history.append({name: now[name] for name in ("time_s", "context_prob", "walking_speed_mps")})
+        return [{"event": "now", "id": self.id, "received_unix_s": sent, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
         """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
@@ -257,7 +265,8 @@ class Session:
 
     def whole(self) -> list[Event]:
         """All there is to show to somebody who has seen nothing yet."""
-        return [self.track(), *self._now(math.nan, is_due=True)]
+        now = self._now(math.nan, is_due=True)
+        return [{**self.track(), "history": list(self._history)}, *now]
 
     @property
     def unsaved_s(self) -> float:

@@ -128,6 +128,43 @@ def test_acceleration_called_linear_needs_gravity(tmp_path: Path, name: str) -> 
     assert_same_streams(read(write_text(tmp_path / "both.csv", table_text(both))), WALK, BOTH, 1e-6, 1e-9)
 
 
+@pytest.mark.parametrize("column", ["device", "phone_id", "sensor_id"])
+@pytest.mark.parametrize(("first", "second"), [("0", "1"), ("left", "right")])
+def test_a_table_of_two_phones_is_refused_with_the_column_that_says_so(
+    tmp_path: Path, column: str, first: str, second: str
+) -> None:
+    columns = {"t": TIME_S} | axes("acc%", FORCE) | axes("gyro%", RATE)
+    names, *rows = table_text(columns).splitlines()
+    later = table_text({**columns, "t": TIME_S + 0.004}).splitlines()[1:]
+    for others in (later, rows):  # between the times of the first, and at them
+        pairs = [f"{a},{first}\n{b},{second}" for a, b in zip(rows, others, strict=True)]
+        message = refusal(write_text(tmp_path / "walk.csv", "\n".join([f"{names},{column}", *pairs]) + "\n"))
+        assert f"walk.csv: column '{column}' has 2 values ({first}, {second})" in message
+        assert "write the rows of each into a file of its own" in message
+    one = "\n".join([f"{names},{column}", *(f"{row},{first}" for row in rows)]) + "\n"
+    assert_same_streams(read(write_text(tmp_path / "one.csv", one)), WALK, BOTH, 1e-6, 1e-9)
+
+
+@pytest.mark.parametrize(
+    ("force", "rate"), [("accelerazione_%", "giroscopio_%"), ("aceleraci\u00f3n %", "giroscopio %"), ("a%", "gyro_%")]
+)
+def test_sensors_are_known_by_their_names_without_units_whatever_the_file_is_called(
+    tmp_path: Path, force: str, rate: str
+) -> None:
+    for name in ("walk.csv", "gyro walk.csv"):
+        path = write_text(tmp_path / name, table_text({"tempo": TIME_S} | axes(force, FORCE) | axes(rate, RATE)))
+        assert_same_streams(read(path), WALK, BOTH, 1e-6, 1e-9)
+
+
+@pytest.mark.parametrize("line", ["Average,0,0,9.8,0,0,0", '"1,000.2",0,0,9.8,0,0,0'])
+def test_a_line_that_is_no_sample_is_refused_with_what_to_do(tmp_path: Path, line: str) -> None:
+    columns = {"t": TIME_S} | axes("acc%", FORCE) | axes("gyro%", RATE)
+    message = refusal(write_text(tmp_path / "walk.csv", table_text(columns) + line + "\n"))
+    assert f"walk.csv, line {len(TIME_S) + 2}, column t: " in message
+    assert "no mark between thousands" in message
+    assert "take out lines that are no samples" in message
+
+
 def test_a_file_of_user_a_is_not_one_of_linear_acceleration(tmp_path: Path) -> None:
     columns = {"t": TIME_S} | axes("a%", FORCE) | axes("g%", RATE)
     assert_same_streams(read(write_text(tmp_path / "user_a.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)

@@ -26,7 +26,10 @@ from websockets.sync.client import connect
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
+from pdr_filter.live import session as live_session
 from pdr_filter.live.hub import Reader
+from pdr_filter.live.messages import parse
+from pdr_filter.live.settings import Settings
 
 
 @pytest.fixture(scope="module")
@@ -101,6 +104,21 @@ def test_a_websocket_gets_an_answer_to_each_message_and_the_track_of_its_recordi
     track = server.tracks()["socket"]
     again = pdr.track(recorded(record, track, walk))
     np.testing.assert_array_equal(positions(track), again.position_m)
+
+
+def test_a_page_that_comes_late_is_told_the_contexts_until_then(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(live_session, "_NOW_S", 0.0)  # what is sent at once is told as if it came in its time
+    session = live_session.Session("late", "s", Settings(), tmp_path)
+    for body in own_messages(walk, "late", part_s=0.5):
+        for message in parse(body):
+            session.take(message, 0.0)
+    track = session.whole()[0]
+    times_s = [row["time_s"] for row in track["history"]]
+    assert len(times_s) > 20
+    assert min(np.diff(times_s)) >= 1.0
+    assert max(row["context_prob"]["walking"] or 0.0 for row in track["history"]) > 0.5
 
 
 def test_events_come_while_the_phone_sends(server: Server, walk: Recording) -> None:

@@ -31,6 +31,7 @@ const handlers = {
   track(event) {
     const known = session(event.id);
     known.path = event.path;
+    if (event.history) known.history = event.history; // to a page that comes late
     handlers.session(event);
   },
   step(event) {
