@@ -43,8 +43,10 @@ _WORDS = {
 }
 QUANTITY_OF = {word: quantity for quantity, words in _WORDS.items() for word in words.split()}
 # Letters of the physics books, which stand alone: a word may not end with them.
-_LETTERS = {"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD}
-_LETTERS |= dict.fromkeys(("lineara", "lina", "usera"), LINEAR)  # linear_ax; file names such as user_a are none
+_LETTERS = {
+    **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD},
+    **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
+}
 _SHORTEST = 3  # letters of a word that may have something before it
 # What a unit alone says of a column whose word is in a language that is not known.
 OF_UNIT = {

@@ -165,11 +165,6 @@ def test_a_line_that_is_no_sample_is_refused_with_what_to_do(tmp_path: Path, lin
     assert "take out lines that are no samples" in message
 
 
-def test_a_file_of_user_a_is_not_one_of_linear_acceleration(tmp_path: Path) -> None:
-    columns = {"t": TIME_S} | axes("a%", FORCE) | axes("g%", RATE)
-    assert_same_streams(read(write_text(tmp_path / "user_a.csv", table_text(columns))), WALK, BOTH, 1e-6, 1e-9)
-
-
 def test_an_accelerometer_under_unknown_names_is_asked_for_by_those_names(tmp_path: Path) -> None:
     columns = {"t": TIME_S} | axes("f%", FORCE) | axes("w%", RATE)
     message = refusal(write_text(tmp_path / "walk.csv", table_text(columns)))
