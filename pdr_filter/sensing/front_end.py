@@ -140,7 +140,7 @@ class Sensing:
         return self._take(replace(state, conditioner=conditioner), uniform)
 
     def finish(self, state: SensingState) -> tuple[SensingState, list[tuple[float, Event]]]:
-        """New state when the recording has ended, and the steps that were still waiting for samples."""
+        """New state when the recording has ended, and the events that were still waiting for samples."""
         conditioner, uniform = self.conditioner.finish(state.conditioner)
         state, events = self._take(replace(state, conditioner=conditioner), uniform)
         return state, [*events, *self._close_segment(state)[1]]
