@@ -213,6 +213,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
     seen = (linear or found)[0]
     app = "this looks like a table" if dialect is None else f"this looks like {dialect.app}"
     instead = "the accelerometer itself" if dialect is None else dialect.instead
+    if not linear and seen.group.quantity == GRAVITY:
+        raise RecordingError(f"{where}: {app} of gravity alone ({seen.group.name}); export {instead} instead")
     raise RecordingError(
         f"{where}: {app}, whose acceleration ({seen.group.name}) lacks gravity: the constant part of it is "
         f"{seen.constant:.2g}, and gravity is 9.8 m/s2 or 1 g; export {instead} instead"

@@ -169,6 +169,9 @@ def test_acceleration_without_gravity_is_refused_with_the_app_and_what_to_export
     assert "export G-Force" in message
     (tmp_path / "other.csv").write_text(table_text({"time": TIME_S} | axes("a%", FORCE - GRAVITY) | axes("w%", RATE)))
     assert "lacks gravity" in refusal(tmp_path / "other.csv")
+    (tmp_path / "gravity.csv").write_text(table_text({"time": TIME_S} | axes("gravity_%", GRAVITY)))
+    alone = "of gravity alone (gravity_x, gravity_y, gravity_z of gravity); export the accelerometer itself instead"
+    assert alone in refusal(tmp_path / "gravity.csv")
 
 
 def test_a_location_that_is_repeated_in_every_row_is_one_fix(tmp_path: Path) -> None:
