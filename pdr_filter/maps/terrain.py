@@ -121,12 +121,13 @@ class Ground:
 
         The way is looked at in every cell: no step is so long that a wall is between two looks.
         """
+        from_m = np.ascontiguousarray(from_m)
         way_m = to_m - from_m
         n = int(np.ceil(np.abs(way_m).max(initial=0.0) / CELL_M)) + 1
-        share = np.linspace(0.0, 1.0, n + 1)[:, None, None]
-        index, inside = self.storey.index(from_m + share * way_m)
-        height = np.where(inside, self.height[index], self.terrain.outside)
-        through = np.maximum(height[1:].max(axis=0) - height[0], 0.0)
+        before = top = self.heights(from_m)
+        for share in np.linspace(0.0, 1.0, n + 1)[1:]:
+            top = np.maximum(top, self.heights(from_m + share * way_m))
+        through = np.maximum(top - before, 0.0)
         kind = self.storey.kind_at(to_m)
         stays = self.terrain.stay_room * ((kind == ROOM) | (kind == WALL)) + self.terrain.stay_outside * (
             kind == OUTSIDE

@@ -288,7 +288,12 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
 
     fixes = [PositionFix(float(t), p, fix_cov) for t, p in zip(track.time_s[::2], track.position_m[::2], strict=True)]
     time_s = np.arange(0.0, recording.duration_s, 0.1)
-    on_plan = {"plan": around(track), "start": PositionFix(0.0, np.zeros(2), fix_cov)}
+    particles = config.with_plan(around(track), PositionFix(0.0, np.zeros(2), fix_cov))
+    assert particles.on_plan is not None
+    on_plan = [
+        (f"on a floor plan, {n:,} particles at most", replace(particles, on_plan=replace(particles.on_plan, n_most=n)))
+        for n in (4_000, particles.on_plan.n_most)
+    ]
     climbing = replace(recording, barometer=Samples(time_s, 1000.0 + 0.01 * np.sin(0.1 * time_s)[:, None]))
     runs: list[tuple[str, Callable[[], object]]] = [
         ("the default, 6 modes", lambda: pdr.track(recording)),
@@ -301,7 +306,7 @@ def of_parts(tables: Tables, args: argparse.Namespace) -> None:
         ("without the gate", lambda: pdr.track(recording, replace(config, sensing=replace(sensing, gate=None)))),
         ("with a barometer, 10 Hz", lambda: pdr.track(climbing)),
         ("with a fix for every second step", lambda: pdr.track(recording, config, fixes=fixes)),
-        ("on a floor plan, 4,000 particles at most", lambda: pdr.track(recording, **on_plan)),
+        *((name, lambda given=given: pdr.track(recording, given)) for name, given in on_plan),
         ("with magnetic north", lambda: pdr.track(recording, north="magnetic")),
         ("steps alone (`detect_steps`)", lambda: pdr.detect_steps(recording)),
     ]
