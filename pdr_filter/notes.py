@@ -37,7 +37,8 @@ def _of_sensors(config: Config, state: State) -> Iterator[Note]:
         words = f"moving without steps for {moving_s} s, {100 * moving_s / seen_s:.0f} % of the time: "
         yield Note("steps", words + "the phone shakes as on wheels, and no distance is counted there")
     for sensor, last_s in config.merger.silent(state.merger):
-        yield Note("sensors", f"{sensor}: silent since {last_s:.1f} s, the others go on without it")
+        words = f"{sensor}: silent since {last_s:.1f} s, the others go on without it; if it still sends, its times are "
+        yield Note("sensors", words + "of another clock: all sensors need one")
     for sensor, stream in zip(SENSORS, state.merger.streams, strict=True):
         if stream.n_late:
             words = f"{sensor}: {stream.n_late} of {stream.n_received} samples came again or too late for the others, "

@@ -87,6 +87,20 @@ def test_somebody_who_walks_has_a_speed_and_a_context_and_one_who_stands_none() 
     assert now.distance_m == pytest.approx(25.0, rel=0.15)
 
 
+def test_a_gyroscope_on_another_clock_leads_nobody_on_and_the_note_names_the_remedy() -> None:
+    online, ahead_m = pdr.OnlineFilter(), list[float]()
+    for second in range(20):
+        for name, later_s in (("accelerometer", 0.0), ("gyroscope", 1000.0)):
+            stream = WALK.streams[name]
+            rows = (stream.time_s >= second) & (stream.time_s < second + 1)
+            getattr(online, f"push_{name}")(stream.time_s[rows] + later_s, stream.values[rows])
+        now = online.now()
+        ahead_m.append(float(np.linalg.norm(now.position_m - online.position_m)))
+    assert now.n_steps > 10
+    assert 0.5 < max(ahead_m) < 10.0
+    assert any("accelerometer: silent" in note and "all sensors need one" in note for note in online.notes)
+
+
 def test_now_before_any_sample_is_empty() -> None:
     now = pdr.OnlineFilter().now()
     assert (now.n_steps, now.distance_m, now.is_provisional, now.rates_hz) == (0, 0.0, False, {})
