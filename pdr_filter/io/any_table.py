@@ -21,6 +21,7 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.io.sheet_data import SheetData, fill
 from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
 from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
+from pdr_filter.io.table import UNKNOWN
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
@@ -129,7 +130,7 @@ def _check_one_device(sheet: TextSheet) -> None:
     for i, name in enumerate(sheet.fields):
         if letters(name) not in _DEVICES:
             continue
-        values = [part.name for part in sheet.by_text(i)]
+        values = dict.fromkeys(text for part in sheet.by_text(i) if (text := part.name.strip()) not in ("", *UNKNOWN))
         if len(values) > 1 and not any(quantity_of_file(value)[0] for value in values):
             raise RecordingError(
                 f"{sheet.where}: column {name!r} has {len(values)} values ({', '.join(values)[:100]}), so the rows are "

@@ -93,7 +93,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
     """Quantity and the three axes of each sensor, in the order of the table."""
     of_file, of_file_preference = quantity_of_file(sheet.name)
     # Sensors that differ, as in ax and wx or in ax and gyro_x, say more than the name of a file.
-    differ = len({column.stem for column in columns if column.quantity in VECTORS}) > 1
+    differ = len({column.quantity for column in columns if column.quantity in VECTORS}) > 1
     found: dict[tuple[str, str, int], dict[str, Column]] = {}
     for column in columns:
         quantity = column.quantity

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import gzip
+import itertools
 from pathlib import Path
 
 import numpy as np
 import pytest
-from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_text
+from app_files import a_walk, assert_same_streams, axes, on_one_clock, refusal, table_text, write_folder, write_text
 
 from pdr_filter.io.any_table import read_guessed
 from pdr_filter.io.formats import read
@@ -141,8 +142,10 @@ def test_a_table_of_two_phones_is_refused_with_the_column_that_says_so(
         message = refusal(write_text(tmp_path / "walk.csv", "\n".join([f"{names},{column}", *pairs]) + "\n"))
         assert f"walk.csv: column '{column}' has 2 values ({first}, {second})" in message
         assert "write the rows of each into a file of its own" in message
-    one = "\n".join([f"{names},{column}", *(f"{row},{first}" for row in rows)]) + "\n"
-    assert_same_streams(read(write_text(tmp_path / "one.csv", one)), WALK, BOTH, 1e-6, 1e-9)
+    for unknown in (first, "", "-", f"{first} "):
+        said = itertools.cycle((first, unknown))
+        one = "\n".join([f"{names},{column}", *(f"{row},{text}" for row, text in zip(rows, said, strict=False))]) + "\n"
+        assert_same_streams(read(write_text(tmp_path / "one.csv", one)), WALK, BOTH, 1e-6, 1e-9)
 
 
 @pytest.mark.parametrize(
@@ -154,6 +157,13 @@ def test_sensors_are_known_by_their_names_without_units_whatever_the_file_is_cal
     for name in ("walk.csv", "gyro walk.csv"):
         path = write_text(tmp_path / name, table_text({"tempo": TIME_S} | axes(force, FORCE) | axes(rate, RATE)))
         assert_same_streams(read(path), WALK, BOTH, 1e-6, 1e-9)
+
+
+def test_letters_of_the_same_sensor_as_another_column_are_what_the_file_is_called(tmp_path: Path) -> None:
+    force = {"t": TIME_S} | axes("a%", FORCE)
+    gravity = {"t": TIME_S} | axes("g%", np.tile(FORCE.mean(axis=0), (len(FORCE), 1))) | axes("gyro_%", RATE)
+    files = {"Accelerometer.csv": table_text(force), "Gravity.csv": table_text(gravity)}
+    assert_same_streams(read(write_folder(tmp_path / "walk", files)), WALK, BOTH, 1e-6, 1e-9)
 
 
 @pytest.mark.parametrize("line", ["Average,0,0,9.8,0,0,0", '"1,000.2",0,0,9.8,0,0,0'])
