@@ -119,7 +119,7 @@ def now(config: Config, state: State) -> Now:
     speed_mps, speed_std_mps, way_m = 0.0, math.nan, 0.0
     if last is not None and not state.finished and _walks(config, state, last, bool(steps)):
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
-        way_m = speed_mps * max(_felt_s(config, state) - last.step.time_s, 0.0)
+        way_m = speed_mps * max(_felt_s(state) - last.step.time_s, 0.0)
         place = _further(place, way_m, device_rad - last.step.device_heading_rad)
     place = place if frame.is_joined else frame.world(place)
     reckoned = present_position(pedestrian)
@@ -207,12 +207,11 @@ def _newest_s(state: State) -> float:
     return state.sensing.conditioner.report.last_time_s
 
 
-def _felt_s(config: Config, state: State) -> float:
-    """Time of the newest sample that tells of walking: none of a sensor that is alone, or on another clock."""
+def _felt_s(state: State) -> float:
+    """Time of the newest sample of the accelerometer, as another sensor may be on another clock."""
     if not state.merger.is_used:
         return _newest_s(state)
-    latest_s = state.merger.stream("accelerometer").last_s + config.merger.wait_s
-    return max(s.last_s for s in state.merger.streams if s.last_s <= latest_s) + state.clock_offset_s
+    return state.merger.stream("accelerometer").last_s + state.clock_offset_s
 
 
 def _rates_hz(state: State) -> dict[str, float]:

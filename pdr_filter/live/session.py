@@ -265,8 +265,7 @@ class Session:
 
     def whole(self) -> list[Event]:
         """All there is to show to somebody who has seen nothing yet."""
-        now = self._now(math.nan, is_due=True)
-        return [{**self.track(), "history": list(self._history)}, *now]
+        return [{**self.track(), "history": list(self._history)}, *self._now(math.nan, is_due=True)]
 
     @property
     def unsaved_s(self) -> float:

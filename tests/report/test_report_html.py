@@ -103,6 +103,7 @@ def test_every_step_is_given_with_its_numbers(page: str, track: Track) -> None:
         ("major", RADIUS_95 * track.position_std_m, 2),
     ):
         np.testing.assert_allclose(seen[name], values, atol=0.51 * 10**-digits, err_msg=name)
+        np.testing.assert_array_equal(seen[name], np.round(seen[name], digits), err_msg=name)
     np.testing.assert_allclose(np.transpose(seen["prob"]), 100 * track.context_prob, atol=0.51)
     assert "height" not in seen
     group = seen["groups"]["contexts"]
