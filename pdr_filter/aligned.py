@@ -14,7 +14,6 @@ from pdr_filter.filter.alignment import walked_var_m2
 from pdr_filter.filter.frame import Frame
 from pdr_filter.filter.height import HeightState
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filter.tracker import Passage
 from pdr_filter.filter.turn import PairedPoint, agreed_turn, align, centre_weights
 from pdr_filter.filtering import Output, State
 from pdr_filter.gnss import INTERVAL_S, LocationState, position_fixes
@@ -27,22 +26,19 @@ MAX_LOCATIONS = 40
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Way:
-    """Where dead reckoning led, the start among it, and the variance of that for a known heading."""
+    """Dead-reckoned positions including the start, with their variances for a known heading."""
 
     time_s: FloatArray  # (K + 1,)
     position_m: FloatArray  # (K + 1, 2) in the frame of the start
     walked_var_m2: FloatArray  # (K + 1,)
 
     @classmethod
-    def of(cls, start_s: float, updates: Sequence[StepUpdate], passages: Sequence[Passage]) -> _Way:
-        steps = [passage for passage in passages if passage.is_step]
-        # what is known before a step is what is known after the one before
-        covs = [imm.combine(s.before.mean, s.before.cov, s.before.mode_prob)[1] for s in steps[1:] + steps[-1:]]
+    def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> _Way:
         places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),
             np.vstack([np.zeros((1, 2)), *places]),
-            np.array([0.0, *(walked_var_m2(cov) for cov in covs)]),
+            np.array([0.0, *var_m2]),
         )
 
     def at(self, time_s: float) -> tuple[FloatArray, float]:
@@ -59,17 +55,21 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
     result for each of those that were asked.
     """
     last: State | None = None
-    whole = Output()
+    whole, var_m2 = Output(), list[float]()
     for state, output in brought:
         last = state
         whole.extend(output)
+        if any(update.is_final for update in output.updates):
+            known = state.tracker.pedestrian
+            walked = walked_var_m2(imm.combine(known.mean, known.cov, known.prob)[1])
+            var_m2 += [walked] * sum(update.is_final for update in output.updates)
     if last is None or recording.location is None:
         return
     report, known = last.sensing.conditioner.report, last.tracker.pedestrian
     locations, fixes = _even_fixes(recording.location, report.first_time_s, report.last_time_s)
     finals = [update for update in whole.updates if update.is_final]
     if fixes:
-        way = _Way.of(report.first_time_s, finals, whole.passages)
+        way = _Way.of(report.first_time_s, finals, var_m2)
         pairs = tuple(_paired(way, fix) for fix in fixes)
         frame = _frame(pairs, known.n_final)
         agreeing, known = frame.agreeing, replace(known, frame=frame)

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from math import isfinite
+import math
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import CONTEXTS, HARDLY_AGREE, Step
 
+# Half a radian: a step in this direction is an eighth shorter than a linear filter takes it to be.
+UNKNOWN_HEADING_RAD = 0.5
+# A position that moves by more than two steps besides the step itself is worth a warning.
+MOVE_M = 2.0
 _STATIONARY, _WALKING = CONTEXTS.index("stationary"), CONTEXTS.index("walking")
 
 
@@ -38,13 +42,30 @@ class WindowCounts:
 
 @dataclass(frozen=True, slots=True)
 class StepCounts:
-    """How many steps there were, and of how many the direction, or all, is doubtful."""
+    """Number of steps, of those with a doubtful direction, and where the heading was unknown or found late."""
 
     n: int = 0
     untrusted: int = 0
     quick_and_soft: int = 0
+    heading_unknown: int = 0  # with a standard deviation of the heading of more than `UNKNOWN_HEADING_RAD`
+    unknown_from_s: float = math.nan  # the first of them
+    unknown_until_s: float = math.nan  # and the last
+    largest_move_m: float = 0.0  # by which the filter moved the present position at a step, besides the step itself
+    largest_move_s: float = math.nan
 
-    def plus(self, step: Step) -> StepCounts:
-        """With one step more."""
-        is_untrusted = isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
-        return StepCounts(self.n + 1, self.untrusted + is_untrusted, self.quick_and_soft + step.is_quick_and_soft)
+    def plus(self, step: Step, heading_std_rad: float, moved_m: float) -> StepCounts:
+        """Return the counts with one more step, the heading's uncertainty after it, and the move of the position."""
+        is_untrusted = math.isfinite(step.shown_offset_std_rad) and step.direction_trust < HARDLY_AGREE
+        counts = replace(
+            self,
+            n=self.n + 1,
+            untrusted=self.untrusted + is_untrusted,
+            quick_and_soft=self.quick_and_soft + step.is_quick_and_soft,
+        )
+        if heading_std_rad > UNKNOWN_HEADING_RAD:
+            since_s = self.unknown_from_s if self.heading_unknown else step.time_s
+            n = self.heading_unknown + 1
+            counts = replace(counts, heading_unknown=n, unknown_from_s=since_s, unknown_until_s=step.time_s)
+        if moved_m > max(self.largest_move_m, MOVE_M):
+            counts = replace(counts, largest_move_m=moved_m, largest_move_s=step.time_s)
+        return counts

@@ -14,9 +14,9 @@ from pdr_filter.config import Config
 from pdr_filter.counts import StepCounts, WindowCounts
 from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
-from pdr_filter.filter.pedestrian import StepUpdate
+from pdr_filter.filter.pedestrian import StepUpdate, heading_std_rad, moved_by_heading_m
 from pdr_filter.filter.person import Person, session_of
-from pdr_filter.filter.tracker import Passage, TrackerState
+from pdr_filter.filter.tracker import TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
 from pdr_filter.maps.particles import ParticleState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
@@ -85,12 +85,11 @@ class Output:
     updates: list[StepUpdate] = field(default_factory=list[StepUpdate])
     windows: list[WindowContext] = field(default_factory=list[WindowContext])
     fixes: list[FixResult] = field(default_factory=list[FixResult])
-    passages: list[Passage] = field(default_factory=list[Passage])  # how steps and gaps led the estimates on
     floor_passages: list[FloorPassage] = field(default_factory=list[FloorPassage])  # that ended
 
     def extend(self, later: Output) -> None:
         """Add what came later."""
-        for name in ("updates", "windows", "fixes", "passages", "floor_passages"):
+        for name in ("updates", "windows", "fixes", "floor_passages"):
             getattr(self, name).extend(getattr(later, name))
 
 
@@ -231,8 +230,7 @@ def finish(config: Config, state: State) -> tuple[State, Output]:
     output.extend(late)
     tracker, last = config.tracker.finish(state.tracker)
     end_s = state.sensing.processed_s
-    state = _with_steps(config, state, end_s, last.updates, output)
-    output.passages.extend(last.passages)
+    state = _with_steps(config, state, end_s, last, output)
     state = _with_pressure(config, state, np.inf, output)
     known, passages = height.finish(state.height)
     state = _with_passages(config, replace(state, height=known), passages, output)
@@ -258,19 +256,21 @@ def _process(config: Config, state: State, events: list[tuple[float, Event]]) ->
             known = height.on_window(state.height, event, next(of_height))
             context = next(contexts)
             output.windows.append(context)
-            tracker, brought = config.tracker.on_window(state.tracker, context)
+            tracker, updates = config.tracker.on_window(state.tracker, context)
             state = replace(state, tracker=tracker, height=known, seen=state.seen.plus(context), window=context)
         elif isinstance(event, Gap):
-            tracker, brought = config.tracker.on_gap(state.tracker, event.duration_s)
+            tracker, updates = config.tracker.on_gap(state.tracker, event.duration_s)
             if config.on_plan is not None:
                 particles = config.on_plan.on_gap(state.particles, event.duration_s, config.model)
                 state = replace(state, particles=particles)
             state = replace(state, tracker=tracker, last_update=None)
         else:
-            tracker, brought = config.tracker.on_step(state.tracker, event)
-            state = replace(state, tracker=tracker, walked=state.walked.plus(event))
-        state = _with_steps(config, state, known_s, brought.updates, output)
-        output.passages.extend(brought.passages)
+            tracker, updates = config.tracker.on_step(state.tracker, event)
+            before, after = state.tracker.pedestrian, tracker.pedestrian
+            moved_m = moved_by_heading_m(before, after, sum(u.step_length_m for u in updates if u.is_final))
+            walked = state.walked.plus(event, heading_std_rad(after), moved_m)
+            state = replace(state, tracker=tracker, walked=walked)
+        state = _with_steps(config, state, known_s, updates, output)
     state, used = _use_due_fixes(config, state, state.sensing.processed_s)
     output.fixes.extend(used)
     state = _with_pressure(config, state, state.sensing.processed_s, output)

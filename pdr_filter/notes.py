@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from pdr_filter.config import Config
-from pdr_filter.counts import StepCounts, WindowCounts
+from pdr_filter.counts import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
 from pdr_filter.filter import height
 from pdr_filter.filtering import State
 from pdr_filter.sensing.merging import SENSORS
@@ -17,6 +17,9 @@ from pdr_filter.values import Note, how_many
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
 # The same of steps: a turn, or a door, is ten of them.
 _UNTRUSTED_SHARE, _UNTRUSTED_NUMBER = 0.2, 20
+# Steps with an unknown heading that are not worth a warning: those until a moved phone has shown its new direction.
+_UNKNOWN_NUMBER = 20
+_KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
 
 
 def notes_of(config: Config, state: State) -> list[Note]:
@@ -71,6 +74,19 @@ def _of_steps(walked: StepCounts) -> Iterator[Note]:
             f"{walked.quick_and_soft} of {walked.n} steps are as quick as running and as soft as walking, as on the "
         )
         yield Note("steps", words + "spot: how long they are, and where they lead, is unsure")
+    if walked.heading_unknown > _UNKNOWN_NUMBER:
+        words = (
+            f"the heading is uncertain by more than {UNKNOWN_HEADING_RAD} rad in {walked.heading_unknown} of "
+            f"{walked.n} steps, from {walked.unknown_from_s:.0f} to {walked.unknown_until_s:.0f} s: the bias of the "
+            "gyroscope is hardly known; "
+        )
+        yield Note("heading", words + _KNOW_BIAS)
+    if walked.largest_move_m > 0:
+        words = (
+            f"the track moved by {walked.largest_move_m:.1f} m at {walked.largest_move_s:.0f} s, when the heading or "
+            "the context of earlier steps was found to be another one: pdr_filter.smooth corrects these steps, too; "
+        )
+        yield Note("heading", words + _KNOW_BIAS)
     if walked.untrusted > notable:
         words = f"in {walked.untrusted} of {walked.n} steps strides do not agree on where walking leads, as in a bag: "
         yield Note("heading", words + "the turn of the phone alone leads there")

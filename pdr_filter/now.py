@@ -104,8 +104,8 @@ def now(config: Config, state: State) -> Now:
     sensing, newest_s = state.sensing, _newest_s(state)
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
     for step in () if state.finished else _candidates(sensing.gate):
-        tracker, output = config.tracker.on_step(tracker, step)
-        last = output.updates[-1]
+        tracker, updates = config.tracker.on_step(tracker, step)
+        last = updates[-1]
         steps.append(ProvisionalStep(step.time_s, last.position_m))
     pedestrian = state.tracker.pedestrian
     mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)

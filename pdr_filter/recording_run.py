@@ -204,7 +204,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     state, whole = init(config), Output()
     for after, output in brought:
         state = after
-        whole.extend(replace(output, passages=[]))
+        whole.extend(output)
     report, end_s = state.sensing.conditioner.report, state.sensing.processed_s
     late = (FixResult.of(fix, end_s, "waiting") for fix in state.waiting_fixes)
     start_s = 0.0 if np.isnan(report.first_time_s) else report.first_time_s

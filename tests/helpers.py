@@ -14,7 +14,6 @@ import numpy as np
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.filter.tracker import TrackerOutput
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC
 from pdr_filter.io.recording import Recording
@@ -201,10 +200,10 @@ def even_transitions(n_modes: int, stay_prob: float) -> np.ndarray:
     return np.full((n_modes, n_modes), leave) + (stay_prob - leave) * np.eye(n_modes)
 
 
-def updates_of(result: tuple[T, TrackerOutput]) -> tuple[T, list[StepUpdate]]:
+def updates_of(result: tuple[T, tuple[StepUpdate, ...]]) -> tuple[T, list[StepUpdate]]:
     """State and updates of what a tracker returns."""
-    state, output = result
-    return state, list(output.updates)
+    state, updates = result
+    return state, list(updates)
 
 
 def tracker_of(weighting: str, model: PedestrianModel) -> ImmTracker | WeightedTracker:

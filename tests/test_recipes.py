@@ -94,13 +94,13 @@ def test_one_window_moves_the_modes_of_the_default_by_its_odds() -> None:
     prob = np.array([0.02, 0.5, 0.3, 0.1, 0.004, 0.076])
     prior = np.array([0.3, 0.4, 0.1, 0.1, 0.0, 0.1])
     state, _ = tracker.on_window(tracker.init(), WindowContext(2.0, prob, prior))
-    _, output = tracker.on_step(state, a_step(1.5))
+    _, updates = tracker.on_step(state, a_step(1.5))
     of_prior = np.where(prior > 0, prior, 1 / 6)
     before = model.long_run_mode_prob @ model.transition_prob
     # a step is seven to one against standing; what the classifier does not know has the floor of one in a hundred
     of_step = np.where(np.array(CONTEXTS) == "stationary", np.exp(-1.9), 1.0)
     expected = before * np.maximum(prob, 0.01) / of_prior**0.2 * of_step
-    np.testing.assert_allclose(output.updates[0].mode_prob, expected / expected.sum(), rtol=1e-9)
+    np.testing.assert_allclose(updates[0].mode_prob, expected / expected.sum(), rtol=1e-9)
 
 
 def test_the_default_transitions_stay_as_long_as_they_say() -> None:

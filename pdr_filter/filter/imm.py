@@ -19,26 +19,6 @@ from pdr_filter.values import FloatArray, check_transition_prob
 _LOG_2_PI = float(np.log(2 * np.pi))
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ModeEstimates:
-    """Of each mode at one time."""
-
-    mean: FloatArray  # (M, n)
-    cov: FloatArray  # (M, n, n)
-    mode_prob: FloatArray  # (M,)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Transition:
-    """From one time to the next, linearised: x = a_i + F_i (x_before - b_i) + noise of Q_i in mode i."""
-
-    transition_prob: FloatArray  # (M, M) from mode j to mode i
-    origin: FloatArray  # (M, n) b_i, about which mode i was linearised
-    predicted: FloatArray  # (M, n) a_i, where that leads
-    F: FloatArray  # (M, n, n)
-    Q: FloatArray  # (M, n, n)
-
-
 def mix(
     mean: FloatArray, cov: FloatArray, mode_prob: FloatArray, transition_prob: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:

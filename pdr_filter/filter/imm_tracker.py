@@ -5,24 +5,23 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ImmArithmetic, ModeEstimates, NumpyImm, Transition, mixed_values
+from pdr_filter.filter.imm import ImmArithmetic, NumpyImm, mixed_values
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
+    StepUpdate,
     Walked,
-    elapsed_s,
     initial_state,
     is_known_to_stand,
-    learned_heading,
     shared_cov,
     step_update,
-    with_first_heading,
+    with_heading,
     with_open_turn,
     with_step,
 )
 from pdr_filter.filter.recent_windows import RecentWindows, n_after, window_before, with_window
-from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
+from pdr_filter.filter.tracker import over_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, Step, replace
 
@@ -59,22 +58,21 @@ class ImmTracker:
         """State at the origin; modes as probable as the transitions make them in the long run."""
         return ImmState(initial_state(self.model, self.model.long_run_mode_prob), (), None, 0)
 
-    def on_window(self, state: ImmState, window: WindowContext) -> tuple[ImmState, TrackerOutput]:
+    def on_window(self, state: ImmState, window: WindowContext) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state; a window makes no step known."""
         windows = with_window(state.windows, window)
         n_unused = state.n_unused + (windows is not state.windows)
-        return replace(state, windows=windows, n_unused=n_unused), TrackerOutput()
+        return replace(state, windows=windows, n_unused=n_unused), ()
 
-    def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, TrackerOutput]:
+    def on_step(self, state: ImmState, step: Step) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state and the update of this step: mix, predict every mode, weigh by evidence, combine."""
         model, imm = self.model, self.arithmetic
-        pedestrian = with_first_heading(with_open_turn(state.pedestrian), step)
-        known, known_cov = learned_heading(pedestrian, step)
-        mixed, mixed_cov, prob = imm.mix(known, known_cov, pedestrian.prob, model.transition_prob)
+        pedestrian = with_open_turn(state.pedestrian)
+        mean, cov, prob = imm.mix(pedestrian.mean, pedestrian.cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
+        pedestrian, mean, cov = with_heading(pedestrian, step, mean, cov, model.directions, model.noise)
         length_m, var_m2, own_var_m2, parameter_std_m = model.lengths(step)
-        since_s = elapsed_s(pedestrian, step)
-        ahead = advance(mixed, mixed_cov, step, length_m, own_var_m2, model.directions, model.noise, since_s)
+        ahead = advance(mean, cov, step, length_m, own_var_m2, model.directions, model.noise)
         mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = n_after(state.windows, window) if window else 0
@@ -101,21 +99,14 @@ class ImmTracker:
         context_prob = latest.prob if latest else model.context_prob(prob)
         shared_m2 = shared_cov(after)
         update = step_update(pedestrian, after, step, walked, (x, P), shared_m2, context_prob, prob)
-        passage = Passage(
-            ModeEstimates(known, known_cov, pedestrian.prob),
-            Transition(model.transition_prob, mixed, mean, ahead.F, ahead.Q),
-            shared_m2,
-            is_step=True,
-        )
         state = replace(state, pedestrian=after)
         if is_new:
             state = replace(state, used=window, n_unused=n_later)
-        return state, TrackerOutput((update,), (passage,))
+        return state, (update,)
 
-    def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, TrackerOutput]:
+    def on_gap(self, state: ImmState, gap_s: float) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state after a time without samples: windows start afresh, positions and headings are less known."""
-        after, passage = over_gap(state.pedestrian, gap_s, self.model.noise)
-        return replace(state, pedestrian=after, windows=()), TrackerOutput(passages=(passage,))
+        return replace(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), ()
 
     def on_fix(self, state: ImmState, fix: Fix) -> tuple[ImmState, FixOutcome, float]:
         """New state after a fix, what became of it, and its normalised innovation squared; see `fixes.use_fix`."""
@@ -123,6 +114,6 @@ class ImmTracker:
         pedestrian, outcome, nis = use_fix(self.model, self.arithmetic, state.pedestrian, offset_rad, fix)
         return replace(state, pedestrian=pedestrian), outcome, nis
 
-    def finish(self, state: ImmState) -> tuple[ImmState, TrackerOutput]:
+    def finish(self, state: ImmState) -> tuple[ImmState, tuple[StepUpdate, ...]]:
         """New state when no further window will come: no step waits."""
-        return state, TrackerOutput()
+        return state, ()

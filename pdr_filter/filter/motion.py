@@ -141,6 +141,8 @@ class MotionNoise:
 
 # A heading that could be anything is uniform on the circle: its variance is pi^2 / 3, and no more.
 MAX_HEADING_VARIANCE = np.pi**2 / 3
+# Divides where the offset is known exactly: a microradian, squared.
+_MIN_HEADING_VARIANCE = 1e-12
 
 
 def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
@@ -149,28 +151,58 @@ def initial_estimate(noise: MotionNoise) -> tuple[FloatArray, FloatArray]:
     return np.zeros(N_STATES), np.diag(std**2)
 
 
-def learn_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
-    """Means (..., M, 4) and covariances (..., M, 4, 4) after the walking heading that the samples of a step show.
+def predict_heading(
+    cov: FloatArray, step: Step, elapsed_s: float, directions: Directions, noise: MotionNoise
+) -> FloatArray:
+    """Return the covariances (..., M, 4, 4) of the heading offset at a step, before its displacement.
 
-    Where the phone was moved, the heading offset may be anything near the new one: its variance grows by
-    `offset_change_std_rad` squared. The walking heading z is a measurement of frame + device heading + offset state,
-    its innovation wrapped: gain K = P[:, o] / (P[o, o] + R). It moves positions too, as far as they went with the
-    offset. It is the direction that the body faces: a mode that walks sideways has its own angle on top.
-    `frame_rad` is the offset that counts as zero: north of the track is where the person would have walked with it.
+    The offset drifts for `elapsed_s`, the time since the step before, also while the phone lies on a table. Where the
+    phone was moved, the offset is free again: its variance grows by `offset_change_std_rad` squared.
+    """
+    measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
+        elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
+    )
+    cov = cov.copy()
+    cov[..., HEADING_OFFSET, HEADING_OFFSET] += measured_var + unmeasured_var + step.offset_change_std_rad**2
+    return bound_heading_variance(cov)
+
+
+def update_heading(mean: FloatArray, cov: FloatArray, step: Step, frame_rad: float) -> tuple[FloatArray, FloatArray]:
+    """Return means (..., M, 4) and covariances (..., M, 4, 4) updated with the measured walking heading of a step.
+
+    The walking heading z is a measurement of frame + device heading + offset state, its innovation wrapped:
+    K = P[o, o] / (P[o, o] + R). It is the direction that the body faces: a mode that walks sideways has its own angle
+    on top. `frame_rad` is the offset that counts as zero.
+
+    The update corrects the past: steps since the heading was lost are rotated by the correction delta = K innovation.
+    The linear update moves the position along the tangent, by the lever l = P[p, o] / P[o, o] times delta. With
+    l = J d, d is the displacement that turns with the offset, and the update moves the position along the arc,
+    p + (R(delta) - I) d = p + sin(delta) l + (cos(delta) - 1) d, never further than twice the length of d. The lever
+    turns with it: P[p, :] gains (R(delta) - I) l P[o, :].
     """
     o = HEADING_OFFSET
-    if step.offset_change_std_rad > 0:
-        cov = cov.copy()
-        cov[..., o, o] += step.offset_change_std_rad**2
-        cov = bound_heading_variance(cov)
     variance = step.walking_heading_std_rad**2
     if not math.isfinite(variance):
         return mean, cov
     innovation = wrap_angle(step.walking_heading_rad - step.device_heading_rad - frame_rad - mean[..., o])
-    gain = cov[..., :, o] / (cov[..., o, o] + variance)[..., None]
-    mean = mean + gain * innovation[..., None]
-    cov = cov - gain[..., :, None] * cov[..., None, o, :]
-    return mean, 0.5 * (cov + cov.swapaxes(-1, -2))
+    by_offset = cov[..., :, o] / np.maximum(cov[..., o, o], _MIN_HEADING_VARIANCE)[..., None]
+    gain = cov[..., o, o] / (cov[..., o, o] + variance)
+    correction_rad = gain * innovation
+    cov = cov - gain[..., None, None] * by_offset[..., :, None] * cov[..., None, o, :]
+    sine, versine = np.sin(correction_rad), 1.0 - np.cos(correction_rad)
+    lever_east, lever_north = by_offset[..., EAST], by_offset[..., NORTH]
+    # d = -J l, with J (east, north) = (north, -east)
+    moved_east = sine * lever_east + versine * lever_north
+    moved_north = sine * lever_north - versine * lever_east
+    updated_mean = mean + by_offset * correction_rad[..., None]
+    updated_mean[..., EAST] = mean[..., EAST] + moved_east
+    updated_mean[..., NORTH] = mean[..., NORTH] + moved_north
+    # (R(delta) - I) l is the move (R(delta) - I) d turned by J
+    turn = np.broadcast_to(np.eye(N_STATES), cov.shape).copy()
+    turn[..., EAST, o] = moved_north
+    turn[..., NORTH, o] = -moved_east
+    cov = turn @ cov @ turn.swapaxes(-1, -2)
+    return updated_mean, 0.5 * (cov + cov.swapaxes(-1, -2))
 
 
 def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
@@ -184,21 +216,18 @@ def expect_first_direction(cov: FloatArray, std_rad: float) -> FloatArray:
     o = HEADING_OFFSET
     cov = cov.copy()
     std_rad = min(std_rad, float(np.sqrt(MAX_HEADING_VARIANCE)))
-    # an offset that is known exactly divides nothing
-    c, variance = cov[..., :, o].copy(), np.maximum(cov[..., o, o], 1e-12)
+    c, variance = cov[..., :, o].copy(), np.maximum(cov[..., o, o], _MIN_HEADING_VARIANCE)
     ratio = std_rad**2 / variance
     cov += ((ratio - 1) / variance)[..., None, None] * c[..., :, None] * c[..., None, :]
     return cov
 
 
 class Advance(NamedTuple):
-    """Where a step led the modes: the step, predicted means (..., M, 4), covariances, and the linearisation F and Q."""
+    """A step of the modes, and their predicted means and covariances."""
 
     move: StepMotion
     mean: FloatArray  # (..., M, 4)
     cov: FloatArray  # (..., M, 4, 4)
-    F: FloatArray  # (..., M, 4, 4)
-    Q: FloatArray  # (..., M, 4, 4)
 
 
 def advance(
@@ -209,15 +238,12 @@ def advance(
     length_var_m2: FloatArray,
     directions: Directions,
     noise: MotionNoise,
-    elapsed_s: float | None = None,
 ) -> Advance:
-    """One step of means (..., M, 4) and covariances (..., M, 4, 4), one length for each mode: P_k = F P_{k-1} F' + Q.
+    """Return the means (..., M, 4) and covariances (..., M, 4, 4) after a step, one length for each mode.
 
-    p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; F = d (p, o, s)_k / d (p, o, s)_{k-1}. The heading offset
-    wanders for `elapsed_s`, the time since the step before (its duration if not given): a phone that lay on the table
-    drifts too.
+    p_k = p_{k-1} + d as `StepMotion` has it; s_k = a s_{k-1}; P_k = F P_{k-1} F' + Q with F = d (p, o, s)_k /
+    d (p, o, s)_{k-1}. The drift of the heading offset comes before the step (`predict_heading`).
     """
-    elapsed_s = step.duration_s if elapsed_s is None else elapsed_s
     move = step_motion(
         step.device_heading_rad,
         mean[..., HEADING_OFFSET],
@@ -243,11 +269,7 @@ def advance(
     Q[..., EAST, EAST] = more_east * move.sine + everywhere
     Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = more_east * move.cosine
     Q[..., NORTH, NORTH] = more * move.cosine * move.cosine + everywhere
-    measured_var, unmeasured_var = noise.heading_drift.variances_rad2(
-        elapsed_s, step.heading_unknown_s, step.yaw_bias_std_radps, directions.drift_rad2_per_s
-    )
-    Q[..., HEADING_OFFSET, HEADING_OFFSET] = measured_var + unmeasured_var
-    return Advance(move, predicted_mean, bound_heading_variance(predict_cov(cov, F, Q)), F, Q)
+    return Advance(move, predicted_mean, predict_cov(cov, F, Q))
 
 
 class StepMotion(NamedTuple):
@@ -301,13 +323,20 @@ def step_motion(
 
 
 def bound_heading_variance(cov: FloatArray) -> FloatArray:
-    """Scale the heading's row and column down so that its variance stays that of a uniform heading."""
+    """Return covariances whose heading variance is that of a uniform heading at most.
+
+    The covariance with the other states shrinks with it, so that the lever P[p, o] / P[o, o] stays: the present
+    heading says less and less about steps from before it was lost.
+    """
     variance = cov[..., HEADING_OFFSET, HEADING_OFFSET]
     if max(variance.ravel().tolist()) <= MAX_HEADING_VARIANCE:
         return cov
-    scaling = np.ones(cov.shape[:-1])
-    scaling[..., HEADING_OFFSET] = np.minimum(1.0, np.sqrt(MAX_HEADING_VARIANCE / variance))
-    return cov * scaling[..., :, None] * scaling[..., None, :]
+    share = np.minimum(1.0, MAX_HEADING_VARIANCE / variance)
+    bounded = cov.copy()
+    bounded[..., :, HEADING_OFFSET] *= share[..., None]
+    bounded[..., HEADING_OFFSET, :HEADING_OFFSET] *= share[..., None]
+    bounded[..., HEADING_OFFSET, HEADING_OFFSET + 1 :] *= share[..., None]
+    return bounded
 
 
 def second_order_errors(heading_var_rad2: float, log_scale_var: float) -> tuple[float, float]:

@@ -18,10 +18,13 @@ from pdr_filter.filter.motion import (
     HEADING_OFFSET,
     LOG_SCALE,
     NORTH,
+    Directions,
+    MotionNoise,
     expect_first_direction,
     initial_estimate,
-    learn_heading,
+    predict_heading,
     second_order_errors,
+    update_heading,
 )
 from pdr_filter.filter.speed import WalkingSpeed, after_step
 from pdr_filter.filter.turn import Compass, PairedPoint
@@ -43,6 +46,8 @@ TRAIL_STEPS = 64
 # Columns of the trail.
 TRAIL_TIME, TRAIL_HEADING = 0, 3
 TRAIL_POSITION = slice(1, 3)
+# Two steps further apart than this have a pause between them.
+_PAUSE_S = 2.0
 # Rows of the errors that steps share: along and across the step, then one for each mode's parameters.
 _ALONG_AND_ACROSS, _PARAMETERS = slice(2), slice(2, None)
 
@@ -144,25 +149,28 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
     )
 
 
-def with_first_heading(state: PedestrianState, step: Step) -> PedestrianState:
-    """State whose frame has the first walking heading that samples show as its zero, if it has none yet."""
-    if not (math.isinf(state.first_heading_s) and math.isfinite(step.walking_heading_std_rad)):
-        return state
-    first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
-    cov = expect_first_direction(state.cov, step.walking_heading_std_rad)
-    return replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s, cov=cov)
+def with_heading(
+    state: PedestrianState,
+    step: Step,
+    mean: FloatArray,
+    cov: FloatArray,
+    directions: Directions,
+    noise: MotionNoise,
+) -> tuple[PedestrianState, FloatArray, FloatArray]:
+    """Return the state, and the means (F, 4) and covariances (F, 4, 4) with the heading of the next step.
 
-
-def learned_heading(state: PedestrianState, step: Step) -> tuple[FloatArray, FloatArray]:
-    """Means and covariances with the walking heading of a step; that of the first one is in the frame already."""
-    if step.time_s <= state.first_heading_s:
-        step = replace(step, walking_heading_std_rad=np.inf)
-    return learn_heading(state.mean, state.cov, step, state.first_heading_rad)
-
-
-def elapsed_s(state: PedestrianState, step: Step) -> float:
-    """Time since the step before, or the step's own duration for the first of a segment."""
-    return step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
+    The heading offset first drifts for the time since the step before, because the heading stage designs its
+    measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
+    """
+    since_s = step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
+    cov = predict_heading(cov, step, since_s, directions, noise)
+    if not math.isfinite(step.walking_heading_std_rad):
+        return state, mean, cov
+    if math.isinf(state.first_heading_s):
+        first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
+        state = replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s)
+        return state, mean, expect_first_direction(cov, step.walking_heading_std_rad)
+    return state, *update_heading(mean, cov, step, state.first_heading_rad)
 
 
 def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
@@ -319,6 +327,24 @@ def present_position(state: PedestrianState) -> tuple[FloatArray, FloatArray]:
     own = own_place(state)
     place = own if state.frame.is_joined else state.frame.world(own)
     return read_only(place.position_m), read_only(place.cov_m2)
+
+
+def heading_std_rad(state: PedestrianState) -> float:
+    """Standard deviation of the heading offset, over all filters."""
+    return math.sqrt(float(state.prob.dot(state.cov[:, HEADING_OFFSET, HEADING_OFFSET])))
+
+
+def moved_by_heading_m(before: PedestrianState, after: PedestrianState, length_m: float) -> float:
+    """Distance by which steps of this length moved the position too far; 0 across a pause or a change of frame."""
+    is_pause = not after.last_step_s - before.last_step_s < _PAUSE_S
+    if (
+        is_pause
+        or before.frame.alignment is not after.frame.alignment
+        or len(before.frame.later) < len(after.frame.later)
+    ):
+        return 0.0
+    moved_m = after.prob.dot(after.mean[:, :LOG_SCALE]) - before.prob.dot(before.mean[:, :LOG_SCALE])
+    return max(math.hypot(moved_m[EAST], moved_m[NORTH]) - length_m, 0.0)
 
 
 def own_place(state: PedestrianState) -> Place:

@@ -11,25 +11,23 @@ from dataclasses import dataclass
 import numpy as np
 
 from pdr_filter.filter.fixes import use_fix
-from pdr_filter.filter.imm import ModeEstimates, NumpyImm, Transition
+from pdr_filter.filter.imm import NumpyImm
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, advance
 from pdr_filter.filter.pedestrian import (
     PedestrianState,
     StepUpdate,
     Walked,
-    elapsed_s,
     initial_state,
     is_known_to_stand,
-    learned_heading,
     shared_cov,
     step_update,
-    with_first_heading,
+    with_heading,
     with_open_turn,
     with_step,
 )
 from pdr_filter.filter.recent_windows import WINDOW_MEMORY_S, RecentWindows, window_after, window_around, with_window
-from pdr_filter.filter.tracker import Passage, TrackerOutput, over_gap
+from pdr_filter.filter.tracker import over_gap
 from pdr_filter.filter.weighting import HC, context_weights
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, check_numbers, replace
@@ -72,51 +70,48 @@ class WeightedTracker:
         """State at the origin."""
         return WeightedState(initial_state(self.model, np.ones(1)), (), self.model.long_run_mode_prob, ())
 
-    def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, TrackerOutput]:
+    def on_window(self, state: WeightedState, window: WindowContext) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state, and the steps that this window made final."""
         return self._settle(replace(state, windows=with_window(state.windows, window)), force=False)
 
-    def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, TrackerOutput]:
-        """New state, the steps that became final, and this one with what is known of it now."""
-        pedestrian = with_first_heading(state.pedestrian, step)
-        state = replace(state, pedestrian=pedestrian, pending=(*state.pending, step))
+    def on_step(self, state: WeightedState, step: Step) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
+        """Return the new state, the steps that became final, and a provisional update of this step."""
+        state = replace(state, pending=(*state.pending, step))
         state, final = self._settle(state, force=False)
-        ahead, provisional = state, final.updates
+        ahead, provisional = state, tuple[StepUpdate, ...]()
         while ahead.pending:
-            ahead, update, _ = self._weighted_step(ahead, is_final=False)
-            provisional = (*final.updates, update)
-        return state, replace(final, updates=provisional)
+            ahead, update = self._weighted_step(ahead, is_final=False)
+            provisional = (update,)
+        return state, (*final, *provisional)
 
-    def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, TrackerOutput]:
+    def on_gap(self, state: WeightedState, gap_s: float) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state after a time without samples: waiting steps are final, windows start afresh."""
-        state, output = self._settle(state, force=True)
-        after, passage = over_gap(state.pedestrian, gap_s, self.model.noise)
-        state = replace(state, pedestrian=after, windows=())
-        return state, replace(output, passages=(*output.passages, passage))
+        state, final = self._settle(state, force=True)
+        return replace(state, pedestrian=over_gap(state.pedestrian, gap_s, self.model.noise), windows=()), final
 
     def on_fix(self, state: WeightedState, fix: Fix) -> tuple[WeightedState, FixOutcome, float]:
         """New state after a fix, what became of it, and its normalised innovation squared; see `fixes.use_fix`."""
         pedestrian, outcome, nis = use_fix(self.model, NumpyImm(), state.pedestrian, np.zeros(1), fix)
         return replace(state, pedestrian=pedestrian), outcome, nis
 
-    def finish(self, state: WeightedState) -> tuple[WeightedState, TrackerOutput]:
+    def finish(self, state: WeightedState) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """New state with every waiting step final: no further window will come."""
         return self._settle(state, force=True)
 
-    def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, TrackerOutput]:
+    def _settle(self, state: WeightedState, force: bool) -> tuple[WeightedState, tuple[StepUpdate, ...]]:
         """Make steps final, in order, whose last window is known (or all, if no further window will come)."""
-        output = TrackerOutput()
+        final = list[StepUpdate]()
         while state.pending:
             step = state.pending[0]
             # where windows do not come, steps wait no longer than windows are remembered
             waits = state.pending[-1].time_s - step.time_s <= WINDOW_MEMORY_S
             if window_after(state.windows, step.time_s) is None and waits and not force:
                 break
-            state, update, passage = self._weighted_step(state, is_final=True)
-            output = TrackerOutput((*output.updates, update), (*output.passages, passage))
-        return state, output
+            state, update = self._weighted_step(state, is_final=True)
+            final.append(update)
+        return state, tuple(final)
 
-    def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate, Passage]:
+    def _weighted_step(self, state: WeightedState, is_final: bool) -> tuple[WeightedState, StepUpdate]:
         """The first waiting step with the mean of its provisional and final weights: (d + pd) / 2 of the algorithms."""
         model, step = self.model, state.pending[0]
         provisional = self._prob_of(state, window_around(state.windows, step.time_s))
@@ -131,9 +126,9 @@ class WeightedTracker:
         mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
         directions = model.directions.weighted(weights)
-        known, known_cov = learned_heading(before, step)
-        length, var, since_s = np.array([mean_length_m]), np.array([own_var_m2]), elapsed_s(before, step)
-        ahead = advance(known, known_cov, step, length, var, directions, model.noise, since_s)
+        before, known, known_cov = with_heading(before, step, before.mean, before.cov, directions, model.noise)
+        length, var = np.array([mean_length_m]), np.array([own_var_m2])
+        ahead = advance(known, known_cov, step, length, var, directions, model.noise)
         mean, cov = ahead.mean, ahead.cov
         scale = float(np.exp(known[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
@@ -149,15 +144,9 @@ class WeightedTracker:
         context_prob = 0.5 * (provisional + final)
         shared_m2 = shared_cov(after)
         update = step_update(before, after, step, walked, (mean[0], cov[0]), shared_m2, context_prob, weights, is_final)
-        passage = Passage(
-            ModeEstimates(known, known_cov, before.prob),
-            Transition(np.ones((1, 1)), known, mean, ahead.F, ahead.Q),
-            shared_m2,
-            is_step=True,
-        )
         mode_prob = weights if is_final else state.mode_prob
         state = replace(state, pedestrian=after, pending=state.pending[1:], mode_prob=mode_prob)
-        return state, update, passage
+        return state, update
 
     def _prob_of(self, state: WeightedState, window: WindowContext | None) -> FloatArray:
         """Context probabilities (C,) of a window; without it of the latest; else those so far."""

@@ -42,6 +42,7 @@ class AttitudeBlock:
     yaw_bias_std_radps: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) error of the heading's rate
     heading_error_rad: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) that biases found late have left
     heading_error_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,)
+    heading_lost_var_rad2: FloatArray = field(default_factory=lambda: np.empty(0))  # (N,) gained by the bias so far
     quat: FloatArray = field(default_factory=lambda: np.empty((0, 4)))  # (N, 4) wxyz, sensor to the attitude's frame
 
 
@@ -137,15 +138,17 @@ class AttitudeEstimator:
         quat = np.ascontiguousarray(new[:, _QUAT])
         up = _up_in_sensor_frame(quat)
         bias_cov = np.repeat([bias.bias_cov_radps2 for bias in biases], lengths, axis=0)
-        errors = np.repeat([(b.heading_error_rad, b.heading_error_var_rad2) for b in biases], lengths, axis=0)
+        errors = [(b.heading_error_rad, b.heading_error_var_rad2, b.heading_lost_var_rad2) for b in biases]
+        error_rad, error_var_rad2, lost_var_rad2 = np.repeat(errors, lengths, axis=0).T
         attitude = AttitudeBlock(
             vertical_mps2=_dot(up, block.specific_force_mps2) - STANDARD_GRAVITY_MPS2,
             horizontal_mps2=_horizontal(quat, block.specific_force_mps2),
             up_sensor=up,
             device_heading_rad=new[:, _HEADING].copy(),
             yaw_bias_std_radps=np.sqrt(_variance_along(up, bias_cov)),
-            heading_error_rad=errors[:, 0],
-            heading_error_var_rad2=errors[:, 1],
+            heading_error_rad=error_rad,
+            heading_error_var_rad2=error_var_rad2,
+            heading_lost_var_rad2=lost_var_rad2,
             quat=quat,
         )
         return replace(state, vqf=estimator.state, window=rows[begin:].copy()), attitude

@@ -27,6 +27,7 @@ tests/benchmarks/heading_drift.py.
 
 from __future__ import annotations
 
+import cmath
 import math
 from dataclasses import dataclass
 from functools import cached_property
@@ -34,6 +35,7 @@ from functools import cached_property
 import numpy as np
 
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.heading.offset import UNKNOWN_VAR_RAD2
 from pdr_filter.values import FloatArray, check_numbers, read_only, replace
 
 # State of each Kalman filter: bias about x, y, z of the sensor in rad/s; direction of the magnetic field in the
@@ -91,6 +93,9 @@ class GyroBiasState:
     bias_cov_radps2: FloatArray  # (3, 3) of the mixture
     heading_error_rad: float = 0.0  # of the corrected heading since the start, of the mixture
     heading_error_var_rad2: float = 0.0
+    # Variance that the heading has gained by the uncertain bias since the start, before any measurement took it away:
+    # what the filter behind must add, because each measurement reaches it on its own.
+    heading_lost_var_rad2: float = 0.0
     corrected_rad: float = 0.0  # what the estimates so far have turned the heading by
     n_still: int = 0  # still windows in a row
     walk: StraightWalk | None = None
@@ -225,14 +230,21 @@ class GyroBias:
         if not window.angular_rate_known:
             return self.after_gap(state)
         correction_rad = self.window_s * _dot(window.up_sensor, state.bias_radps)
-        bank = _predict(self, state, window.up_sensor, correction_rad)
+        bank = _predict(self, (state.mean, state.cov, state.log_weight), window.up_sensor, correction_rad)
         # an angular rate about up lowers the heading, and so does its bias: without the correction it was so much less
         measured_rad = window.heading_rad - (state.corrected_rad + 0.5 * correction_rad)
         bank, n_still = self._see_still(bank, state.n_still, window)
         bank, walk = self._see_walk(bank, state.walk, window, measured_rad)
         bank, field, field_tracked, n_field_outliers = self._see_field(bank, state, window)
         mean, cov, log_weight = bank
-        of_all, cov_of_all = _mixture(bank)
+        # The estimate uses the straight walk as far as it has come. It enters the bank once, when it ends: otherwise
+        # all of its information would arrive at one moment, and move the track by metres there.
+        estimate = self._measure_walk(bank, walk)
+        of_all, cov_of_all = _mixture(estimate)
+        error_rad, error_var_rad2 = _direction(estimate)
+        before = self._measure_walk((state.mean, state.cov, state.log_weight), state.walk)
+        _, predicted_var_rad2 = _direction(_predict(self, before, window.up_sensor, correction_rad))
+        lost_rad2 = max(predicted_var_rad2 - state.heading_error_var_rad2, 0.0)
         return replace(
             state,
             mean=mean,
@@ -240,8 +252,9 @@ class GyroBias:
             log_weight=log_weight,
             bias_radps=of_all[_BIAS].copy(),
             bias_cov_radps2=cov_of_all[_BIAS, _BIAS].copy(),
-            heading_error_rad=float(of_all[_ERROR]),
-            heading_error_var_rad2=float(cov_of_all[_ERROR, _ERROR]),
+            heading_error_rad=error_rad,
+            heading_error_var_rad2=error_var_rad2,
+            heading_lost_var_rad2=state.heading_lost_var_rad2 + lost_rad2,
             corrected_rad=state.corrected_rad + correction_rad,
             n_still=n_still,
             walk=walk,
@@ -370,13 +383,14 @@ _Bank = tuple[FloatArray, FloatArray, FloatArray]  # means, covariances, log wei
 _MIN_LOG_WEIGHT = -12.0
 
 
-def _predict(bias: GyroBias, state: GyroBiasState, up_sensor: FloatArray, correction_rad: float) -> _Bank:
+def _predict(bias: GyroBias, bank: _Bank, up_sensor: FloatArray, correction_rad: float) -> _Bank:
     """The bank one window later (docs/methods/attitude.md); headings turn clockwise, the bias does not."""
+    mean, cov, log_weight = bank
     transition = _IDENTITY.copy()
     transition[_HEADINGS, _BIAS] = -bias.window_s * up_sensor
-    mean = state.mean.dot(transition.T)
+    mean = mean.dot(transition.T)
     mean[:, _HEADINGS] += correction_rad
-    return mean, transition @ state.cov @ transition.T + bias.wander_cov, state.log_weight
+    return mean, transition @ cov @ transition.T + bias.wander_cov, log_weight
 
 
 def _update(
@@ -475,6 +489,22 @@ def _mixture(bank: _Bank) -> tuple[FloatArray, FloatArray]:
     away = mean - of_all
     within = weight.dot(cov.reshape(len(cov), -1)).reshape(_N_STATES, _N_STATES)
     return of_all, within + (weight[:, None] * away).T.dot(away)
+
+
+def _direction(bank: _Bank) -> tuple[float, float]:
+    """Return the heading error of the mixture and its variance, both on the circle.
+
+    The resultant of wrapped normal distributions is r = sum_j w_j exp(i m_j - P_j / 2); the error is its direction,
+    with the turns of the most probable filter, and the variance -2 log |r|, that of a uniform heading at most. The
+    linear mean of errors of 0 and 7 rad is a direction that no filter has; its variance says nothing of a circle.
+    """
+    mean, cov, log_weight = bank
+    error = mean[:, _ERROR]
+    resultant = complex((np.exp(log_weight - 0.5 * cov[:, _ERROR, _ERROR]) * np.exp(1j * error)).sum())
+    length = abs(resultant) / float(np.exp(log_weight).sum())
+    likely_rad = float(error[log_weight.argmax()])
+    error_rad = likely_rad + cmath.phase(resultant * cmath.exp(-1j * likely_rad))
+    return error_rad, min(-2.0 * math.log(max(length, 1e-9)), UNKNOWN_VAR_RAD2)
 
 
 def _dot(a: FloatArray, b: FloatArray) -> float:

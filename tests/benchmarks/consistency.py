@@ -210,9 +210,9 @@ def filtered_errors(
     for k, step in enumerate(walk.steps):
         while windows and windows[0].time_s <= step.detected_time_s:
             state, _ = tracker.on_window(state, windows.pop(0))
-        state, output = tracker.on_step(state, step)
+        state, updates = tracker.on_step(state, step)
         known = state.pedestrian
-        right += int(output.updates[-1].mode_prob.argmax() == walk.modes[k])
+        right += int(updates[-1].mode_prob.argmax() == walk.modes[k])
         if (k + 1) % check_every == 0:
             x, P = imm.combine(known.mean, known.cov, known.prob)
             error = walk.state[k] - x

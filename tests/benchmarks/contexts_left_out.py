@@ -27,7 +27,6 @@ from pdr_filter.classifiers.model import ContextModel
 from pdr_filter.config import Config
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.recipes import context_transitions, default, martinelli2018, with_context_model
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.features.barometric import ClimbRate
@@ -85,7 +84,7 @@ def people(tables: Tables, data: Path, cache: Path | None, windows: LabelledWind
             if not use.any():
                 continue
             lagged = smoothed_mode_prob(track.mode_prob, context_transitions(), LAG_STEPS)
-            found = track.context_prob, track.mode_prob, lagged, in_hindsight(recording, config).track.mode_prob
+            found = track.context_prob, track.mode_prob, lagged, pdr.smooth(recording, config=config).track.mode_prob
             for answer, each in zip(answers, found, strict=True):
                 prob.setdefault((name, answer), []).append(each[use])
             truth.setdefault(name, []).append(y[use])
@@ -159,7 +158,7 @@ def barometer(tables: Tables, data: Path, cache: Path | None, windows: LabelledW
             pressure = recording.barometer
             _, climbs = climb.step(climb.init(), pressure.time_s, pressure.values[:, 0])
             middle_s = np.array([c.time_s - climb.window_s / 2 for c in climbs])
-            live, later = pdr.track(recording, config=config), in_hindsight(recording, config).track
+            live, later = pdr.track(recording, config=config), pdr.smooth(recording, config=config).track
             rate_mps = np.interp(live.time_s, middle_s, [c.climb_rate_mps for c in climbs])
             alone = pdr.track(replace(recording, barometer=None), config=config)
             truth = np.where(rate_mps > STAIRS_MPS, UP, np.where(rate_mps < -STAIRS_MPS, DOWN, WALKING))

@@ -29,7 +29,6 @@ from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.recipes import context_transitions, default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.learned import shipped_model
@@ -220,7 +219,7 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
     state, output = finish(config, state)
     end_s = float(samples.time_s[-1])
     updates += [(end_s, u) for u in output.updates if u.is_final]
-    smoothed = in_hindsight(walk, config).track
+    smoothed = pdr.smooth(walk, config=config).track
     assert len(smoothed.time_s) == len(updates)
     return Said(
         walk,
@@ -410,8 +409,8 @@ def updates_of(tracker: Tracker, events: list[Event]) -> list[StepUpdate]:
             state, new = tracker.on_gap(state, event.duration_s)
         else:
             state, new = tracker.on_step(state, event)
-        updates += [u for u in new.updates if u.is_final]
-    return updates + [u for u in tracker.finish(state)[1].updates if u.is_final]
+        updates += [u for u in new if u.is_final]
+    return updates + [u for u in tracker.finish(state)[1] if u.is_final]
 
 
 def with_learnt(all_said: list[Said], fold: tuple[str, ...]) -> list[Said]:

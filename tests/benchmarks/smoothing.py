@@ -4,8 +4,8 @@ usage: python -m tests.benchmarks.smoothing [speed] [coverage] [lag] [real] [--d
 
 speed, coverage and lag are on simulated steps, drawn from the model itself: they show that the arithmetic is right and
 fast, not how well real walks follow the model. real: humolire (9 walks of one person, 215 to 239 m), every third
-waypoint is a fix, errors at the others. The forward filter and the IMM smoother get the fixes in their own frame (the
-best rotation and shift of the fixes onto the track without fixes); this smoother gets them as they are.
+waypoint is a fix, errors at the others. The forward filter gets the fixes in its own frame (the
+best rotation and shift of the fixes onto the track without fixes); the smoother gets them as they are.
 """
 
 from __future__ import annotations
@@ -22,9 +22,8 @@ import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.motion import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.offline.smoothing.observations import Observations, waypoint_fixes
-from pdr_filter.offline.smoothing.preintegration import bridge, frame
+from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, bridge, frame
 from pdr_filter.offline.smoothing.problem import NO_OFFSETS, Problem, pose_problem
 from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import solve
@@ -76,11 +75,9 @@ def by_custom_factors(walk: Walk, fixes: list[pdr.PositionFix], begin: np.ndarra
     for k in range(len(steps)):
         own_frame = frame(begin[[k]])[0]
         added_cov = np.zeros((4, 4))
-        added_cov[:2, :2], added_cov[2, 2], added_cov[3, 3] = (
-            steps.cov_m2[k],
-            steps.drift_var_rad2[k],
-            steps.scale_drift_var[k],
-        )
+        # the drift before the next step: a state stands where a step has its heading
+        drift = steps.drift_var_rad2[k + 1] if k + 1 < len(steps) else MIN_STATE_VAR
+        added_cov[:2, :2], added_cov[2, 2], added_cov[3, 3] = steps.cov_m2[k], drift, steps.scale_drift_var[k]
         model = gtsam.noiseModel.Gaussian.Covariance(own_frame @ added_cov @ own_frame.T)
         graph.add(gtsam.CustomFactor(model, [k, k + 1], of_step(steps.displacement_m[k])))
     for fix in fixes:
@@ -211,7 +208,6 @@ def real(tables: Tables, data: Path) -> None:
             tracks = {
                 "dead reckoning, aligned": (alone, np.zeros(2), turned),
                 "filter with fixes": (pdr.track(recording, fixes=given_turned), np.zeros(2), turned),
-                "IMM smoother": (in_hindsight(recording, fixes=given_turned).track, np.zeros(2), turned),
                 "this smoother": (result.track, result.start_position_m, places),
             }
             for name, (track, start_m, reference) in tracks.items():

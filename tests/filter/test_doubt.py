@@ -15,7 +15,6 @@ from pdr_filter import recipes
 from pdr_filter.filter.doubt import EPISODE_S, LOG_ODDS_BEFORE, Doubt
 from pdr_filter.filter.turn import PairedPoint
 from pdr_filter.io.recording import Recording
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
 
@@ -171,15 +170,6 @@ def test_a_frame_that_was_given_is_shifted_but_never_turned(walk: Recording) -> 
     assert outcomes(pdr.track(walk, config, fixes=straight)).count("moved") == 1
     turned = [replace(fix, position_m=fix.position_m @ clockwise(2.0).T) for fix in straight]
     assert "moved" not in outcomes(pdr.track(walk, config, fixes=turned))
-
-
-def test_hindsight_does_not_carry_a_move_back(walk: Recording) -> None:
-    found = in_hindsight(walk, recipes.default(walk.subject).in_world_frame(), fixes_of(walk, displaced(120.0))).track
-    assert "moved" in [fix.outcome for fix in found.fixes]
-    error = found.position_m - truth_m(walk, found.time_s) - FAR_M * (found.time_s > 120.0)[:, None]
-    before, after = found.time_s < 120.0, found.time_s > 120.0 + PATIENCE_S
-    assert np.linalg.norm(error[before], axis=1).max() < 12.0
-    assert np.linalg.norm(error[after], axis=1).max() < 12.0
 
 
 def test_blocks_and_saving_change_no_bit_of_a_track_that_is_moved(walk: Recording) -> None:

@@ -13,7 +13,6 @@ from scipy.stats import chi2
 import pdr_filter as pdr
 from pdr_filter import recipes
 from pdr_filter.io.recording import Recording, Samples
-from pdr_filter.offline.smoothing.hindsight import in_hindsight
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import HeadingFix, PositionFix
 
@@ -94,7 +93,7 @@ def test_a_heading_fix_after_a_lost_heading_turns_the_track_at_once(walk: Record
 
 
 def test_hindsight_turns_what_was_walked_before_the_fixes_that_close_the_turn(walk: Recording) -> None:
-    found = in_hindsight(walk, recipes.default(walk.subject).in_world_frame(), fixes_of(walk)).track
+    found = pdr.smooth(walk, fixes_of(walk)).track
     error_m = np.linalg.norm(found.position_m - truth_m(walk, found.time_s), axis=1)
     assert error_m.max() < 6.0
     assert nees(walk, found.time_s, found.position_m, found.position_cov_m2).max() < chi2.isf(1e-3, 2)

@@ -25,8 +25,9 @@ from pdr_filter.filter.motion import (
     expect_first_direction,
     grow_over_gap,
     initial_estimate,
-    learn_heading,
+    predict_heading,
     second_order_errors,
+    update_heading,
 )
 from pdr_filter.filter.step_length import FrequencyVarianceStepLength, StepLengthFit, known_length
 from pdr_filter.values import HeadingDrift, Step
@@ -52,14 +53,16 @@ def advance_one(
     heading_var_rad2: float = 0.0,
     noise: MotionNoise = STILL,
 ) -> tuple[np.ndarray, np.ndarray]:
-    """`advance` for a single mode."""
+    """`predict_heading` and `advance` for a single mode."""
+    step, directions = step or a_step(), walking([offset_rad], [heading_var_rad2])
+    drifted = predict_heading(cov[None], step, step.duration_s, directions, noise)
     moved = advance(
         np.asarray(mean, dtype=float)[None],
-        cov[None],
-        step or a_step(),
+        drifted,
+        step,
         np.array([length_m]),
         np.array([length_var_m2]),
-        walking([offset_rad], [heading_var_rad2]),
+        directions,
         noise,
     )
     return moved.mean[0], moved.cov[0]
@@ -196,10 +199,11 @@ def test_the_drift_and_the_noise_of_a_mode_come_on_top() -> None:
         "bag", "walking", known_length(0.7, 0.0), heading_std_rad=0.0, carrying_mode="bag",
         heading_drift_rad_per_sqrt_s=0.3, extra_noise_m=0.2,
     )  # fmt: skip
-    cov = advance(
-        np.zeros((1, 4)), NO_COV, a_step(duration_s=0.5), np.array([0.7]), np.zeros(1), Directions.of([mode]), STILL
-    ).cov
-    np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.09 * 0.5, 0.0]), atol=1e-15)
+    step, directions = a_step(duration_s=0.5), Directions.of([mode])
+    drifted = predict_heading(NO_COV, step, 0.5, directions, STILL)
+    np.testing.assert_allclose(drifted[0], np.diag([0.0, 0.0, 0.09 * 0.5, 0.0]), atol=1e-15)
+    cov = advance(np.zeros((1, 4)), NO_COV, step, np.array([0.7]), np.zeros(1), directions, STILL).cov
+    np.testing.assert_allclose(cov[0], np.diag([0.04, 0.04, 0.0, 0.0]), atol=1e-15)
 
 
 def test_without_angular_rate_the_heading_is_lost_but_never_more_than_a_uniform_one() -> None:
@@ -349,8 +353,7 @@ def test_noise_and_fits_that_cannot_be_are_refused() -> None:
 def test_the_heading_wanders_while_nobody_steps() -> None:
     noise = MotionNoise()
     step = a_step(duration_s=0.5)
-    arguments = (np.zeros((1, 4)), np.zeros((1, 4, 4)), step, np.ones(1), np.zeros(1), walking([0.0], [0.0]), noise)
-    rested = advance(*arguments, elapsed_s=600.0).cov
+    rested = predict_heading(np.zeros((1, 4, 4)), step, 600.0, walking([0.0], [0.0]), noise)
     assert rested[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(
         noise.heading_drift.random_walk_rad_per_sqrt_s**2 * 600
     )
@@ -365,15 +368,47 @@ def some_estimate(seed: int = 0) -> tuple[np.ndarray, np.ndarray]:
     return np.array([[1.0, 2.0, 0.3, 0.05]]), (root @ root.T + 0.01 * np.eye(4))[None]
 
 
-def test_a_walking_heading_is_a_kalman_update_of_the_heading_offset() -> None:
+def turned_by(angle_rad: float) -> np.ndarray:
+    """Clockwise rotation (2, 2) of vectors east, north."""
+    c, s = np.cos(angle_rad), np.sin(angle_rad)
+    return np.array([[c, s], [-s, c]])
+
+
+def test_a_small_correction_of_the_heading_is_a_kalman_update() -> None:
     mean, cov = some_estimate()
-    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.5, walking_heading_std_rad=0.2)
-    learnt, learnt_cov = learn_heading(mean, cov, step, 0.1)
+    step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.0 + 0.1 + 0.3 + 1e-4, walking_heading_std_rad=0.2)
+    updated, updated_cov = update_heading(mean, cov, step, 0.1)
     oracle = KalmanFilter(dim_x=4, dim_z=1)
     oracle.x, oracle.P, oracle.H = mean[0][:, None], cov[0], np.array([[0.0, 0.0, 1.0, 0.0]])
-    oracle.update(np.array([[1.5 - 1.0 - 0.1]]), R=np.array([[0.04]]))
-    np.testing.assert_allclose(learnt[0], oracle.x[:, 0], atol=1e-12)
-    np.testing.assert_allclose(learnt_cov[0], oracle.P, atol=1e-12)
+    oracle.update(np.array([[0.3 + 1e-4]]), R=np.array([[0.04]]))
+    np.testing.assert_allclose(updated[0], oracle.x[:, 0], atol=1e-8)
+    np.testing.assert_allclose(updated_cov[0], oracle.P, atol=1e-4)
+
+
+def test_a_large_correction_of_the_heading_rotates_the_way_since_it_was_lost() -> None:
+    """Thirty steps with a heading that is off by a radian: the update leads where they would have led without."""
+    mean, cov = np.zeros((1, 4)), np.diag([0.0, 0.0, 1.0, 0.0])[None]
+    turns = np.linspace(0.0, 2.0, 30)
+    noise, directions = replace(STILL, log_scale_std=0.0), walking([0.0], [0.0])
+    for turn in turns:
+        step = a_step(heading_rad=float(turn))
+        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, noise)
+    way = mean[0, :2].copy()
+    shown = replace(a_step(heading_rad=2.0), walking_heading_rad=2.0 + 1.3, walking_heading_std_rad=1e-6)
+    updated, updated_cov = update_heading(mean, cov, shown, 0.0)
+    np.testing.assert_allclose(updated[0, :2], turned_by(1.3) @ way, atol=1e-6)
+    assert np.linalg.eigvalsh(updated_cov[0]).min() > -1e-9
+
+
+def test_the_rotated_covariance_stays_valid_and_turns_with_the_way() -> None:
+    mean, cov = some_estimate(1)
+    step = replace(a_step(), walking_heading_rad=2.4, walking_heading_std_rad=0.5)
+    updated, updated_cov = update_heading(mean, cov, step, 0.0)
+    assert np.linalg.eigvalsh(updated_cov[0]).min() > 0
+    lever = cov[0, :2, HEADING_OFFSET] / cov[0, HEADING_OFFSET, HEADING_OFFSET]
+    after = updated_cov[0, :2, HEADING_OFFSET] / updated_cov[0, HEADING_OFFSET, HEADING_OFFSET]
+    correction = updated[0, HEADING_OFFSET] - mean[0, HEADING_OFFSET]
+    np.testing.assert_allclose(after, turned_by(float(correction)) @ lever, atol=1e-12)
 
 
 @pytest.mark.parametrize("turns", [-3, -1, 1, 2])
@@ -381,23 +416,37 @@ def test_whole_turns_of_a_walking_heading_change_nothing(turns: int) -> None:
     mean, cov = some_estimate()
     step = replace(a_step(heading_rad=1.0), walking_heading_rad=1.5, walking_heading_std_rad=0.2)
     turned = replace(step, walking_heading_rad=1.5 + 2 * np.pi * turns)
-    both = learn_heading(mean, cov, step, 0.0), learn_heading(mean, cov, turned, 0.0)
+    both = update_heading(mean, cov, step, 0.0), update_heading(mean, cov, turned, 0.0)
     for once, again in zip(*both, strict=True):
         np.testing.assert_allclose(once, again, atol=1e-12)
 
 
 def test_a_step_that_shows_no_direction_changes_nothing() -> None:
     mean, cov = some_estimate()
-    learnt, learnt_cov = learn_heading(mean, cov, a_step(), 0.0)
-    np.testing.assert_array_equal(learnt, mean)
-    np.testing.assert_array_equal(learnt_cov, cov)
+    updated, updated_cov = update_heading(mean, cov, a_step(), 0.0)
+    np.testing.assert_array_equal(updated, mean)
+    np.testing.assert_array_equal(updated_cov, cov)
 
 
 def test_a_phone_that_was_moved_forgets_its_heading_offset_as_far_as_it_was_moved() -> None:
-    mean, cov = some_estimate()
-    learnt, learnt_cov = learn_heading(mean, cov, replace(a_step(), offset_change_std_rad=0.7), 0.0)
-    np.testing.assert_array_equal(learnt, mean)
-    assert learnt_cov[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(cov[0, HEADING_OFFSET, HEADING_OFFSET] + 0.49)
+    _, cov = some_estimate()
+    step = replace(a_step(), offset_change_std_rad=0.7)
+    drifted = predict_heading(cov, step, 0.0, walking([0.0], [0.0]), STILL)
+    expected = cov[0, HEADING_OFFSET, HEADING_OFFSET] + 0.49
+    assert drifted[0, HEADING_OFFSET, HEADING_OFFSET] == pytest.approx(expected)
+
+
+def test_a_heading_that_was_lost_long_ago_does_not_turn_what_was_walked_before() -> None:
+    """At the variance of a uniform heading the lever forgets: it keeps its length instead of growing without end."""
+    cov, step = np.zeros((1, 4, 4)), a_step(duration_s=0.5, heading_unknown_s=0.5)
+    directions, mean = walking([0.0], [0.0]), np.zeros((1, 4))
+    levers = list[float]()
+    for _ in range(60):
+        cov = predict_heading(cov, step, 0.5, directions, MotionNoise())
+        _, mean, cov = advance(mean, cov, step, np.array([0.7]), np.zeros(1), directions, MotionNoise())
+        levers.append(float(np.hypot(*cov[0, :2, HEADING_OFFSET])) / cov[0, HEADING_OFFSET, HEADING_OFFSET])
+    # each step forgets the share q / (pi^2 / 3 + q) of the lever, q = 0.5 rad2, and adds its own 0.7 m
+    assert levers[-1] == pytest.approx(0.7 * (1.0 + MAX_HEADING_VARIANCE / 0.5), rel=0.02)
 
 
 def test_the_first_direction_makes_the_steps_before_it_as_unsure_as_if_it_had_been_known_so_from_the_start() -> None:

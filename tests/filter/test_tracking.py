@@ -224,14 +224,8 @@ def test_imm_with_one_mode_is_a_plain_extended_kalman_filter() -> None:
         u, v = np.array([np.sin(psi), np.cos(psi)]), np.array([np.cos(psi), -np.sin(psi)])
         F = np.eye(4)
         F[:2, 2], F[:2, 3], F[3, 3] = scaled * v, scaled * u, noise.log_scale_memory
-        Q = np.diag(
-            [
-                0,
-                0,
-                noise.heading_drift.random_walk_rad_per_sqrt_s**2 * elapsed_s,
-                noise.log_scale_drift_per_sqrt_step**2,
-            ]
-        )
+        P[2, 2] += noise.heading_drift.random_walk_rad_per_sqrt_s**2 * elapsed_s
+        Q = np.diag([0, 0, 0, noise.log_scale_drift_per_sqrt_step**2])
         own_var = residual_var + step.is_quick_and_soft * length**2 / 3
         of_length = np.exp(x[3]) ** 2 * own_var * np.outer(u, u)
         Q[:2, :2] = of_length + (scaled * mode.heading_std_rad) ** 2 * np.outer(v, v)

@@ -37,21 +37,24 @@ _POSITION = slice(EAST, EAST + 2)
 # whose length is exactly known has no covariance that could be inverted.
 _MIN_POSITION_VAR_M2 = 1e-8
 MIN_STATE_VAR = 1e-12
+# By smaller changes the heading stage makes the filter follow an error that it found late. The smoother sees all steps
+# at once and needs no such change; a phone that is moved to another place has 1.8 rad.
+_MIN_CHANGE_STD_RAD = 0.1
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Increments:
-    """What each of K steps adds, before the person's scale and heading offset.
+    """Displacement and noise of each of K steps, before the person's scale and heading offset.
 
-    A step comes about in this order: the gap and the change of the heading offset before it, the displacement, the
-    drifts of heading offset and scale after it (`pdr_filter.filter.motion.advance` has the same order).
+    The order is that of the filter: first the gap, the change of the heading offset and its drift since the step
+    before, then the measured walking heading, then the displacement, and last the drift of the scale.
     """
 
     time_s: FloatArray  # (K,) contacts
     duration_s: FloatArray  # (K,)
     displacement_m: FloatArray  # (K, 2) east, north, of the device heading and the modes
     cov_m2: FloatArray  # (K, 2, 2) independent from step to step
-    drift_var_rad2: FloatArray  # (K,) of the heading offset, after the step
+    drift_var_rad2: FloatArray  # (K,) of the heading offset, before the step
     unknown_var_rad2: FloatArray  # (K,) the same for the time without angular rate
     scale_drift_var: FloatArray  # (K,) of the log scale, after the step
     jump_var_rad2: FloatArray  # (K,) before the step: the phone was moved, or samples are missing
@@ -112,7 +115,9 @@ def increments(
         np.asarray(steps.yaw_bias_std_radps),
         mode_prob @ directions.drift_rad2_per_s,
     )
-    jump_var = np.asarray(steps.offset_change_std_rad) ** 2 + noise.heading_drift.unmeasured_rad2(gap_before_s)
+    change_std_rad = np.asarray(steps.offset_change_std_rad)
+    change_std_rad = np.where(change_std_rad < _MIN_CHANGE_STD_RAD, 0.0, change_std_rad)
+    jump_var = change_std_rad**2 + noise.heading_drift.unmeasured_rad2(gap_before_s)
     walking = Increments(
         time_s=np.asarray(steps.time_s),
         duration_s=np.asarray(steps.duration_s),
@@ -154,7 +159,8 @@ class Intervals:
 def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     """The steps between each anchor and the next, in time that grows with the number of steps.
 
-    Q_pp = sum C_i + sum q_i J d_i (J d_i)' + sum r_i d_i d_i',  d_i = D - D_i, and so on (docs/methods/smoothing.md).
+    Q_pp = sum C_i + sum q_i J b_i (J b_i)' + sum r_i d_i d_i',  b_i = D - D_{i-1},  d_i = D - D_i, and so on
+    (docs/methods/smoothing.md).
     The sums over i are differences of cumulative ones, for all steps at once.
     """
     if len(nodes) < 2 or nodes[0] != 0 or nodes[-1] != len(steps) or (np.diff(nodes) < 1).any():
@@ -174,13 +180,16 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     D = within(displacement)
     Q = np.zeros((len(steps), N_STATES, N_STATES))
     Q[:, _POSITION, _POSITION] = within(cov)
-    for state, variance, lever in (
-        (HEADING_OFFSET, steps.drift_var_rad2, D @ TURN.T),
-        (LOG_SCALE, steps.scale_drift_var, D),
+    # A drift turns or scales the way from it to the end of the interval: D less the sum where the drift is. The heading
+    # drifts before its step, the scale after it. The drift before the first step belongs to the interval before.
+    heading_var = np.where(np.arange(len(steps)) == first, 0.0, steps.drift_var_rad2)
+    for state, variance, lever, at in (
+        (HEADING_OFFSET, heading_var, D @ TURN.T, (D - displacement) @ TURN.T),
+        (LOG_SCALE, steps.scale_drift_var, D, D),
     ):
         v = np.maximum(variance, MIN_STATE_VAR)
-        s0, s1 = within(v), within(v[:, None] * lever)
-        s2 = within(v[:, None, None] * lever[:, :, None] * lever[:, None, :])
+        s0, s1 = within(v), within(v[:, None] * at)
+        s2 = within(v[:, None, None] * at[:, :, None] * at[:, None, :])
         cross = lever[:, :, None] * s1[:, None, :]
         Q[:, _POSITION, _POSITION] += s0[:, None, None] * lever[:, :, None] * lever[:, None, :] + s2
         Q[:, _POSITION, _POSITION] -= cross + cross.swapaxes(-1, -2)
@@ -192,8 +201,11 @@ def preintegrate(steps: Increments, nodes: IntArray) -> Intervals:
     end = np.zeros((len(count), N_STATES, N_STATES))
     inner = nodes[1:-1]  # what comes before a step belongs to the interval that ends there
     end[:-1, _POSITION, _POSITION] = steps.gap_var_m2[inner][:, None, None] * np.eye(2)
-    end[:-1, HEADING_OFFSET, HEADING_OFFSET] = steps.jump_var_rad2[inner]
-    end[:, HEADING_OFFSET, HEADING_OFFSET] += within(steps.unknown_var_rad2)[last]
+    end[:-1, HEADING_OFFSET, HEADING_OFFSET] = steps.jump_var_rad2[inner] + steps.drift_var_rad2[inner]
+    end[:-1, HEADING_OFFSET, HEADING_OFFSET] += steps.unknown_var_rad2[inner]
+    # without angular rate the way to the end is shortened (`_moments`), and the offset at the end is free
+    unknown_var = np.where(np.arange(len(steps)) == first, 0.0, steps.unknown_var_rad2)
+    end[:, HEADING_OFFSET, HEADING_OFFSET] += within(unknown_var)[last]
     turned = end[:, HEADING_OFFSET, HEADING_OFFSET]
     end[:, HEADING_OFFSET, HEADING_OFFSET] = np.minimum(turned, MAX_HEADING_VARIANCE)
     total_cov = Q[last] + end
@@ -218,11 +230,13 @@ def _moments(steps: Increments, first: IntArray) -> tuple[FloatArray, FloatArray
         if k == first[k]:
             variance, square, spread = 0.0, 0.0, 0.0
             mean, ahead = np.zeros(2), np.zeros(2)
+        else:
+            variance += grown
+            ahead = np.exp(-grown / 2) * ahead
         displacement[k] = np.exp(-variance / 2) * d
         mean = mean + displacement[k]
         square += float(d @ d + 2 * ahead @ d)
-        ahead = np.exp(-grown / 2) * (ahead + d)
-        variance += grown
+        ahead = ahead + d
         grown_spread = max(square - float(mean @ mean), spread)
         cov[k] += 0.5 * (grown_spread - spread) * np.eye(2)
         spread = grown_spread

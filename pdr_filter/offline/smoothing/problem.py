@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
+from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
@@ -209,38 +209,31 @@ def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray,
     return after, -left * steps.displacement_m[k], left**2 * step_var
 
 
-def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode], noise: MotionNoise) -> ObservedOffsets:
-    """What the steps themselves show of the heading offset: walking heading less device heading and mode's offset.
+def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> ObservedOffsets:
+    """Return the heading offsets that the steps show: walking heading less device heading and the mode's offset.
 
-    A direction tells only what is new to a filter that knows those before (docs/methods/heading.md), and may point far
-    beyond what it is evidence for. So a filter of the heading offset alone goes along, and each measurement is taken as
-    its prediction and the innovation, which is wrapped there and linear from then on.
+    They are in the frame of the filter, whose zero is the first one: that one stands at the start, with its standard
+    deviation. A later direction tells only what is new to a filter that knows those before (docs/methods/heading.md),
+    and may point far beyond what it is evidence for. So a filter of the heading offset alone goes along, and each
+    measurement is taken as its prediction and the innovation, which is wrapped there and linear from then on.
     """
     std = np.asarray(track.steps.walking_heading_std_rad)
-    known = np.isfinite(std)
-    if not known.any():
+    (known,) = np.isfinite(std).nonzero()
+    if not len(known):
         return NO_OFFSETS
     own = np.array([m.heading_offset_rad for m in modes])
     sideways = np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
     shown = np.asarray(track.steps.walking_heading_rad) - np.asarray(track.steps.device_heading_rad) - sideways
-    drift = steps.drift_var_rad2 + steps.unknown_var_rad2
-    offset, variance = 0.0, noise.initial_heading_offset_std_rad**2
-    measured = np.zeros(len(steps))
-    for k in range(len(steps)):
-        variance = min(variance + (steps.jump_var_rad2[k] if k else 0.0), MAX_HEADING_VARIANCE)
-        if known[k]:
-            innovation = float(wrap_angle(shown[k] - offset))
-            measured[k] = offset + innovation
-            # the first step's direction stands alone: nothing was known before it
-            gain = variance / (variance + std[k] ** 2) if k else 1.0
-            offset, variance = offset + gain * innovation, (1 - gain) * variance if k else float(std[k] ** 2)
-        variance = min(variance + drift[k], MAX_HEADING_VARIANCE)
-    node, value, spread = np.flatnonzero(known), measured[known], std[known]
-    if not known[0]:
-        node = np.concatenate([[0], node])
-        value = np.concatenate([[0.0], value])
-        spread = np.concatenate([[noise.initial_heading_offset_std_rad], spread])
-    return ObservedOffsets(node.astype(np.int64), value, spread)
+    gained = steps.drift_var_rad2 + steps.unknown_var_rad2 + steps.jump_var_rad2
+    first, measured = int(known[0]), np.zeros(len(known))
+    offset, variance = 0.0, float(std[first] ** 2)
+    for i, k in enumerate(known[1:].tolist(), start=1):
+        variance = min(variance + float(gained[known[i - 1] + 1 : k + 1].sum()), MAX_HEADING_VARIANCE)
+        innovation = float(wrap_angle(shown[k] - shown[first] - offset))
+        measured[i] = offset + innovation
+        gain = variance / (variance + float(std[k] ** 2))
+        offset, variance = offset + gain * innovation, (1 - gain) * variance
+    return ObservedOffsets(np.concatenate([[0], known[1:]]), measured, std[known])
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:
@@ -248,7 +241,8 @@ def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) ->
     if len(offsets) == 0:
         return NO_OFFSETS
     index = np.searchsorted(nodes, offsets.node, side="right") - 1
-    drift = np.concatenate([[0.0], np.cumsum(steps.drift_var_rad2 + steps.unknown_var_rad2)])
+    # an offset is measured after the drift before its step, and the state of an anchor is, too
+    drift = np.cumsum(steps.drift_var_rad2 + steps.unknown_var_rad2)
     weight = 1 / (offsets.std_rad**2 + drift[offsets.node] - drift[nodes[index]])
     used, group = np.unique(index, return_inverse=True)
     total = np.bincount(group, weight)

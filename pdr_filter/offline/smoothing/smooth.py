@@ -28,7 +28,6 @@ from pdr_filter.filter.motion import (
 from pdr_filter.gnss import independent
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.offline.smoothing.hindsight import Hindsight, in_hindsight, knowing_the_device
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -43,7 +42,9 @@ from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recording_run import collected, given_or_default, outputs
+from pdr_filter.recording_run import track as pdr_track
 from pdr_filter.sensing.clock import one_clock
+from pdr_filter.sensing.device import Device
 from pdr_filter.tracks import Track
 from pdr_filter.values import (
     BoolArray,
@@ -120,7 +121,7 @@ def smooth(
     known_headings: Sequence[KnownHeading] = (),
     floor_changes: Sequence[FloorChange] = (),
     start_heading_std_rad: float | None = None,
-    anchor_interval_s: float = 10.0,
+    anchor_interval_s: float = 2.0,
     plan: FloorPlan | None = None,
     start: PositionFix | str | None = None,
 ) -> Smoothed:
@@ -182,7 +183,7 @@ def smooth(
     if calibration is not None:
         calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = calibration.config(config, recording.subject)
-    config = knowing_the_device(recording, config)
+    config = _knowing_the_device(recording, config)
     if plan is not None and any(not isinstance(fix, GridFix) for fix in fixes):
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
@@ -190,8 +191,6 @@ def smooth(
     observed = Observations(independent(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
-    if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
-        return _from_hindsight(in_hindsight(recording, config), observed)
     config = config.in_hindsight()
     track = collected(recording, config, outputs(recording, config))
     modes = config.model.modes
@@ -203,6 +202,20 @@ def smooth(
         fits = [replace(m.step_length, theta_cov=np.zeros_like(m.step_length.theta_cov)) for m in modes]
         modes = tuple(replace(m, step_length=fit) for m, fit in zip(modes, fits, strict=True))
     return smooth_track(track, modes, config.model.noise, observed, start_heading_std_rad, anchor_interval_s)
+
+
+def _knowing_the_device(recording: Recording, config: Config) -> Config:
+    """Return the configuration with the gyroscope bias that the axes of a building show, for the first seconds too.
+
+    Its covariance counts double: the second pass sees the same samples. Without axes a second pass costs as often as it
+    gains, because straight walking, seen twice, is taken for straighter than it is.
+    """
+    if "gyroscope" not in recording.streams or config.sensing.attitude.bias.device is not None:
+        return config
+    found = pdr_track(recording, config, gnss="off")
+    if found.device is None or not (found.n_steps and found.steps.on_axes[-1]):
+        return config
+    return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
@@ -227,23 +240,6 @@ def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
     )
 
 
-def _from_hindsight(found: Hindsight, observed: Observations) -> Smoothed:
-    """Nothing was observed from elsewhere: what the recording itself says."""
-    variance = np.diagonal(found.cov, axis1=1, axis2=2)
-    return Smoothed(
-        track=found.track,
-        heading_offset_rad=read_only(wrap_angle(found.mean[:, HEADING_OFFSET])),
-        heading_offset_std_rad=read_only(np.sqrt(variance[:, HEADING_OFFSET])),
-        log_scale=read_only(found.mean[:, LOG_SCALE]),
-        log_scale_std=read_only(np.sqrt(variance[:, LOG_SCALE])),
-        start_position_m=read_only(np.zeros(2)),
-        start_position_cov_m2=read_only(np.zeros((2, 2))),
-        observations=_table(observed, np.zeros(0, dtype=bool)),
-        floor=_floors(found.track, observed.floor_changes),
-        notes=found.track.notes,
-    )
-
-
 def smooth_track(
     track: Track,
     modes: Sequence[Mode],
@@ -263,11 +259,13 @@ def smooth_track(
     if track.n_steps == 0:
         return _without_steps(track, observed, used.fixes)
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
-    offsets = heading_offsets(track, steps, modes, noise)
+    offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     centre = np.mean([f.position_m for f in used.fixes], axis=0) if used.fixes else np.zeros(2)
     start_std_m = _ANYWHERE_STD_M if used.fixes else _HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
+    before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
+    start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
     start = np.array([*centre, 0.0, 0.0])
     problem = pose_problem(steps, start, start_cov, used, offsets, frame_std_rad, anchor_interval_s=anchor_interval_s)
     return _smoothed(track, steps, problem, solve(problem), observed, inside)

@@ -31,7 +31,7 @@ from pdr_filter.sensing.conditioning import UniformBlock
 from pdr_filter.sensing.heading.corridors import Corridors, CorridorState
 from pdr_filter.sensing.heading.offset import OF_AXIS, OF_STRIDES, UNKNOWN_STD_RAD, UNKNOWN_VAR_RAD2, Offset
 from pdr_filter.sensing.heading.place import Place, StrideAgreement
-from pdr_filter.sensing.heading.reported import Reported
+from pdr_filter.sensing.heading.reported import Reported, Shown
 from pdr_filter.sensing.heading.strides import (
     Phases,
     Stride,
@@ -58,8 +58,8 @@ _RUNNING = CONTEXTS.index("running")
 
 # Rows of the remembered signals.
 _TIME, _FORCE, _UP, _EAST, _NORTH, _VERTICAL, _HEADING, _KNOWN = 0, slice(1, 4), slice(4, 7), 7, 8, 9, 10, 11
-_ERROR, _ERROR_VAR = 12, 13
-_N_ROWS = 14
+_ERROR, _ERROR_VAR, _LOST_VAR = 12, 13, 14
+_N_ROWS = 15
 
 # Two steps between these are a stride: 0.9 to 4.5 steps a second, as the step detectors have it.
 _MIN_STRIDE_S, _MAX_STRIDE_S = 0.45, 2.2
@@ -102,7 +102,7 @@ class WalkingHeadingState:
 
     n_samples: int  # of this segment
     start_s: float  # its first sample
-    signals: FloatArray  # (14, H)
+    signals: FloatArray  # (15, H)
     contacts_s: tuple[float, ...]  # the last two
     up: Vector | None  # mean up direction of the last stride; None before the first
     axis: Vector  # unit, across `up`: the reference axis, sensor frame
@@ -115,6 +115,7 @@ class WalkingHeadingState:
     error_of_bias_rad: float  # what biases found late said of it then
     of_bias_rad: float  # what they say now
     of_bias_var_rad2: float
+    lost_var_rad2: float  # by biases so far
     reported: Reported
     walking_rad: float  # last walking heading, in the track's frame with any number of turns; NaN before
     walking_s: float
@@ -201,6 +202,7 @@ class WalkingHeading:
             error_of_bias_rad=0.0,
             of_bias_rad=0.0,
             of_bias_var_rad2=0.0,
+            lost_var_rad2=0.0,
             reported=Reported(),
             walking_rad=math.nan,
             walking_s=math.nan,
@@ -243,8 +245,9 @@ class WalkingHeading:
         new[_KNOWN] = block.angular_rate_known
         if len(attitude.heading_error_rad):
             new[_ERROR], new[_ERROR_VAR] = attitude.heading_error_rad, attitude.heading_error_var_rad2
+            new[_LOST_VAR] = attitude.heading_lost_var_rad2
         else:
-            new[_ERROR], new[_ERROR_VAR] = 0.0, 0.0
+            new[_ERROR:] = 0.0
         state = replace(state, n_samples=n_before + n_new, signals=signals)
         at = [known - n_before for known, _ in steps]
         state, result = self._annotated(
@@ -282,8 +285,8 @@ class WalkingHeading:
         ]
         strides = self._strides(samples, contexts)
         result: list[tuple[int, Step]] = []
-        for (known, step), of_step, stride, mode in zip(steps, samples, strides, carrying_modes, strict=True):
-            state, found = self._annotate(state, step, of_step, stride, mode)
+        for (known, step), stride, mode in zip(steps, strides, carrying_modes, strict=True):
+            state, found = self._annotate(state, step, self._bias_error(state, step.time_s, known), stride, mode)
             result.append((known, replace(step, **found) if found else step))
         return replace(state, contacts_s=contacts_s[-2:]), result
 
@@ -291,18 +294,28 @@ class WalkingHeading:
         self,
         state: WalkingHeadingState,
         step: Step,
-        samples: FloatArray | None,
+        bias_error: tuple[float, float, float],
         stride: Stride | None,
         carrying_mode: int,
     ) -> tuple[WalkingHeadingState, dict[str, Any]]:
-        """New state, and the fields of the step that its stride shows."""
-        of_bias_var, loss = state.of_bias_var_rad2, dict[str, float]()
-        if samples is not None:
-            of_bias_var, loss = self._loss(state, step, samples)
+        """Return the new state, and the fields of a step that its stride and the gyroscope's bias show.
+
+        `bias_error` is by how much the device's heading is too large at the contact, its variance, and the variance
+        that the heading has gained by the uncertain bias so far.
+        """
+        loss = self._loss(state, step, bias_error[2] - state.lost_var_rad2)
         reported = state.reported.at_step(step, self.drift, loss.get("yaw_bias_std_radps", step.yaw_bias_std_radps))
-        if samples is None or stride is None:
-            shown_before = {} if state.place is None else _shown(state)
-            return replace(state, reported=reported, of_bias_var_rad2=of_bias_var), loss | shown_before
+        of_bias_rad, of_bias_var_rad2, lost_var_rad2 = bias_error
+        state = replace(state, of_bias_rad=of_bias_rad, of_bias_var_rad2=of_bias_var_rad2, lost_var_rad2=lost_var_rad2)
+        if stride is None and state.place is None:
+            return replace(state, reported=reported), loss
+        if stride is None:
+            # a bias that was found while the pedestrian stood turns the first step already, not the first stride
+            heard = dict[str, float]()
+            if step.heading_unknown_s == 0:
+                error_rad, var_rad2 = self._error(state, state.shown.var_rad2 + of_bias_var_rad2)
+                reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, 0.0)
+            return replace(state, reported=reported), loss | heard | _shown(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
         place = self.strides.learn(place, stride, step.duration_s)
@@ -314,7 +327,6 @@ class WalkingHeading:
         walking_rad = stride.device_heading_rad + offset_rad
         if change_std_rad > 0 or step.heading_unknown_s > 0:
             state = self._without_axes(state)
-        of_bias_rad, new_bias_var = samples[_ERROR:, -1].tolist()
         state = replace(
             state,
             up=stride.up,
@@ -329,25 +341,32 @@ class WalkingHeading:
             direction=combined(math.cos(angle_rad), stride.axis, math.sin(angle_rad), cross(stride.axis, stride.up)),
             direction_up=stride.up,
             corridors=self.corridors.step(state.corridors, step.time_s, walking_rad),
-            of_bias_rad=of_bias_rad,
-            of_bias_var_rad2=of_bias_var,
         )
-        error_rad, var_rad2 = self._error(state, shown.var_rad2 + new_bias_var)
-        reported, heard = reported.with_report(step, offset_rad - error_rad, var_rad2, change_std_rad)
+        error_rad, var_rad2 = self._error(state, shown.var_rad2 + of_bias_var_rad2)
+        reported, heard = reported.with_report(step, self._reportable(state), error_rad, var_rad2, change_std_rad)
         shown_too = _shown(state, on_axes=self.corridors.is_sure(state.corridors))
         return replace(state, reported=reported), loss | heard | shown_too
 
-    def _loss(self, state: WalkingHeadingState, step: Step, samples: FloatArray) -> tuple[float, dict[str, float]]:
-        """Variance of the heading by the bias, and for the step what that has lost since the last stride.
+    def _reportable(self, state: WalkingHeadingState) -> Shown:
+        return Shown(state.shown.offset_rad, state.shown.var_rad2, self.corridors.probability(state.corridors))
 
-        The loss is that of the filter's random walk.
-        """
-        var_rad2 = float(samples[_ERROR_VAR, -1])
-        if var_rad2 == 0 and not samples[_ERROR_VAR].any():
-            return state.of_bias_var_rad2, {}
-        lost = max(var_rad2 - state.of_bias_var_rad2, 0.0)
+    def _loss(self, state: WalkingHeadingState, step: Step, lost_var_rad2: float) -> dict[str, float]:
+        """Field of a step with the random walk of the filter that loses as much of the heading as the bias has."""
+        if lost_var_rad2 <= 0:
+            return {}
         since_s = step.duration_s if math.isnan(state.reported.time_s) else step.time_s - state.reported.time_s
-        return var_rad2, {"yaw_bias_std_radps": math.sqrt(lost / (2.0 * self.drift.bias_correlation_s * since_s))}
+        return {"yaw_bias_std_radps": math.sqrt(lost_var_rad2 / (2.0 * self.drift.bias_correlation_s * since_s))}
+
+    def _bias_error(self, state: WalkingHeadingState, contact_s: float, known: int) -> tuple[float, float, float]:
+        """By how much the device's heading is too large at a contact, its variance, and the variance lost so far.
+
+        Those of the step before where the samples are no longer remembered.
+        """
+        at = round((contact_s - state.start_s) * self.rate_hz) - 1
+        if not max(known + 1 - self._n_kept, 0) <= at <= known:
+            return state.of_bias_rad, state.of_bias_var_rad2, state.lost_var_rad2
+        error_rad, var_rad2, lost_var_rad2 = state.signals[_ERROR:, at - state.n_samples].tolist()
+        return error_rad, var_rad2, lost_var_rad2
 
     def drift_in_time(self, state: WalkingHeadingState) -> tuple[float, float]:
         """What time has added to the device's heading, rad, and its variance: infinite unless axes are sure."""

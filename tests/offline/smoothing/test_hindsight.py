@@ -3,16 +3,14 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pytest
 from helpers import a_step
 
 import pdr_filter as pdr
 from pdr_filter.config import Config
 from pdr_filter.filter import imm
-from pdr_filter.offline.smoothing.hindsight import in_hindsight, knowing_the_device
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Leg, demo_walk, simulate
-from pdr_filter.values import HeadingFix, PositionFix
+from pdr_filter.values import PositionFix
 
 
 def fixes_of(walk: pdr.Recording, seed: int = 0, std_m: float = 2.0) -> list[PositionFix]:
@@ -46,7 +44,7 @@ def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter()
     squares = {"filter": 0.0, "smoother": 0.0}
     for seed, walk in enumerate(walks):
         fixes = fixes_of(walk, seed)
-        forward, smoothed = pdr.track(walk, fixes=fixes), in_hindsight(walk, fixes=fixes).track
+        forward, smoothed = pdr.track(walk, fixes=fixes), pdr.smooth(walk, fixes).track
         squares["filter"] += np.square(errors_m(walk, forward)).mean()
         squares["smoother"] += np.square(errors_m(walk, smoothed)).mean()
         spread = [np.trace(t.position_cov_m2, axis1=1, axis2=2)[:-1].mean() for t in (forward, smoothed)]
@@ -54,13 +52,13 @@ def test_with_fixes_hindsight_is_closer_to_the_truth_and_surer_than_the_filter()
     assert squares["smoother"] < 0.7 * squares["filter"]
 
 
-def test_without_fixes_the_end_of_the_track_is_that_of_a_filter_with_the_exponent_of_hindsight() -> None:
+def test_without_fixes_the_end_of_the_track_is_near_that_of_a_filter_with_the_exponent_of_hindsight() -> None:
     walk = demo_walk()
     config = pdr.recipes.default(walk.subject)
     tempered = config.in_hindsight()
-    forward, smoothed = pdr.track(walk, tempered), in_hindsight(walk, config).track
+    forward, smoothed = pdr.track(walk, tempered), pdr.smooth(walk, config=config).track
     assert not np.allclose(forward.mode_prob, pdr.track(walk, config).mode_prob)
-    np.testing.assert_allclose(smoothed.position_m[-1], forward.position_m[-1], atol=1e-9)
+    assert np.linalg.norm(smoothed.position_m[-1] - forward.position_m[-1]) < 0.1 * forward.position_std_m[-1]
     np.testing.assert_allclose(smoothed.mode_prob[-1], forward.mode_prob[-1], atol=1e-12)
     assert smoothed.n_steps == forward.n_steps
 
@@ -71,7 +69,7 @@ def test_the_change_of_context_is_seen_earlier_in_hindsight() -> None:
     change_s = float(walk.truth.labels.start_s[1])
     running = pdr.CONTEXTS.index("running")
     delay_s = []
-    for track in (pdr.track(walk), in_hindsight(walk).track):
+    for track in (pdr.track(walk), pdr.smooth(walk).track):
         runs = track.mode_prob[:, running] > 0.5
         delay_s.append(float(track.time_s[runs][0]) - change_s)
     assert abs(delay_s[1]) < abs(delay_s[0])
@@ -90,8 +88,8 @@ def test_a_confident_error_of_some_windows_is_followed_less_in_hindsight_and_tru
                 said = upstairs if first_s <= t <= last_s else walking
                 window = WindowContext(float(np.ceil(t)), np.where(np.arange(6) == said, 0.9, 0.02), prior)
                 state, _ = tracker.on_window(state, window)
-            state, output = tracker.on_step(state, a_step(float(t)))
-            prob += [u.mode_prob for u in output.updates]
+            state, updates = tracker.on_step(state, a_step(float(t)))
+            prob += [u.mode_prob for u in updates]
         smoothed = imm.smoothed_mode_prob(np.array(prob), config.model.transition_prob)
         return float(smoothed[(time_s >= first_s) & (time_s <= last_s), upstairs].mean())
 
@@ -107,7 +105,7 @@ def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
     assert walk.gyroscope is not None
     cut = replace(walk, accelerometer=with_gap(walk.accelerometer), gyroscope=with_gap(walk.gyroscope))
     fixes = fixes_of(walk)
-    smoothed = in_hindsight(cut, fixes=fixes).track
+    smoothed = pdr.smooth(cut, fixes).track
     assert np.isfinite(smoothed.position_m).all()
     assert np.isfinite(smoothed.position_cov_m2).all()
     assert (np.linalg.eigvalsh(smoothed.position_cov_m2) > 0).all()
@@ -117,82 +115,14 @@ def test_a_recording_with_a_gap_is_smoothed_across_it() -> None:
 
 def test_a_recording_without_steps_stays_without() -> None:
     still = simulate([Leg("stationary", duration_s=5.0)])
-    assert in_hindsight(still).track.n_steps == 0
+    assert pdr.smooth(still).track.n_steps == 0
 
 
 def test_with_a_weighted_step_length_hindsight_is_that_of_one_filter() -> None:
     config = pdr.recipes.default().with_weighting("wc")
     walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=40.0, turn_rad=1.5)], seed=2)
     fixes = fixes_of(walk)
-    forward, smoothed = pdr.track(walk, config, fixes=fixes), in_hindsight(walk, config, fixes).track
+    forward, smoothed = pdr.track(walk, config, fixes=fixes), pdr.smooth(walk, fixes, config=config).track
     np.testing.assert_array_equal(smoothed.mode_prob, forward.mode_prob)
     assert np.trace(smoothed.position_cov_m2.mean(axis=0)) < np.trace(forward.position_cov_m2.mean(axis=0))
     assert np.square(errors_m(walk, smoothed)).mean() < np.square(errors_m(walk, forward)).mean()
-
-
-def test_smooth_without_observations_is_hindsight() -> None:
-    walk = demo_walk()
-    config = knowing_the_device(walk, pdr.recipes.default(walk.subject))
-    smoothed, found = pdr.smooth(walk), in_hindsight(walk, config)
-    np.testing.assert_array_equal(smoothed.track.position_m, found.track.position_m)
-    np.testing.assert_array_equal(smoothed.log_scale, found.mean[:, 3])
-    assert len(smoothed.observations) == 0
-
-
-def in_the_world(place_m: np.ndarray, angle_rad: float = 2.0) -> np.ndarray:
-    """Places (..., 2) in a frame that is turned clockwise and far away."""
-    c, s = np.cos(angle_rad), np.sin(angle_rad)
-    return place_m @ np.array([[c, -s], [s, c]]) + [500.0, -300.0]
-
-
-def fixes_in_the_world(walk: pdr.Recording, seed: int = 0, angle_rad: float = 2.0) -> list[PositionFix]:
-    """As `fixes_of`, whose errors are the same in all directions."""
-    return [replace(f, position_m=in_the_world(f.position_m, angle_rad)) for f in fixes_of(walk, seed)]
-
-
-def test_in_a_world_frame_hindsight_is_closer_to_the_truth_also_before_north_was_known() -> None:
-    """As close, and as sure of it, as the least squares, which know of no frame of the start."""
-    squares: dict[str, list[list[float]]] = {"filter": [], "hindsight": [], "least squares": []}
-    inside: list[np.ndarray] = []
-    for seed in range(6):
-        walk = simulate([Leg("walking", distance_m=40.0), Leg("walking", distance_m=60.0, turn_rad=1.5)], seed=seed)
-        there, config = fixes_in_the_world(walk, seed), pdr.recipes.default(walk.subject)
-        tracks = {
-            "filter": pdr.track(walk, config.in_world_frame(), fixes=there),
-            "hindsight": in_hindsight(walk, config.in_world_frame(), there).track,
-            "least squares": pdr.smooth(walk, there, config=config).track,
-        }
-        truth = walk.truth.position
-        for name, track in tracks.items():
-            at = np.column_stack([np.interp(track.time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m")])
-            error = track.position_m - in_the_world(at)
-            early = track.time_s < 20.0
-            squares[name].append([np.square(error[part]).sum(axis=1).mean() for part in (early, ~early)])
-            if name == "hindsight":
-                cov = track.position_cov_m2
-                inside.append(np.einsum("ka,kab,kb->k", error, np.linalg.inv(cov), error) < 5.99)
-    rms = {name: np.sqrt(np.mean(values, axis=0)) for name, values in squares.items()}
-    assert (rms["hindsight"] < 0.8 * rms["filter"]).all()
-    assert (rms["hindsight"] < 1.15 * rms["least squares"]).all()
-    assert np.concatenate(inside).mean() > 0.9
-
-
-def test_hindsight_does_not_depend_on_where_the_world_s_north_is() -> None:
-    walk = simulate([Leg("walking", distance_m=60.0)], seed=1)
-    config = pdr.recipes.default(walk.subject).in_world_frame()
-    first, other = (in_hindsight(walk, config, fixes_in_the_world(walk, 0, angle)).track for angle in (0.3, -2.5))
-    np.testing.assert_allclose(other.step_length_m, first.step_length_m, atol=1e-9)
-    turn = np.angle(np.exp(1j * (other.walking_heading_rad - first.walking_heading_rad + 2.8)))
-    np.testing.assert_allclose(turn, 0.0, atol=1e-9)
-
-
-def test_without_enough_fixes_for_north_hindsight_stays_in_the_frame_of_the_start() -> None:
-    walk = simulate([Leg("walking", distance_m=30.0)], seed=1)
-    config = pdr.recipes.default(walk.subject).in_world_frame()
-    found, plain = in_hindsight(walk, config, fixes_of(walk)[:1]), in_hindsight(walk)
-    np.testing.assert_allclose(found.track.position_m, plain.track.position_m, atol=1e-9)
-
-
-def test_a_heading_fix_on_the_way_to_the_world_is_refused() -> None:
-    with pytest.raises(ValueError, match="got a HeadingFix, which turns the track on the way"):
-        in_hindsight(demo_walk(), pdr.recipes.default().in_world_frame(), [HeadingFix(5.0, 0.0, 0.1)])

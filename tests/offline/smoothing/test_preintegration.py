@@ -8,7 +8,7 @@ from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, grow_over_gap
+from pdr_filter.filter.motion import Directions, Mode, MotionNoise, advance, grow_over_gap, predict_heading
 from pdr_filter.filter.step_length import known_length
 from pdr_filter.offline.smoothing.preintegration import end_states, frame, increments, preintegrate
 from pdr_filter.values import Step, step_table
@@ -28,7 +28,8 @@ def test_the_sum_of_an_interval_is_that_of_its_steps_one_by_one() -> None:
         by_state[:2, 2], by_state[:2, 3] = [d[1], -d[0]], d
         added_cov = np.zeros((4, 4))
         added_cov[:2, :2] = steps.cov_m2[k]
-        added_cov[2, 2], added_cov[3, 3] = steps.drift_var_rad2[k], steps.scale_drift_var[k]
+        added_cov[3, 3] = steps.scale_drift_var[k]
+        state_cov[2, 2] += steps.drift_var_rad2[k] if k else 0.0
         position, state_cov = position + d, by_state @ state_cov @ by_state.T + added_cov
         np.testing.assert_allclose(whole.sum_m[k], position, atol=1e-12)
         np.testing.assert_allclose(whole.cov[k], state_cov, atol=1e-12)
@@ -83,11 +84,14 @@ def test_an_increment_is_the_step_of_the_filter(from_rest: bool) -> None:
     found, shared = increments(step_table([step]), np.ones((1, 1)), [mode], noise, np.zeros(1))
     model = PedestrianModel((mode,), np.ones((1, 1)), noise=noise)
     length_m, length_var_m2 = np.array([0.7]), model.own_var_m2(step, np.array([0.7]))
-    ahead = advance(np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, length_var_m2, Directions.of([mode]), noise)
-    mean, added_cov = ahead.mean, ahead.Q
+    directions = Directions.of([mode])
+    drift_cov = predict_heading(np.zeros((1, 4, 4)), step, step.duration_s, directions, noise)
+    _, mean, added_cov = advance(
+        np.zeros((1, 4)), np.zeros((1, 4, 4)), step, length_m, length_var_m2, directions, noise
+    )
     np.testing.assert_allclose(found.displacement_m[0], mean[0, :2])
     np.testing.assert_allclose(found.cov_m2[0], added_cov[0, :2, :2])
-    np.testing.assert_allclose(found.drift_var_rad2[0] + found.unknown_var_rad2[0], added_cov[0, 2, 2])
+    np.testing.assert_allclose(found.drift_var_rad2[0] + found.unknown_var_rad2[0], drift_cov[0, 2, 2])
     np.testing.assert_allclose(found.unknown_var_rad2[0], 0.2)
     np.testing.assert_allclose(found.scale_drift_var[0], added_cov[0, 3, 3])
     assert shared == pytest.approx(0.0, abs=1e-15)
@@ -106,7 +110,7 @@ def test_without_angular_rate_mean_and_covariance_are_those_of_simulated_walks()
     interval = preintegrate(steps, np.array([0, 20]))
     rng = np.random.default_rng(0)
     turned = np.cumsum(rng.normal(scale=np.sqrt(0.3), size=(20000, 20)), axis=1)
-    heading = np.concatenate([np.zeros((20000, 1)), turned[:, :-1]], axis=1)
+    heading = turned - turned[:, :1]
     d = steps.displacement_m[:, 0] + 1j * steps.displacement_m[:, 1]
     ends = (np.exp(-1j * heading) * d).sum(axis=1)
     np.testing.assert_allclose(interval.total_m[0], [ends.real.mean(), ends.imag.mean()], atol=0.05)

@@ -9,11 +9,8 @@ from scipy.optimize import approx_fprime
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.io.recording import Truth
 from pdr_filter.offline.calibration.fit import calibrate
-from pdr_filter.offline.smoothing.hindsight import knowing_the_device
-from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -27,6 +24,7 @@ from pdr_filter.offline.smoothing.smooth import smooth
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix, table, wrap_angle
+from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
 AXES = ("east_m", "north_m")
 ANY_HEADING = float(np.pi / np.sqrt(3))
@@ -84,8 +82,11 @@ def test_positions_and_covariances_equal_those_of_a_smoother_with_every_step_as_
         offset[:2] = moved - by_state[:2, 2:] @ start[2:]
         added_cov = np.zeros((4, 4))
         added_cov[:2, :2] = steps.cov_m2[k]
-        added_cov[2, 2], added_cov[3, 3] = steps.drift_var_rad2[k], steps.scale_drift_var[k]
-        added_cov = own_frame @ added_cov @ own_frame.T
+        # the drift before a step; that before the first one is in what is known of the start
+        drift_cov = np.zeros((4, 4))
+        drift_cov[2, 2] = steps.drift_var_rad2[k] if k else 0.0
+        added_cov[3, 3] = steps.scale_drift_var[k]
+        added_cov = own_frame @ added_cov @ own_frame.T + by_state @ drift_cov @ by_state.T
         transitions.append(Transition(np.ones((1, 1)), np.zeros((1, 4)), offset[None], by_state[None], added_cov[None]))
         x, state_cov = by_state @ x + offset, by_state @ state_cov @ by_state.T + added_cov
         fix = at.get(round(float(steps.time_s[k]), 3))
@@ -275,7 +276,7 @@ def test_the_order_of_the_fixes_does_not_matter() -> None:
 
 
 def test_without_fixes_the_track_is_that_of_dead_reckoning_with_a_growing_covariance() -> None:
-    forward = pdr.track(WALKED, knowing_the_device(WALKED, pdr.recipes.default(WALKED.subject)))
+    forward = pdr.track(WALKED)
     result = smooth(WALKED)
     std = [np.sqrt(np.trace(t.position_cov_m2, axis1=1, axis2=2)) for t in (result.track, forward)]
     assert (np.linalg.norm(result.track.position_m - forward.position_m, axis=1) < 0.3 * std[1] + 0.2).all()

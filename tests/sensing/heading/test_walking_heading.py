@@ -390,6 +390,7 @@ def test_what_a_late_bias_left_is_taken_off_and_stays_as_unsure_as_it_is() -> No
         attitude,
         heading_error_rad=np.where(np.arange(n) < n // 2, 0.0, 0.3),
         heading_error_var_rad2=np.where(np.arange(n) < n // 2, 0.04, 0.01),
+        heading_lost_var_rad2=np.full(n, 0.04),
     )
     _, result = STAGE.step(STAGE.init(), block, late, modes(n, "pocket"), steps)
     offset, variance = believed([s for _, s in result])

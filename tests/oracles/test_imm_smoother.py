@@ -1,4 +1,3 @@
-# ruff: noqa: N803, N806 - the letters of the equations
 from __future__ import annotations
 
 from itertools import pairwise, product
@@ -9,8 +8,7 @@ from filterpy.kalman import KalmanFilter
 from scipy.stats import multivariate_normal
 
 from pdr_filter.filter import imm
-from pdr_filter.filter.imm import ModeEstimates, Transition
-from pdr_filter.offline.smoothing.imm_smoother import smooth_imm
+from tests.oracles.imm_smoother import ModeEstimates, Transition, smooth_imm
 
 H = np.array([[1.0, 0.0]])
 R = np.array([[0.5]])

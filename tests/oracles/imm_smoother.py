@@ -1,4 +1,4 @@
-"""Fixed-interval smoother of the interacting multiple model: what the whole recording says of every step.
+"""Fixed-interval smoother of the interacting multiple model: the oracle of the smoother where the problem is linear.
 
 C.-J. Kim, "Dynamic linear models with Markov-switching", Journal of Econometrics 60 (1994), section 3. With one mode it
 is the Rauch-Tung-Striebel smoother, with modes that move alike the forward-backward algorithm of a hidden Markov model;
@@ -8,10 +8,31 @@ with both an approximation, because the filter is (tests/offline/smoothing/test_
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.filter.imm import ModeEstimates, Transition
+from pdr_filter.values import FloatArray
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ModeEstimates:
+    """Mean, covariance and probability of each mode at one time."""
+
+    mean: FloatArray  # (M, n)
+    cov: FloatArray  # (M, n, n)
+    mode_prob: FloatArray  # (M,)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Transition:
+    """Transition from one time to the next, linearised: x = a_i + F_i (x_before - b_i) + noise of Q_i in mode i."""
+
+    transition_prob: FloatArray  # (M, M) from mode j to mode i
+    origin: FloatArray  # (M, n) b_i, about which mode i was linearised
+    predicted: FloatArray  # (M, n) a_i, where that leads
+    F: FloatArray  # (M, n, n)
+    Q: FloatArray  # (M, n, n)
 
 
 def smooth_imm(filtered: Sequence[ModeEstimates], transitions: Sequence[Transition]) -> list[ModeEstimates]:

@@ -1,0 +1,113 @@
+"""Smoothed and online tracks of phones that are handled before the walk, or whose heading is unknown for a while."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from handling import HANDLED_S, handled_walk
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, SensorErrors, simulate
+
+
+def aligned(reference: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """Places (N, 2) rotated and shifted onto a reference (N, 2)."""
+    a, b = places - places.mean(axis=0), reference - reference.mean(axis=0)
+    u, _, vt = np.linalg.svd(a.T @ b)
+    rotation = u @ np.diag([1.0, np.sign(np.linalg.det(u @ vt))]) @ vt
+    return a @ rotation + reference.mean(axis=0)
+
+
+def during_walk(track: pdr.Track, times_s: np.ndarray) -> np.ndarray:
+    return np.column_stack([np.interp(times_s, track.time_s, track.position_m[:, k]) for k in (0, 1)])
+
+
+@settings(max_examples=6, deadline=None)
+@given(seed=st.integers(0, 10_000), bias=st.sampled_from([0.0, 0.01, 0.05]))
+def test_a_smoothed_walk_has_no_step_much_longer_than_its_longest_online_step(seed: int, bias: float) -> None:
+    walk = handled_walk(seed, bias_std_radps=bias)
+    online, smoothed = pdr.track(walk), pdr.smooth(walk).track
+    moved_m = np.linalg.norm(np.diff(smoothed.position_m, axis=0), axis=1)
+    assert max(smoothed.step_length_m.max(), moved_m.max()) < 1.3 * online.step_length_m.max()
+    assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.1)
+
+
+@pytest.mark.parametrize("change", [{"mirrored": True}, {"turned_rad": 1.3}, {"delay_s": 4.0}])
+def test_another_handling_before_the_walk_changes_nothing_after_it(change: dict[str, float]) -> None:
+    times_s = np.arange(HANDLED_S + 14.0, HANDLED_S + 80.0)
+    walks = [handled_walk(3), handled_walk(3, **change)]
+    one, other = (during_walk(pdr.smooth(walk).track, times_s) for walk in walks)
+    assert np.linalg.norm(aligned(one, other) - one, axis=1).max() < 0.3
+
+
+def test_the_smoothed_track_of_a_handled_phone_is_as_far_off_as_it_says() -> None:
+    """Positions less that of the walk's begin, in the frame of its first leg, against their covariances."""
+    squares = list[float]()
+    for seed in range(16):
+        walk = handled_walk(seed + 50)
+        smoothed = pdr.smooth(walk).track
+        truth = walk.truth.position
+        begin = int(np.searchsorted(smoothed.time_s, HANDLED_S + 11.0))
+        true = np.column_stack(
+            [np.interp(smoothed.time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")]
+        )
+        ours, true = smoothed.position_m[begin:] - smoothed.position_m[begin], true[begin:] - true[begin]
+        first = slice(3, 12)
+        turn = np.angle(np.sum((true[first] @ [1, 1j]) * np.conj(ours[first] @ [1, 1j])))
+        c, s = np.cos(turn), np.sin(turn)
+        error = ours @ np.array([[c, s], [-s, c]]) - true
+        rotation = np.array([[c, -s], [s, c]])
+        end_cov = rotation @ smoothed.position_cov_m2[-1] @ rotation.T
+        squares.append(float(error[-1] @ np.linalg.solve(end_cov, error[-1])))
+    # two degrees of freedom; the frame of the first leg takes some of the error away
+    assert 0.2 < np.mean(squares) < 4.0
+
+
+def jumps_m(track: pdr.Track) -> np.ndarray:
+    moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1)
+    return moved_m[(moved_m > 3.0) & (np.diff(track.time_s) < 2.0)]
+
+
+def test_a_jump_for_a_bias_that_is_found_late_brings_the_track_nearer_to_the_truth() -> None:
+    """Gyroscopes of 0.05 rad/s without magnetometer: far beyond what a phone that calibrates itself leaves."""
+    errors = SensorErrors()
+    errors = replace(errors, gyroscope=replace(errors.gyroscope, bias_std=0.05))
+    gained_m = list[float]()
+    for seed in range(12):
+        rng = np.random.default_rng(seed)
+        legs = [
+            Leg("walking", distance_m=float(rng.uniform(8, 40)), turn_rad=float(rng.choice([-1.57, 1.57, 0.8])))
+            for _ in range(7)
+        ]
+        walk = replace(simulate(legs, carrying_mode="pocket", seed=seed, errors=errors), magnetometer=None)
+        track, truth = pdr.track(walk), walk.truth.position
+        true = np.column_stack([np.interp(track.time_s, truth.time_s, truth[name]) for name in ("east_m", "north_m")])
+        error_m = np.linalg.norm(track.position_m - true, axis=1)
+        moved_m = np.linalg.norm(np.diff(track.position_m, axis=0), axis=1)
+        gained_m += (error_m[:-1] - error_m[1:])[moved_m > 3.0].tolist()
+        if len(jumps_m(track)):
+            assert any("heading" in note for note in track.notes)
+    assert len(gained_m) > 3
+    assert np.mean(gained_m) > 0
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "ipin2023/ipin2023_anon_trial23_rep02",
+        "motionsense/motionsense_s06_wlk_7",
+        "ubicomp13/ubicomp13_p04_e2_handheld_using",
+    ],
+)
+def test_tracks_of_real_recordings_can_be_walked(data_dir: Path, name: str) -> None:
+    recording = pdr.read(data_dir / f"{name}.zip")
+    online, smoothed = pdr.track(recording, gnss="off"), pdr.smooth(recording).track
+    moved_m = np.linalg.norm(np.diff(smoothed.position_m, axis=0), axis=1)
+    assert max(smoothed.step_length_m.max(), moved_m.max()) < 1.8
+    assert smoothed.distance_m == pytest.approx(online.distance_m, rel=0.15)
+    assert not len(jumps_m(online))
