@@ -182,16 +182,19 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """The sensors that the columns of a text name; none of one that is no table."""
+    """Sensors that the columns of a text name; none of a text that is no table."""
     try:
-        head = members.head(name)
-        if looks_like(head):
-            sheets = json_fields(members, name)
-            return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
-        sheet = text_sheet(members, name)
-        return set() if sheet is None else {group.quantity for group in groups_of(sheet, 0)}
+        if looks_like(members.head(name)):
+            sheets: Sequence[Sheet] = json_fields(members, name)
+        else:
+            sheet = text_sheet(members, name)
+            sheets = [] if sheet is None else [sheet]
     except RecordingError:
         return set()
+    try:
+        return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
+    except RecordingError:  # columns of an accelerometer in an unknown unit or without an axis: reading says so
+        return {ACCELERATION}
 
 
 def is_of_sensors(members: Members, name: str) -> bool:

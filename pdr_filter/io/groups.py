@@ -57,8 +57,8 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
         unit = next((column.unit for column in axes if column.unit), "")
         if unit and unit not in UNITS[quantity]:
             raise RecordingError(
-                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; "
-                f"known are {', '.join(UNITS[quantity])}"
+                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; write one of "
+                f"{', '.join(UNITS[quantity])}, or give the unit in a file with pdr-filter convert FILE --map MAP.toml"
             )
         places = tuple(column.place for column in axes)
         groups.append(_group(sheet, at, quantity, places, times, unit, preference))
@@ -132,8 +132,9 @@ def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[i
         quantity = column.quantity
         if not quantity and of_file in SCALARS and (column.axis == "x" or len(columns) == 1):
             quantity = of_file
-        if quantity and quantity not in VECTORS:
-            first.setdefault(quantity, column)
+        best = first.get(quantity)
+        if quantity and quantity not in VECTORS and (best is None or column.preference > best.preference):
+            first[quantity] = column
     groups = [
         _group(sheet, at, q, (c.place,), times, c.unit if c.unit in UNITS[q] else "", 1)
         for q, c in first.items()

@@ -35,7 +35,7 @@ _TURNS_AS_SAID = (0.5, 2.0)
 _RATE_SHARE = 0.25
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
-    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
 }
 # Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
 # that, but would then come less often than any sensor.
