@@ -10,7 +10,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.columns import ACCELERATION, VECTORS, letters, quantity_of_file
-from pdr_filter.io.dialects import dialect_of
+from pdr_filter.io.dialects import dialect_of, said_platform
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
 from pdr_filter.io.guess import Guess, guess
@@ -55,7 +55,15 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
         data = [SheetData(sheet, _places_of(groups, i), parsed.notes) for i, sheet in enumerate(sheets)]
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
-        found = guess(data, groups, dialect_of(shown), platform, where)
+        dialect = dialect_of(shown)
+        if dialect is None or dialect.sign is None:
+            said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
+            if platform and said and said != platform:
+                raise RecordingError(
+                    f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
+                )
+            platform = platform or said or None
+        found = guess(data, groups, dialect, platform, where)
         _fill(parsed, found.mapping, data)
     parsed.source = found.source
     parsed.found += found.evidence

@@ -1,7 +1,7 @@
 """What the columns of a table are, by their names: the words, axes and units of the apps, as data.
 
 `ACCELEROMETER X (m/s\u00b2)`, `accelerometerAccelerationX(G)`, `MPL_Accelerometer.x`, `acc_x[m/s^2]`, `ACCEX` and `gFx`
-are all an axis of one quantity. Words of the vocabulary may have other words before them; the longest that fits is taken.
+are all an axis of one quantity. Other words may stand before one of the vocabulary; the longest that fits is taken.
 """
 
 from __future__ import annotations
@@ -55,7 +55,9 @@ _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 # Web browsers name the axes of the angular rate so (W3C, "Device Orientation and Motion"; w3c/deviceorientation#44).
 _GREEK_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
 _WITH_GRAVITY = re.compile(r"(acc|acel|beschl)[a-z]*(incl|including|with|plus|and|mit|con|avec)(g|gravity|gravedad)")
-_WITHOUT_GRAVITY = re.compile(r"(acc|acel|beschl)[a-z]*(excl|excluding|without|minus|no|ohne|sin|sans)(g|gravity|gravedad)")
+_WITHOUT_GRAVITY = re.compile(
+    r"(acc|acel|beschl)[a-z]*(excl|excluding|without|minus|no|ohne|sin|sans)(g|gravity|gravedad)"
+)
 
 _ACCURACY = re.compile(
     r"accurac(y|ies)|accuratezza|genauigkeit|nauwkeurigheid|precis(ion|ione|ao)|exactitude?|uncertainty"

@@ -19,6 +19,7 @@ from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.matlab import is_matlab
+from pdr_filter.io.own_format import OTHERS, REQUIRED
 from pdr_filter.io.ronin import SIGNATURE
 from pdr_filter.io.spreadsheet import is_spreadsheet
 
@@ -39,6 +40,8 @@ def _detect_among(members: Members) -> str:
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
         return "table"
+    if sensor_logger.is_without_seconds_elapsed(members):
+        return "sensor_logger"
     if "accelerometer.csv" in by_name:
         found = detect_file(members, by_name["accelerometer.csv"])  # an experiment of phyphox may be called so, too
         if found in ("phyphox", "sensor_logger") or (found == "table" and "meta.json" not in by_name):
@@ -67,11 +70,11 @@ def _detect_alone(members: Members) -> str:
     """The format of one file."""
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
-    if name == "accelerometer.csv" and not found:
-        return "own"  # which asks for the folder
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
         return found if found in ("get_sensor_data", "ronin") else "generic_csv"
     head = members.head(name)
+    if not found and path.name == REQUIRED and any(path.with_name(other).is_file() for other in OTHERS):
+        return "own"  # which asks for the folder
     if found == "sensor_logger" and head.lstrip()[:1] not in (b"[", b"{") and not head.startswith(b"SQLite"):
         return "table"  # one sensor of it
     if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t")):

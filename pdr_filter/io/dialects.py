@@ -9,10 +9,19 @@ from __future__ import annotations
 import re
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import PurePosixPath
 
+from pdr_filter.io import limits
+from pdr_filter.io.archive import Members
 from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE
+from pdr_filter.io.files import beside, read_small
+from pdr_filter.io.table import text_rows
 
 _SI: Mapping[str, str] = {ACCELERATION: "m/s2", LINEAR: "m/s2", GRAVITY: "m/s2", RATE: "rad/s", FIELD: "ut"}
+_METADATA = re.compile(r"(?i)(meta|device)[\w ]*\.(csv|json|txt)")
+_PLATFORM = re.compile(
+    r"(?i)\b(?:platform|os|system|device(?:[ _]?(?:name|model|type))?|model)\b\W{1,5}(ios|ip(?:hone|ad)|android)"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -63,6 +72,13 @@ DIALECTS = (
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
     ),
+    Dialect(  # DeviceMotionEvent, also of Expo and Cordova
+        "a web browser",
+        r"accelerationIncludingGravity|\brotationRate[._ ]?(alpha|beta|gamma)\b",
+        "accelerationIncludingGravity",
+        units={**_SI, RATE: "deg/s"},
+        sign=None,
+    ),
     Dialect(
         "MATLAB Mobile",
         r"(Acceleration|AngularVelocity|MagneticField)_?Timestamp|MATLAB Mobile",
@@ -86,3 +102,18 @@ DIALECTS = (
 def dialect_of(text: str) -> Dialect | None:
     """The app that this shows; None if none is known."""
     return next((dialect for dialect in DIALECTS if re.search(dialect.shows, text, re.IGNORECASE)), None)
+
+
+def said_platform(members: Members, about: str = "") -> str:
+    """Platform that the metadata of a recording name, or lines above its tables; empty if none do."""
+    names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
+    contents = [(members.small(name), name) for name in names if members.is_container]
+    for path in () if members.is_container or members.inside else sorted(members.path.parent.glob("[Mm]eta*")):
+        if _METADATA.fullmatch(path.name) and path.is_file():
+            contents.append((read_small(beside(members.path, path.name), limits.MAX_SMALL_BYTES), path.name))
+    for content, name in contents:
+        rows = text_rows(content, name) if name.lower().endswith(".csv") else []
+        about += "\n" + content.decode("utf-8", "replace")
+        about += "".join(f"\n{key}: {value}" for key, value in zip(*rows[:2], strict=False)) if len(rows) > 1 else ""
+    found = _PLATFORM.search(about)
+    return "" if found is None else "android" if found[1].lower() == "android" else "ios"

@@ -20,6 +20,7 @@ from pdr_filter.io.wifi import wifi_of, with_whole_addresses
 from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, table
 
 REQUIRED = "accelerometer.csv"
+OTHERS = ("meta.json", "gyroscope.csv")  # beside it in a recording, one of them at least
 
 
 def read_recording(path: str | Path) -> Recording:
