@@ -170,6 +170,8 @@ def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
     fill(parsed, mapping, data)
     times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
     parsed.clock = f"column {', '.join(times)}" if times else f"rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
     if mapping.rate_hz and not times:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
 
