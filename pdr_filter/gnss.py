@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,8 @@ INTERVAL_S = 10.0
 # Satellites are on one side of a phone: it is off by 95 % of 13 m upwards where it is by 95 % of 8 m along the ground
 # ("GPS standard positioning service performance standard", 5th edition, 2020), twice as much as along each axis.
 _UPWARDS = 2.0
+# Faster than a walk, which has more than one step a second: a run has more than two.
+_RIDE_MPS, _RIDE_STEPS_HZ = 2.5, 0.5
 # A country: more is no location, and its square must stay a number.
 MAX_ACCURACY_M = 1e5
 
@@ -134,6 +137,32 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
     return state.origin, fixes
+
+
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """Stretch of time in which the locations move faster than a walk and the pedestrian makes no steps."""
+
+    begin_s: float
+    end_s: float
+    way_m: float
+
+
+def rides(location: Samples, step_time_s: FloatArray) -> tuple[Ride, ...]:
+    """Rides between the fixes of a whole stream of locations; steps are given by their times (K,)."""
+    found: list[Ride] = []
+    for before, after in pairwise(fixes_of(location)[1]):
+        duration_s = after.time_s - before.time_s
+        way_m = float(np.linalg.norm(after.position_m - before.position_m))
+        n_steps = np.count_nonzero((step_time_s > before.time_s) & (step_time_s <= after.time_s))
+        is_sure = way_m > 3 * math.sqrt(before.var_m2 + after.var_m2)
+        if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
+            continue
+        if found and found[-1].end_s == before.time_s:
+            found[-1] = Ride(found[-1].begin_s, after.time_s, found[-1].way_m + way_m)
+        else:
+            found.append(Ride(before.time_s, after.time_s, way_m))
+    return tuple(found)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
