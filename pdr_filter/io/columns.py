@@ -216,6 +216,21 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     return (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
+def trial_of(name: str) -> str:
+    """Name of a file without suffix and the words of its sensor: `walk1` of `walk1_acc.csv`."""
+    stem = re.sub(r"\.\w+$", "", name.rpartition("/")[2])
+    words = [(word.start(), word.end(), word[0].lower()) for word in _WORD.finditer(stem)]
+    of_sensor = {
+        place
+        for i in range(len(words))
+        for j in range(i + 1, min(i + 3, len(words)) + 1)
+        if "".join(word for _, _, word in words[i:j]) in (*QUANTITY_OF, "sensor", "data", "uncalibrated", "calibrated")
+        for place in range(words[i][0], words[j - 1][1])
+    }
+    left = "".join(" " if place in of_sensor else letter for place, letter in enumerate(stem))
+    return re.sub(r"[\s_.()-]+", "_", left).strip("_")
+
+
 def _accuracy(name: str, unit: str) -> int | None:
     """Preference of an accuracy as that of the horizontal position, 0 if of something else; None of any other name."""
     words = words_of(name)

@@ -19,6 +19,7 @@ from pdr_filter.io.table import text_rows
 
 _SI: Mapping[str, str] = {ACCELERATION: "m/s2", LINEAR: "m/s2", GRAVITY: "m/s2", RATE: "rad/s", FIELD: "ut"}
 _METADATA = re.compile(r"(?i)(meta|device)[\w ]*\.(csv|json|txt)")
+_STANDARDISED = re.compile(r"(?i)standardisation\W+(true|1)\b")  # Sensor Logger writes Android's signs on both then
 _PLATFORM = re.compile(
     r"(?i)\b(?:platform|os|system|device(?:[ _]?(?:name|model|type))?|model)\b\W{1,5}(ios|ip(?:hone|ad)|android)"
 )
@@ -105,7 +106,7 @@ def dialect_of(text: str) -> Dialect | None:
 
 
 def said_platform(members: Members, about: str = "") -> str:
-    """Platform that the metadata of a recording name, or lines above its tables; empty if none do."""
+    """Platform whose signs the metadata of a recording name, or lines above its tables; empty if none do."""
     names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
     contents = [(members.small(name), name) for name in names if members.is_container]
     for path in () if members.is_container or members.inside else sorted(members.path.parent.glob("[Mm]eta*")):
@@ -116,4 +117,6 @@ def said_platform(members: Members, about: str = "") -> str:
         about += "\n" + content.decode("utf-8", "replace")
         about += "".join(f"\n{key}: {value}" for key, value in zip(*rows[:2], strict=False)) if len(rows) > 1 else ""
     found = _PLATFORM.search(about)
-    return "" if found is None else "android" if found[1].lower() == "android" else "ios"
+    if found is None:
+        return ""
+    return "android" if found[1].lower() == "android" or _STANDARDISED.search(about) else "ios"
