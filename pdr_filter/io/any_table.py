@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -9,11 +10,11 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.columns import ACCELERATION, VECTORS, letters, quantity_of_file
+from pdr_filter.io.columns import ACCELERATION, LINEAR, SENSOR_CODES, VECTORS, letters, quantity_of_file, words_of
 from pdr_filter.io.dialects import dialect_of, said_platform
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
-from pdr_filter.io.guess import Guess, guess
+from pdr_filter.io.guess import Guess, columns_by_content, guess
 from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.io.mapping import Mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
@@ -24,6 +25,8 @@ from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
 from pdr_filter.io.table import UNKNOWN
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
+_TYPES = ("type", "name", "sensor", "sensortype", "event", "eventtype", "kind")  # that say of which sensor a row is
+_NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
 
@@ -126,11 +129,22 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
                 found += matlab_sheets(members, name)
     if not found:
         listed = ", ".join(members.names[:8])
-        raise RecordingError(
-            f"{members.path}: no table of samples in it (found: {listed or 'nothing'}); a table has a line of names, "
-            "and below it a line of numbers for each sample, two or more"
-        )
+        head = members.head(members.names[0], 4096) if members.names else b""
+        no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
+        why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
+        raise RecordingError(f"{members.path}: {why}")
     return found
+
+
+def _named_values(head: bytes) -> str:
+    """Why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` are not read; empty of others."""
+    found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
+    if found is None:
+        return ""
+    return (
+        f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and the "
+        "sensor of each line in a column of its own, as in sensor,time,x,y,z"
+    )
 
 
 def _check_one_device(sheet: TextSheet) -> None:
@@ -150,9 +164,12 @@ def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:
     """A table with a row for each sample of any sensor, whose name is in a column, as a table for each sensor."""
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
-        return [sheet]
-    parts = sheet.by_text(column)
-    return parts if any(quantity_of_file(part.name)[0] == ACCELERATION for part in parts) else [sheet]
+        column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
+    parts = [] if column is None else sheet.by_text(column)
+    if all(part.name.strip() in SENSOR_CODES for part in parts):
+        parts = [replace(part, name=SENSOR_CODES[part.name.strip()]) for part in parts]
+    is_split = any(quantity_of_file(part.name)[0] in (ACCELERATION, LINEAR) for part in parts)
+    return parts if is_split else [sheet]
 
 
 def _is_text(name: str, members: Members) -> bool:
@@ -178,16 +195,20 @@ def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     """Why tables without a sensor that is known cannot be read, and the mapping to write."""
-    fields = sheets[0].fields
-    if all(name.startswith("column ") for name in fields):
-        return "its first line has numbers; write a line with the names of the columns above it"
-    columns = [name.replace('"', "'") for name in (*fields, "?", "?", "?", "?")]
+    sheet = sheets[0]
+    if all(name.startswith("column ") for name in sheet.fields):
+        head = next(iter(sheet.blocks()), b"")[:4096] if isinstance(sheet, TextSheet) else b""
+        numbers = "its first line has numbers; write a line with the names of the columns above it"
+        return _named_values(head) or numbers
+    time, time_unit, force, unit = columns_by_content(sheet)
+    time, *force = [name.replace('"', "'") for name in (time, *force)]
     return (
-        f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what "
-        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if "
-        f"a phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
-        f'time = {{ column = "{columns[0]}", unit = "s" }}\n'
-        f'accelerometer = {{ columns = ["{columns[1]}", "{columns[2]}", "{columns[3]}"], unit = "m/s2", sign = 1 }}\n'
+        f"no column that is known to be of a sensor. Columns seen: {', '.join(sheet.fields[:30])[:300]}. Say which is "
+        "what in a file like this, where ? stands for what the values do not show, with your columns, unit of time (s, "
+        "ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a phone lying face up reads negative on z), and give it "
+        f"with pdr-filter convert {path.name} --map MAP.toml:\n"
+        f'time = {{ column = "{time}", unit = "{time_unit}" }}\n'
+        f'accelerometer = {{ columns = ["{force[0]}", "{force[1]}", "{force[2]}"], unit = "{unit}", sign = 1 }}\n'
     )
 
 
@@ -198,7 +219,8 @@ def sensors_of(members: Members, name: str) -> set[str]:
             sheets: Sequence[Sheet] = json_fields(members, name)
         else:
             sheet = text_sheet(members, name)
-            sheets = [] if sheet is None else [sheet]
+            named = [] if sheet is None else [t for t in sheet.texts.values() if quantity_of_file(t)[0] in VECTORS]
+            sheets = [] if sheet is None else [replace(sheet, name=named[0]) if named else sheet]
     except RecordingError:
         return set()
     try:

@@ -72,6 +72,12 @@ _OF_OTHERS = re.compile(
     r"|\u901f|\uc18d\ub3c4|\u0441\u043a\u043e\u0440"
 )
 _OF_OTHERS_WORDS = {"v", "s", "alt", "ele", "vel", "head", "cap", "dir", "yaw", "acc", "mag", "sensor"}
+# Of android.hardware.Sensor, which loggers write in place of a name; and letters.
+SENSOR_CODES = {
+    **{"1": ACCELERATION, "2": FIELD, "4": RATE, "5": "light", "6": "pressure", "8": "proximity", "9": GRAVITY},
+    **{"10": LINEAR, "14": "magnetometer raw", "16": "gyroscope raw", "35": "accelerometer raw"},
+    **{"a": ACCELERATION, "g": RATE, "m": FIELD, "A": ACCELERATION, "G": RATE, "M": FIELD},
+}
 # What a unit alone says of a column whose word is in a language that is not known.
 OF_UNIT = {
     **dict.fromkeys(("m/s^2", "m/s2"), ACCELERATION),

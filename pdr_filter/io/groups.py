@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -45,6 +46,10 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     """The sensors of a table."""
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
+    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
+    if len(numbered) == len(_AXES):  # value1, value2, value3
+        for i, axis in zip(numbered, _AXES, strict=True):
+            columns[i] = Column(i, sheet.fields[i], "", axis)
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
     nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
@@ -79,14 +84,14 @@ def _group(
 def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
     """Columns by their order: the time, then the axes of the sensor that the name of the file says."""
     quantity, _ = quantity_of_file(sheet.name)
-    times = times or [0]
-    if not quantity or len(sheet.fields) < (4 if quantity in VECTORS else 2):
-        return [], times
-    first = times[0] + 1
+    numbers = [i for i in range(len(sheet.fields)) if i not in getattr(sheet, "texts", ())]
+    times = times or numbers[:1]
     axes = _AXES if quantity in VECTORS else ("",)
+    after = [i for i in numbers if i > times[0]][: len(axes)] if times else []
+    if not quantity or len(after) < len(axes):
+        return [], times
     bare = "" if quantity in VECTORS else quantity
-    names = sheet.fields[first : first + len(axes)]
-    return [Column(first + i, name, bare, axes[i]) for i, name in enumerate(names)], times
+    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(after, axes, strict=True)], times
 
 
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:

@@ -6,6 +6,7 @@ What names and values leave open is said: units from values, the sign of an app 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -20,6 +21,7 @@ from pdr_filter.io.evidence import constant_part, turning
 from pdr_filter.io.groups import Group
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheet_data import SheetData, is_new_place
+from pdr_filter.io.sheets import Sheet
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
 # Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
@@ -128,6 +130,27 @@ def guess(
         where=where,
     )
     return result
+
+
+def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
+    """Time and accelerometer of a table as its values show them, each with its unit; "?" where they show none."""
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in getattr(sheet, "texts", ())]
+    time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
+    with suppress(RecordingError):
+        values = sheet.table(numbers, None, []).values
+        increasing = [k for k in range(len(numbers)) if len(values) > 1 and (np.diff(values[:, k]) > 0).all()]
+        per_tick = {k: (len(values) - 1) / np.ptp(values[:, k]) for k in increasing}
+        # A count of the rows increases, too.
+        for k in sorted(increasing, key=lambda k: per_tick[k] == 1.0)[:1]:
+            time, time_unit = sheet.fields[numbers[k]], _time_unit(values[:, k])
+            at_s = values[:, k] * TIME_UNITS[time_unit]
+            triples = [slice(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
+            for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
+                parts = {constant_part(at_s, values[:, triple]) / gravity: triple for triple in triples}
+                low, high = _G_OF_GRAVITY
+                if fitting := [part for part in parts if low <= part <= high]:
+                    return time, time_unit, [sheet.fields[i] for i in numbers[parts[max(fitting)]]], unit
+    return time, time_unit, ["?"] * 3, "m/s2"
 
 
 def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
@@ -321,7 +344,8 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     if dialect is None and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
-            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"
+            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android, "
+            'and in Python with pdr.read(path, platform="ios")'
         )
     result.notes.append(
         "accelerometer: nothing in the file shows its sign, so Android's is taken; if a phone lying face up reads "

@@ -114,7 +114,9 @@ class TextSheet:
             rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
             if self.only is not None:
                 column, text = self.only
-                pattern = self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?' + self._mark + rb".*\n?"
+                pattern = (
+                    self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?(?=\\s|$|' + self._mark + rb").*\n?"
+                )
                 rows = b"".join(re.findall(pattern, rows))
             if rows:
                 yield rows
