@@ -142,8 +142,8 @@ def _named_values(head: bytes) -> str:
     if found is None:
         return ""
     return (
-        f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and the "
-        "sensor of each line in a column of its own, as in sensor,time,x,y,z"
+        f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
+        "the sensor of each line in a column of its own, as in sensor,time,x,y,z"
     )
 
 

@@ -219,6 +219,8 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     fitting = [word for word in fitting if word not in ("rotation", "rot")]
     found = "".join(words)
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
+    if _WITH_GRAVITY.search(found):
+        return ACCELERATION, preference
     return (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
@@ -270,7 +272,7 @@ def column_of(place: int, name: str) -> Column:
         if quantity == ROTATION and unit:
             quantity = RATE if unit in UNITS[RATE] else ""
         if quantity in VECTORS and (len(axis) == 1 or quantity == RATE):
-            unit = unit or ("g" if "".join(rest) in ("gf", "gforce") else "")
+            unit = unit or ("g" if "".join(rest) in ("gf", "gforce") else "deg/s" if axis in _GREEK_AXES else "")
             return Column(place, name, quantity, _GREEK_AXES.get(axis, axis), unit, "".join(rest), preference)
     quantity, preference = quantity_of_words(words)
     axis_found = _AXIS_ALONE.search(bare)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.io import (
@@ -21,6 +23,7 @@ from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.matlab import is_matlab
 from pdr_filter.io.own_format import OTHERS, REQUIRED
 from pdr_filter.io.ronin import SIGNATURE
+from pdr_filter.io.sheets import text_sheet
 from pdr_filter.io.spreadsheet import is_spreadsheet
 
 
@@ -59,11 +62,20 @@ def _detect_among(members: Members) -> str:
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
     # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
-    return (
-        of_apps[0]
-        if of_apps and not (of_apps == ["phyphox"] and "table" in found)
-        else ("table" if "table" in found else "own")
-    )
+    if of_apps and not (of_apps == ["phyphox"] and "table" in found):
+        return of_apps[0]
+    is_table = "table" in found or any(map(partial(_is_unknown_table, members), texts[: limits.MAX_FILES_LOOKED_AT]))
+    return "table" if is_table else "own"
+
+
+def _is_unknown_table(members: Members, name: str) -> bool:
+    """True for a text with rows of numbers that is not of the project's own format: reading says what it lacks."""
+    head = members.head(name)
+    if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
+        return False
+    with suppress(RecordingError):
+        return text_sheet(members, name) is not None
+    return False
 
 
 def _detect_alone(members: Members) -> str:

@@ -77,7 +77,6 @@ DIALECTS = (
         "a web browser",
         r"accelerationIncludingGravity|\brotationRate[._ ]?(alpha|beta|gamma)\b",
         "accelerationIncludingGravity",
-        units={**_SI, RATE: "deg/s"},
         sign=None,
     ),
     Dialect(
@@ -109,7 +108,7 @@ def said_platform(members: Members, about: str = "") -> str:
     """Platform whose signs the metadata of a recording name, or lines above its tables; empty if none do."""
     names = [name for name in members.names if _METADATA.fullmatch(PurePosixPath(name).name)]
     contents = [(members.small(name), name) for name in names if members.is_container]
-    for path in () if members.is_container or members.inside else sorted(members.path.parent.glob("[Mm]eta*")):
+    for path in () if members.is_container or members.inside else sorted(members.path.parent.glob("[MmDd]e[tv][ai]*")):
         if _METADATA.fullmatch(path.name) and path.is_file():
             contents.append((read_small(beside(members.path, path.name), limits.MAX_SMALL_BYTES), path.name))
     for content, name in contents:

@@ -285,8 +285,6 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
             is_deg = median_norm(s.values) > limits.MAX_MEDIAN_ANGULAR_RATE_RADPS
             is_deg = is_deg or (factor is not None and 0 < factor < _DEGREES_BELOW)
             s = replace(s, unit="deg/s" if is_deg else "rad/s")
-        elif not s.group.unit and s.unit == "deg/s" and factor is not None and factor > 1 / _DEGREES_BELOW:
-            s = replace(s, unit="rad/s")  # browsers before 2017 wrote these
         result.evidence.append(f"gyroscope: {name}, {_NAMES.get(s.unit, s.unit)}; {turns}")
         return s
     if not s.unit and quantity == FIELD:
