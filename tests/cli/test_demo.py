@@ -14,6 +14,7 @@ from rich.console import Console
 import pdr_filter as pdr
 from pdr_filter.cli.demo import Demo, run_demo
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.report.page_data import track_data
 
 
 @pytest.fixture(scope="module")
@@ -132,3 +133,19 @@ def test_progress_reaches_one(tmp_path: Path) -> None:
     fractions: list[float] = []
     run_demo(None, tmp_path, fractions.append)
     assert fractions[-1] == 1.0
+
+
+def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simulated: Demo) -> None:
+    data = track_data(simulated.track, simulated.recording, None, 1)
+    shown = f"{data['from_truth'][-1]:.1f} m from the true way"
+    assert shown in printed(simulated)
+    assert f'"from_truth":{json.dumps(data["from_truth"], separators=(",", ":"))}' in simulated.report.read_text()
+
+
+def test_a_note_that_was_said_is_not_said_again(simulated: Demo) -> None:
+    noted = replace(simulated, track=replace(simulated.track, notes=("the height is not known",)))
+    console, said = Console(width=100, highlight=False), set[str]()
+    with console.capture() as capture:
+        for _ in range(3):
+            noted.print(console, said)
+    assert capture.get().count("the height is not known") == 1
