@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 
 import pytest
@@ -24,6 +25,11 @@ WORDS = {
 }
 
 
+def printed(capsys: pytest.CaptureFixture[str]) -> str:
+    """What was printed, without the styles of the terminal."""
+    return re.sub(r"\x1b\[[0-9;]*m", "", capsys.readouterr().out)
+
+
 @pytest.fixture
 def terminal(monkeypatch: pytest.MonkeyPatch) -> pytest.MonkeyPatch:
     """A terminal without colours."""
@@ -39,7 +45,7 @@ def test_a_table_is_no_wider_than_the_terminal_and_breaks_no_word(
 ) -> None:
     terminal.setenv("COLUMNS", str(columns))
     console.print_tracks([TRACK, replace(TRACK, name="a_walk_in_the_corridor")])
-    table = capsys.readouterr().out.partition("±: one")[0]
+    table = printed(capsys).partition("±: one")[0]
     assert max(map(len, table.splitlines())) <= columns
     assert all(word in table for word in {*WORDS, "a_walk_in_the_corridor"})
 
@@ -51,7 +57,7 @@ def test_each_part_of_a_table_begins_with_what_tells_its_rows_apart(
     table = console.new_table("recording", "track", "first number", "second number", "third number", n_keys=2)
     table.add_row("walk", "hc", "100000.0 m", "200000.0 m", "300000.0 m")
     console.print_table(table)
-    rows = [line for line in capsys.readouterr().out.splitlines() if "00000.0 m" in line]
+    rows = [line for line in printed(capsys).splitlines() if "00000.0 m" in line]
     assert len(rows) > 1
     assert all(line.split()[:2] == ["walk", "hc"] for line in rows)
     assert [n for line in rows for n in ("1", "2", "3") if f"{n}00000.0 m" in line] == ["1", "2", "3"]
