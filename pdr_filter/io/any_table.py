@@ -18,9 +18,10 @@ from pdr_filter.io.guess import Guess, columns_by_content, guess
 from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.io.mapping import Mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
+from pdr_filter.io.phyphox import read_experiment
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sheet_data import SheetData, fill
-from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
+from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet, text_sheets
 from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
 from pdr_filter.io.table import UNKNOWN
 
@@ -68,7 +69,8 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             platform = platform or said or None
         found = guess(data, groups, dialect, platform, where)
         _fill(parsed, found.mapping, data)
-    parsed.source = found.source
+        parsed.source = found.source
+        read_experiment(members, parsed)
     parsed.found += found.evidence
     used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
@@ -113,11 +115,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     else:
         texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
         of_json = [name for name in texts if looks_like(members.head(name, 4096))]
-        whole = [
-            sheet
-            for name in texts
-            if name not in of_json and (sheet := text_sheet(members, name, separator)) is not None
-        ]
+        whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
             _check_one_device(sheet)
         found = [part for sheet in whole for part in _by_sensor(sheet)]
@@ -214,9 +212,10 @@ def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
 
 def sensors_of(members: Members, name: str) -> set[str]:
     """Sensors that the columns of a text name; none of a text that is no table."""
+    sheets: Sequence[Sheet]
     try:
         if looks_like(members.head(name)):
-            sheets: Sequence[Sheet] = json_fields(members, name)
+            sheets = json_fields(members, name)
         else:
             sheet = text_sheet(members, name)
             named = [] if sheet is None else [t for t in sheet.texts.values() if quantity_of_file(t)[0] in VECTORS]

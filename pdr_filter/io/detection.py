@@ -12,7 +12,6 @@ from pdr_filter.io import (
     indoor_location,
     json_tables,
     limits,
-    phyphox,
     ros_bag,
     sensor_logger,
 )
@@ -46,8 +45,8 @@ def _detect_among(members: Members) -> str:
     if sensor_logger.is_without_seconds_elapsed(members):
         return "sensor_logger"
     if "accelerometer.csv" in by_name:
-        found = detect_file(members, by_name["accelerometer.csv"])  # an experiment of phyphox may be called so, too
-        if found in ("phyphox", "sensor_logger") or (found == "table" and "meta.json" not in by_name):
+        found = detect_file(members, by_name["accelerometer.csv"])
+        if found == "sensor_logger" or (found == "table" and "meta.json" not in by_name):
             return found
         return "own"
     if "data.hdf5" in by_name and members.path.is_dir():
@@ -61,8 +60,7 @@ def _detect_among(members: Members) -> str:
     ]
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
-    # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
-    if of_apps and not (of_apps == ["phyphox"] and "table" in found):
+    if of_apps:
         return of_apps[0]
     is_table = "table" in found or any(map(partial(_is_unknown_table, members), texts[: limits.MAX_FILES_LOOKED_AT]))
     return "table" if is_table else "own"
@@ -112,8 +110,6 @@ def detect_file(members: Members, name: str) -> str:
     if get_sensor_data.looks_like(head):
         return "get_sensor_data"
     line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
-    if phyphox.looks_like(line):
-        return "phyphox"
     if sensor_logger.looks_like(line):
         return "sensor_logger"
     if core_motion.looks_like(line):

@@ -44,6 +44,11 @@ class Dialect:
 
 
 DIALECTS = (
+    Dialect(  # in any language
+        "phyphox",
+        r"(?m:^[^(),]+ \(s\),.*\b[xyz] \((m/s(\^2|\u00b2)|g)\))|(?m:^(.*/)?meta/device\.csv$)",
+        "'Acceleration with g' in phyphox",
+    ),
     Dialect(
         "Physics Toolbox",
         r"\bgFx\b|(?m:^time[,;\t]\s*ax\b.*\baT\b)",
@@ -89,11 +94,6 @@ DIALECTS = (
         r"\btime,seconds_elapsed\b",
         "TotalAcceleration, or Gravity beside Accelerometer, in Sensor Logger",
         sign=None,
-    ),
-    Dialect(  # in any language
-        "phyphox",
-        r"(?m:^[^(),]+ \(s\),.*\b[xyz] \(m/s(\^2|\u00b2)\))|(?m:^(.*/)?meta/device\.csv$)",
-        "'Acceleration with g' in phyphox",
     ),
     Dialect("senslogs", r"\brecord\.properties\b", "accelerometer.txt in senslogs"),
 )

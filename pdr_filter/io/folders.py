@@ -119,7 +119,7 @@ def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
                 continue
             n_looked_at += 1
             format = detect_file(members, name)
-            sensors = sensors_of(members, name) if format in ("phyphox", "sensor_logger", "table") else set[str]()
+            sensors = sensors_of(members, name) if format in ("sensor_logger", "table") else set[str]()
             has_force = ACCELERATION in sensors or {LINEAR, GRAVITY} <= sensors
             if format in _WHOLE or (has_force and sensors - {ACCELERATION, LINEAR, GRAVITY}):
                 whole.append(name)

@@ -14,7 +14,6 @@ from pdr_filter.io.generic_csv import read_generic_csv
 from pdr_filter.io.get_sensor_data import read_get_sensor_data
 from pdr_filter.io.indoor_location import read_indoor_location
 from pdr_filter.io.own_format import read_recording
-from pdr_filter.io.phyphox import read_phyphox
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.ronin import read_ronin
 from pdr_filter.io.ros_bag import read_ros_bag
@@ -23,7 +22,7 @@ from pdr_filter.io.sensor_logger import read_sensor_logger
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
     "sensor_logger": read_sensor_logger,
-    "phyphox": read_phyphox,
+    "phyphox": read_table,
     "get_sensor_data": read_get_sensor_data,
     "indoor_location": read_indoor_location,
     "core_motion": read_core_motion,

@@ -332,9 +332,9 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     if dialect is not None and dialect.sign is not None:
         if platform is not None:
             raise RecordingError(
-                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave --platform out"
+                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave platform out"
             )
-        result.evidence.append(f"sign: {dialect.sign:+d}, as {dialect.app} writes it")
+        result.evidence.append(f"sign: {'Android' if dialect.sign > 0 else 'Apple'}'s, as {dialect.app} writes it")
         return dialect.sign
     if platform is not None:
         result.evidence.append(f"sign: that of {platform}, as given or as the metadata say")

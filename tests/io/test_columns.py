@@ -5,7 +5,6 @@ from __future__ import annotations
 import pytest
 
 from pdr_filter.io.columns import column_of, is_time
-from pdr_filter.io.phyphox import looks_like
 
 
 @pytest.mark.parametrize(
@@ -32,10 +31,3 @@ def test_a_unit_behind_the_axis_is_that_of_the_column(name: str, quantity: str, 
 @pytest.mark.parametrize("name", ["ts", "t", "timestamp_ms", "elapsed", "Tiempo (s)", "\u6642\u9593"])
 def test_short_names_of_a_time_are_known(name: str) -> None:
     assert is_time(name)
-
-
-def test_a_table_whose_columns_have_no_units_is_not_one_of_phyphox() -> None:
-    assert looks_like('"Time (s)";"Acceleration x (m/s^2)"')
-    assert looks_like("Time (s),Acceleration x (m/s^2),Acceleration y (m/s^2)")
-    # Physics Toolbox with several sensors at once
-    assert not looks_like("Time (s),gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)")
