@@ -127,7 +127,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
                 found += matlab_sheets(members, name)
     if not found:
         listed = ", ".join(members.names[:8])
-        head = members.head(members.names[0], 4096) if members.names else b""
+        head = b"" if members.is_container else next(members.pieces(members.names[0]), b"")[:4096]
         no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
         why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
         raise RecordingError(f"{members.path}: {why}")

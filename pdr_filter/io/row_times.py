@@ -11,6 +11,8 @@ from pdr_filter.values import FloatArray, IntArray, how_many
 
 Streams = Mapping[str, tuple[FloatArray, FloatArray]]
 
+# The clock of a phone goes back by a few of its ticks, of 10 ms in OxIOD: such times stay as recorded.
+_JITTER_S = 0.1
 # Share of the rows that repeat the time of the row before: in packs of two it is a half, in a phone's jitter a few
 # hundredths.
 _PACKED_SHARE = 1 / 3
@@ -82,8 +84,9 @@ def spread(
 
 
 def _n_late(time_s: FloatArray) -> int:
-    """Number of rows with an earlier time than a row above them."""
-    return int((time_s < np.fmax.accumulate(time_s)).sum()) if len(time_s) else 0
+    """Number of rows with an earlier time than a row above them; 0 if only the clock jitters."""
+    late_s = np.fmax.accumulate(time_s) - time_s
+    return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
 
 
 def _order(time_s: FloatArray) -> IntArray | None:
