@@ -184,7 +184,7 @@ def _places_of(groups: Sequence[Group], sheet: int) -> tuple[int, ...]:
 def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
     fill(parsed, mapping, data)
     times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
-    parsed.clock = f"column {', '.join(times)}" if times else f"rows at {mapping.rate_hz:g} Hz"
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
     parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
     parsed.rate_hz = mapping.rate_hz if times else 0.0
     if mapping.rate_hz and not times:

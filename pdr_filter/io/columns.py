@@ -18,6 +18,7 @@ ACCELERATION, LINEAR, GRAVITY = "acceleration", "linear_acceleration", "gravity"
 RATE, FIELD = "gyroscope", "magnetometer"
 ROTATION = "rotation"  # of some apps the angular rate, of others the orientation
 VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
+ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
@@ -106,6 +107,7 @@ _RATES = {
 UNITS: dict[str, dict[str, float]] = {
     **dict.fromkeys((ACCELERATION, LINEAR, GRAVITY), _ACCELERATIONS),
     **dict.fromkeys((RATE, ROTATION), _RATES),
+    ANGLES: {"rad": 1.0, "radians": 1.0, "deg": math.pi / 180, "\u00b0": math.pi / 180},
     FIELD: {"ut": 1.0, "mt": 1000.0, "t": 1e6, "gauss": 100.0, "g": 100.0},
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},
@@ -265,6 +267,8 @@ def column_of(place: int, name: str) -> Column:
     stem = "".join(words)
     if alone := _BARE.fullmatch(stem):
         return Column(place, name, "", alone[1] or alone[2], unit)
+    if angle := re.fullmatch(r"attitude(roll|pitch|yaw)(radians)?", stem):
+        return Column(place, name, ANGLES, angle[1], "rad" if angle[2] else unit, "attitude")
     if (accuracy := _accuracy(bare, unit)) is not None:
         return Column(place, name, "accuracy" if accuracy else "", "", unit, stem, accuracy)
     for axis, rest in _axes_of(words):

@@ -7,7 +7,6 @@ from functools import partial
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.io import (
-    core_motion,
     get_sensor_data,
     indoor_location,
     json_tables,
@@ -112,7 +111,5 @@ def detect_file(members: Members, name: str) -> str:
     line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
     if sensor_logger.looks_like(line):
         return "sensor_logger"
-    if core_motion.looks_like(line):
-        return "core_motion"
     is_own = line.startswith("time_s,")
     return "table" if not is_own and name.lower().endswith(TEXTS) and is_of_sensors(members, name) else ""

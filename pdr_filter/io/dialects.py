@@ -35,12 +35,13 @@ class Dialect:
     units: Mapping[str, str] = field(default_factory=lambda: _SI)  # where the header says none
     sign: int | None = 1  # of acceleration and gravity; None if it is Android's there and another on iOS
     period_ms: str = ""  # regular expression of the time between rows, for tables without a time
+    usual_period_ms: float = 0.0  # of tables without a time that do not say it
 
-    def period_of(self, about: str) -> float | None:
-        """The time between rows in ms that the lines above a table say; None if they say none that can be."""
+    def period_of(self, about: str) -> float:
+        """Time between rows in ms: that of the lines above a table, else the usual one; 0 if it is not known."""
         found = re.search(self.period_ms, about) if self.period_ms else None
         period_ms = float(found[1]) if found else 0.0
-        return period_ms if 0.1 < period_ms < 1e6 else None
+        return period_ms if 0.1 < period_ms < 1e6 else self.usual_period_ms
 
 
 DIALECTS = (
@@ -77,6 +78,7 @@ DIALECTS = (
         "gravity beside userAcceleration",
         units={**_SI, ACCELERATION: "g", LINEAR: "g", GRAVITY: "g"},
         sign=-1,
+        usual_period_ms=20.0,  # of MotionSense (github.com/mmalekzadeh/motion-sense), which has no times
     ),
     Dialect(  # DeviceMotionEvent, also of Expo and Cordova
         "a web browser",

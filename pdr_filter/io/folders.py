@@ -19,7 +19,7 @@ _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
 # Files whose names say that the folder around them is one recording.
 _MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
-_WHOLE = ("get_sensor_data", "indoor_location", "core_motion", "ronin")
+_WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:

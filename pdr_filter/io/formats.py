@@ -6,7 +6,6 @@ from collections.abc import Callable
 from pathlib import Path
 
 from pdr_filter.io.any_table import read_table
-from pdr_filter.io.core_motion import read_core_motion
 from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import only_recording_in
@@ -25,7 +24,7 @@ FORMATS: dict[str, Callable[[Path], Recording]] = {
     "phyphox": read_table,
     "get_sensor_data": read_get_sensor_data,
     "indoor_location": read_indoor_location,
-    "core_motion": read_core_motion,
+    "core_motion": read_table,
     "ronin": read_ronin,
     "ros_bag": read_ros_bag,
     "table": read_table,

@@ -8,6 +8,8 @@ from dataclasses import dataclass
 
 from pdr_filter.io.columns import (
     ACCELERATION,
+    ANGLES,
+    LINEAR,
     LOCATION,
     OF_UNIT,
     SCALARS,
@@ -26,6 +28,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.sheets import Sheet
 
 _AXES = ("x", "y", "z")
+_ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,6 +70,10 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
             )
         places = tuple(column.place for column in axes)
         groups.append(_group(sheet, at, quantity, places, times, unit, preference))
+    angles = [column for name in _ANGLES for column in columns if column.quantity == ANGLES and column.axis == name]
+    if len(angles) == len(_ANGLES):
+        places = tuple(column.place for column in angles)
+        groups.append(_group(sheet, at, ANGLES, places, times, angles[0].unit, 1))
     groups += _scalars(sheet, at, columns, times)
     return groups
 
@@ -103,7 +110,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
     for column in columns:
         quantity = column.quantity
         says_little = not quantity or (len(column.stem) == 1 and not differ)
-        if not column.axis or (says_little and of_file and of_file not in VECTORS):
+        if column.axis not in _AXES or (says_little and of_file and of_file not in VECTORS):
             continue
         if says_little:
             before = max((t for t in times if t < column.place), default=-1)
@@ -120,7 +127,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
         if all(axis in axes for axis in _AXES):
             preference = min(axes[axis].preference for axis in _AXES) if named else of_file_preference
             triples.append((quantity, [axes[axis] for axis in _AXES], preference))
-        elif quantity == ACCELERATION and stem:
+        elif quantity in (ACCELERATION, LINEAR) and stem:
             missing = ", ".join(axis for axis in _AXES if axis not in axes)
             raise RecordingError(
                 f"{sheet.where}: {next(iter(axes.values())).name!r} is one axis of the accelerometer, and there is no "
@@ -138,7 +145,7 @@ def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[i
         if not quantity and of_file in SCALARS and (column.axis == "x" or len(columns) == 1):
             quantity = of_file
         best = first.get(quantity)
-        if quantity and quantity not in VECTORS and (best is None or column.preference > best.preference):
+        if quantity and quantity not in (*VECTORS, ANGLES) and (best is None or column.preference > best.preference):
             first[quantity] = column
     groups = [
         _group(sheet, at, q, (c.place,), times, c.unit if c.unit in UNITS[q] else "", 1)

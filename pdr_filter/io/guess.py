@@ -13,7 +13,18 @@ from typing import Any
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, ROTATION, SCALARS, TIME_UNITS, UNITS
+from pdr_filter.io.columns import (
+    ACCELERATION,
+    ANGLES,
+    FIELD,
+    GRAVITY,
+    LINEAR,
+    RATE,
+    ROTATION,
+    SCALARS,
+    TIME_UNITS,
+    UNITS,
+)
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.dialects import Dialect
 from pdr_filter.io.errors import RecordingError
@@ -92,7 +103,7 @@ def guess(
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
     time_s, force = forces[0].time_s, _force(forces)
-    for quantity in (RATE, FIELD, *SCALARS, "location"):
+    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
             near = max(
@@ -157,7 +168,7 @@ def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: D
     """The rate of tables without a time; zero if all have one."""
     if all(group.time is not None for group in groups):
         return 0.0
-    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)) is not None:
+    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)):
         return 1000 / period_ms
     names = ", ".join(data[groups[0].sheet].sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
@@ -298,7 +309,7 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         fits = [u for u in ("hpa", "pa", "kpa") if low <= norm * UNITS[quantity][u] <= high]
         s = replace(s, unit=fits[0] if fits else "hpa")
     elif not s.unit:
-        s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
+        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
 

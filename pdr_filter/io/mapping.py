@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import Any, cast
 
 from pdr_filter.io.archive import read_toml
-from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, TIME_UNITS, UNITS
+from pdr_filter.io.columns import ACCELERATION, ANGLES, FIELD, GRAVITY, LINEAR, RATE, TIME_UNITS, UNITS
 from pdr_filter.io.errors import RecordingError
 
 # For each stream: how many columns, and its units with the factor to the one of `Recording`; "" if none is needed.
@@ -19,6 +19,7 @@ STREAMS: dict[str, tuple[int, dict[str, float]]] = {
     "light": (1, {"lux": 1.0, "": 1.0}),
     "proximity": (1, {"cm": 1.0, "mm": 0.1, "m": 100.0, "": 1.0}),
     "attitude": (4, {"": 1.0}),
+    ANGLES: (3, {"rad": 1.0, "deg": UNITS[RATE]["deg/s"]}),
     "location": (4, {"": 1.0}),
 }
 _SIGNED = ("accelerometer", GRAVITY, LINEAR)
