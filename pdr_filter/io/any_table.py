@@ -16,7 +16,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
 from pdr_filter.io.guess import Guess, columns_by_content, guess
 from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
-from pdr_filter.io.mapping import Mapping
+from pdr_filter.io.mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
 from pdr_filter.io.phyphox import read_experiment
 from pdr_filter.io.recording import Recording
@@ -82,6 +82,17 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         return Tables(parsed.recording(), found)
     except RecordingError as error:
         raise RecordingError(f"{error} (read as {found.source})") from error
+
+
+def read_generic_csv(path: str | Path) -> Recording:
+    """Return the recording in a table, as the TOML file beside it says; RecordingError without one that fits."""
+    path = Path(path)
+    if not (mapping := mapping_beside(path)).is_file():
+        raise RecordingError(
+            f"{path}: no {mapping.name} beside it that says which column is what; "
+            f"pdr-filter convert {path.name} shows a mapping to begin with"
+        )
+    return read_mapped(path, read_mapping(mapping))
 
 
 def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:

@@ -17,7 +17,7 @@ from pdr_filter.io import (
 from pdr_filter.io.any_table import TEXTS, is_of_sensors
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.mapping import mapping_beside
 from pdr_filter.io.matlab import is_matlab
 from pdr_filter.io.own_format import OTHERS, REQUIRED
 from pdr_filter.io.ronin import SIGNATURE

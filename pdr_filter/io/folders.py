@@ -12,8 +12,8 @@ from pdr_filter.io.archive import IN_PLACE, Members, open_members, zips_among
 from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.json_tables import SUFFIXES
+from pdr_filter.io.mapping import mapping_beside
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}

@@ -5,11 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from pdr_filter.io.any_table import read_table
+from pdr_filter.io.any_table import read_generic_csv, read_table
 from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import only_recording_in
-from pdr_filter.io.generic_csv import read_generic_csv
 from pdr_filter.io.get_sensor_data import read_get_sensor_data
 from pdr_filter.io.indoor_location import read_indoor_location
 from pdr_filter.io.own_format import read_recording
