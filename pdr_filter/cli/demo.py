@@ -131,7 +131,7 @@ def _facts(demo: Demo) -> Table:
 
 
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
-    """The true values; how far the end is off is the number that the report shows, of a way that was made to fit."""
+    """True steps and distance, and the end error of the report, after the true way was turned and shifted to fit."""
     truth = recording.truth
     assert truth.steps is not None and truth.segments is not None  # of every simulated recording
     apart_m = track_data(result, recording, None, 1)["from_truth"][-1]

@@ -75,7 +75,7 @@ class Mapping:
 
 
 def mapping_beside(path: Path) -> Path:
-    """Where the mapping of a file is: walk.toml or walk.csv.toml beside walk.csv."""
+    """Path of the mapping of a file: walk.toml or walk.csv.toml beside walk.csv."""
     longer = beside(path, path.name + ".toml")
     return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 

@@ -59,7 +59,7 @@ def spread(
             continue
         time_s, values = streams[name]
         repeats = (np.diff(time_s) == 0) & (np.diff(values, axis=0) != 0).any(axis=1)
-        last = np.append(np.flatnonzero(np.diff(time_s) != 0), len(time_s) - 1)  # of each pack
+        last = np.append(np.flatnonzero(np.diff(time_s) != 0), len(time_s) - 1)  # last rows of the packs
         if repeats.sum() <= _PACKED_SHARE * len(time_s) or len(last) < _FEWEST_PACKS:
             continue
         pack_s, n = time_s[last], np.diff(last, prepend=-1)
