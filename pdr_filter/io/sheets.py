@@ -149,7 +149,7 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
     """The tables in a text, of which there are several where its first name begins another line of names."""
     header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
     if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
-        n_tables = sum(len(re.findall(rb"(?m)^" + re.escape(first[0]), b)) for b in members.blocks(member))
+        n_tables = sum(len(_begins(block, first[0])) for block in members.blocks(member))
         if n_tables > limits.MAX_TABLES:
             raise RecordingError(
                 f"{members.where(member)}: {n_tables} lines that begin like a header; write each table into a file"
@@ -162,11 +162,21 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
     return [] if sheet is None else [sheet]
 
 
+def _begins(block: bytes, first: bytes) -> list[int]:
+    """Places of the lines of a block that begin so."""
+    found = [0] if block.startswith(first) else []
+    at = block.find(b"\n" + first)
+    while at >= 0:
+        found.append(at + 1)
+        at = block.find(b"\n" + first, at + 1)
+    return found
+
+
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
     """Blocks of the n-th of several tables."""
     at = -1
     for block in members.blocks(member):
-        begins = [match.start() for match in re.finditer(rb"(?m)^" + re.escape(first), block)]
+        begins = _begins(block, first)
         for begin, end in pairwise(sorted({0, *begins, len(block)})):
             at += begin in begins
             if at == n:
