@@ -155,12 +155,15 @@ def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
         for k in sorted(increasing, key=lambda k: per_tick[k] == 1.0)[:1]:
             time, time_unit = sheet.fields[numbers[k]], _time_unit(values[:, k])
             at_s = values[:, k] * TIME_UNITS[time_unit]
-            triples = [slice(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
+            triples = [range(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
+            # Axes have names of one length; with another column in place of an axis, less of gravity is constant.
+            lengths = {triple: len({len(sheet.fields[numbers[i]]) for i in triple}) for triple in triples}
             for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
-                parts = {constant_part(at_s, values[:, triple]) / gravity: triple for triple in triples}
+                parts = {triple: constant_part(at_s, values[:, [*triple]]) / gravity for triple in triples}
                 low, high = _G_OF_GRAVITY
-                if fitting := [part for part in parts if low <= part <= high]:
-                    return time, time_unit, [sheet.fields[i] for i in numbers[parts[max(fitting)]]], unit
+                if fitting := [triple for triple, part in parts.items() if low <= part <= high]:
+                    best = max(fitting, key=lambda triple: (-lengths[triple], parts[triple]))
+                    return time, time_unit, [sheet.fields[numbers[i]] for i in best], unit
     return time, time_unit, ["?"] * 3, "m/s2"
 
 

@@ -8,9 +8,9 @@ import numpy as np
 from app_files import a_walk, assert_same_streams, core_motion_text, on_one_clock, refusal, write_text
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.sheet_data import quaternion_of
 from pdr_filter.io.describe import reading_report
 from pdr_filter.io.formats import read
+from pdr_filter.io.sheet_data import quaternion_of
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 WALK = on_one_clock(a_walk(50.0))

@@ -21,6 +21,7 @@ from oddities import (
     Oddity,
     clock_set_back,
     columns,
+    event_rows,
     lines_of,
     moved_rows,
     packs,
@@ -34,6 +35,7 @@ from oddities import (
 import pdr_filter as pdr
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
+from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
 DOCS = Path(__file__).parents[2] / "docs"
 
@@ -264,6 +266,8 @@ def test_a_ride_is_named_with_the_place_where_the_track_stopped_and_a_walk_is_no
     note = next(n for n in pdr.track(read(write_text(tmp_path / "ride.csv", ride()))).notes if "vehicle" in n)
     assert "move 498 m without steps from 0 to 50 s" in note
     assert "stops at 0.0 m east" in note
+    slow = pdr.track(read(write_text(tmp_path / "escalator.csv", ride(1.0)))).notes
+    assert not any("vehicle" in n for n in slow)
     for speed_mps in (0.0, 1.4):
         walk = table_text(columns() | places(speed_mps) | {"accuracy": np.full(N, 5.0)})
         assert not any("vehicle" in n for n in pdr.track(read(write_text(tmp_path / "walk.csv", walk))).notes)
@@ -287,3 +291,64 @@ def test_pairs_of_files_of_two_trials_are_two_recordings(tmp_path: Path, names: 
     message = refusal(path)
     assert "holds 2 recordings" in message
     assert found[0].name in message
+
+
+@pytest.mark.parametrize(
+    ("header", "accelerometer", "gyroscope"),
+    [
+        ("type,timestamp,x,y,z\n", "ACC,{t},{x},{y},{z}", "GYRO,{t},{x},{y},{z}"),
+        (
+            "timestamp,x,y,z,sensor\n",
+            "{t},{x},{y},{z},android.sensor.accelerometer",
+            "{t},{x},{y},{z},android.sensor.gyroscope",
+        ),
+        ("timestamp,event,v0,v1,v2\n", "{t},TYPE_ACCELEROMETER,{x},{y},{z}", "{t},TYPE_GYROSCOPE,{x},{y},{z}"),
+        (
+            "timestamp,event,values[0],values[1],values[2]\n",
+            "{t},Accelerometer,{x},{y},{z}",
+            "{t},Gyroscope,{x},{y},{z}",
+        ),
+        ("sensor_type,timestamp,x,y,z\n", "1,{t},{x},{y},{z}", "4,{t},{x},{y},{z}"),
+        ("name,timestamp,x,y,z\n", "a,{t},{x},{y},{z}", "g,{t},{x},{y},{z}"),
+        ("", "ACC;{t};{x};{y};{z}", "GYR;{t};{x};{y};{z}"),
+        ("", "{t} accelerometer {x} {y} {z}", "{t} gyroscope {x} {y} {z}"),
+        ("", "{t} Accelerometer: {x} {y} {z}", "{t} Gyroscope: {x} {y} {z}"),
+        ("sensor;time (s);x;y;z\n", "acc;{t};{x};{y};{z}", "gyro;{t};{x};{y};{z}"),
+    ],
+)
+def test_the_sensor_of_a_row_is_known_from_a_column_or_the_line(
+    tmp_path: Path, header: str, accelerometer: str, gyroscope: str
+) -> None:
+    path = write_text(tmp_path / "walk.txt", header + event_rows(accelerometer, gyroscope))
+    assert_same_streams(read(path), WALK, BOTH, time_s=1e-6, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("accelerometer", "gyroscope"),
+    [
+        ("ACC: {t}, {x}, {y}, {z}", "GYR: {t}, {x}, {y}, {z}"),
+        ("{t},accelerometer,x={x},y={y},z={z}", "{t},gyroscope,x={x},y={y},z={z}"),
+    ],
+)
+def test_values_with_names_in_front_are_refused_with_the_line_to_write(
+    tmp_path: Path, accelerometer: str, gyroscope: str
+) -> None:
+    message = refusal(write_text(tmp_path / "walk.txt", event_rows(accelerometer, gyroscope)))
+    assert "names in front of their numbers" in message
+    assert "sensor,time,x,y,z" in message
+
+
+@pytest.mark.parametrize(("scale", "unit"), [(1.0, "m/s2"), (STANDARD_GRAVITY_MPS2, "g")])
+@pytest.mark.parametrize("per_s", [1.0, 1e3])
+def test_the_mapping_for_an_unknown_table_has_the_columns_that_its_values_show(
+    tmp_path: Path, scale: float, unit: str, per_s: float
+) -> None:
+    values = {"n": np.arange(N), "u": RATE[:, 0], "v": RATE[:, 1]} | dict(zip("fgh", FORCE.T / scale, strict=True))
+    text = table_text({**values, "w": RATE[:, 2], "tick": TIME_S * per_s}).replace("f,g,h", "fa,fb,fc")
+    message = refusal(write_text(tmp_path / "walk.csv", text))
+    time_unit = "s" if per_s == 1.0 else "ms"
+    assert f'time = {{ column = "tick", unit = "{time_unit}" }}' in message
+    assert f'accelerometer = {{ columns = ["fa", "fb", "fc"], unit = "{unit}", sign = 1 }}' in message
+    mapping = message.partition("MAP.toml:\n")[2]
+    write_text(tmp_path / "walk.toml", mapping)
+    assert_same_streams(read(tmp_path / "walk.csv"), WALK, "accelerometer", time_s=1e-6, rtol=1e-9)
