@@ -125,7 +125,7 @@ def _facts(demo: Demo) -> Table:
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
     table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
     if result.n_steps:
-        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "one standard deviation, in the worst direction")
+        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation, worst direction")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 
@@ -139,7 +139,7 @@ def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
     return (
         f"(truth: {len(truth.steps)})",
         f"(truth: {distance_m:.1f} m)",
-        f"({apart_m:.1f} m from the true way, turned and shifted to fit)",
+        f"({apart_m:.1f} m from the truth, turned to fit)",
     )
 
 
