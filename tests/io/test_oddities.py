@@ -92,6 +92,12 @@ def test_an_accuracy_of_something_else_is_not_that_of_the_place(tmp_path: Path, 
     assert accuracy_m(write_text(tmp_path / "walk.csv", text)) == -1.0
 
 
+def test_a_horizontal_accuracy_goes_before_one_that_does_not_say_of_what_it_is(tmp_path: Path) -> None:
+    both = {"accuracy": np.full(N, 99.0), "hacc": np.full(N, ACCURACY_M)}
+    for named in (both, dict(reversed(both.items()))):
+        assert accuracy_m(write_text(tmp_path / "walk.csv", table_text(columns() | places() | named))) == ACCURACY_M
+
+
 def test_each_cause_for_which_locations_are_not_used_is_named_alone() -> None:
     track = pdr.simulate.demo_walk()
     time_s = np.arange(0.0, 60.0)
@@ -266,7 +272,7 @@ def test_a_ride_is_named_with_the_place_where_the_track_stopped_and_a_walk_is_no
     note = next(n for n in pdr.track(read(write_text(tmp_path / "ride.csv", ride()))).notes if "vehicle" in n)
     assert "move 498 m without steps from 0 to 50 s" in note
     assert "stops at 0.0 m east" in note
-    slow = pdr.track(read(write_text(tmp_path / "escalator.csv", ride(1.0)))).notes
+    slow = pdr.track(read(write_text(tmp_path / "escalator.csv", ride(2.0)))).notes
     assert not any("vehicle" in n for n in slow)
     for speed_mps in (0.0, 1.4):
         walk = table_text(columns() | places(speed_mps) | {"accuracy": np.full(N, 5.0)})
