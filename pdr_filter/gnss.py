@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -27,6 +28,8 @@ INTERVAL_S = 10.0
 # Satellites are on one side of a phone: it is off by 95 % of 13 m upwards where it is by 95 % of 8 m along the ground
 # ("GPS standard positioning service performance standard", 5th edition, 2020), twice as much as along each axis.
 _UPWARDS = 2.0
+# Faster than a walk, which has more than one step a second: a run has more than two.
+_RIDE_MPS, _RIDE_STEPS_HZ = 2.5, 0.5
 # A country: more is no location, and its square must stay a number.
 MAX_ACCURACY_M = 1e5
 
@@ -38,7 +41,23 @@ class LocationState:
     origin: Origin | None = None  # the first usable location
     last_s: float = -math.inf  # of the last fix
     n: int = 0  # locations
-    n_unusable: int = 0
+    n_nowhere: int = 0  # no place on Earth
+    n_vague: int = 0  # without an accuracy
+    n_backward: int = 0  # in time
+
+    @property
+    def n_unusable(self) -> int:
+        """Number of locations that are not used."""
+        return self.n_nowhere + self.n_vague + self.n_backward
+
+    def reasons(self) -> str:
+        """Why locations are not used, with the number of each cause and its remedy."""
+        causes = {
+            "no place on Earth (latitude and longitude in degrees are needed)": self.n_nowhere,
+            "no horizontal accuracy above 0 (export it too, or give the positions as fixes)": self.n_vague,
+            "a time that is not after the one before (sort them by time)": self.n_backward,
+        }
+        return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
 
 
 def position_fixes(
@@ -56,13 +75,18 @@ def position_fixes(
     a phone that says 0 (Android), less (iOS) or nothing does not know where it is. An altitude of 0 is none.
     """
     fixes: list[PositionFix] = []
-    origin, last_s, n_unusable = state.origin, state.last_s, state.n_unusable
+    origin, last_s = state.origin, state.last_s
+    n_nowhere, n_vague, n_backward = state.n_nowhere, state.n_vague, state.n_backward
     # one by one: the bits of a vectorised sine depend on its length
     altitude_m = np.full(len(time_s), np.nan) if altitude_m is None else altitude_m
     rows = np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m]).tolist()
     for t, latitude, longitude, accuracy, altitude in rows:
-        if not _is_usable(latitude, longitude, accuracy) or not last_s < t < math.inf:
-            n_unusable += 1
+        if not _is_place(latitude, longitude):
+            n_nowhere += 1
+        elif not _is_accuracy(accuracy):
+            n_vague += 1
+        elif not last_s < t < math.inf:
+            n_backward += 1
         elif t >= last_s + interval_s:
             origin, last_s = origin or Origin(latitude, longitude), t
             std_m = max(accuracy, MIN_ACCURACY_M) / RADIUS_68
@@ -71,7 +95,7 @@ def position_fixes(
             if math.isfinite(altitude) and altitude != 0.0:
                 fix = replace(fix, altitude_m=altitude, altitude_std_m=_UPWARDS * std_m)
             fixes.append(fix)
-    return LocationState(origin, last_s, state.n + len(rows), n_unusable), tuple(fixes)
+    return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
 
 
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
@@ -96,7 +120,7 @@ def origin_of(location: Samples) -> Origin | None:
         location.time_s.tolist(), latitude_deg.tolist(), longitude_deg.tolist(), accuracy_m.tolist(), strict=True
     )
     for t, latitude, longitude, accuracy in rows:
-        if math.isfinite(t) and _is_usable(latitude, longitude, accuracy):
+        if math.isfinite(t) and _is_place(latitude, longitude) and _is_accuracy(accuracy):
             return Origin(latitude, longitude)
     return None
 
@@ -115,7 +139,37 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
     return state.origin, fixes
 
 
-def _is_usable(latitude_deg: float, longitude_deg: float, accuracy_m: float) -> bool:
-    """Whether it is a place on Earth, and how well is known; apps write 0, 0 where they have none."""
-    is_place = abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
-    return is_place and 0 < accuracy_m < MAX_ACCURACY_M
+@dataclass(frozen=True, slots=True)
+class Ride:
+    """Stretch of time in which the locations move faster than a walk and the pedestrian makes no steps."""
+
+    begin_s: float
+    end_s: float
+    way_m: float
+
+
+def rides(location: Samples, step_time_s: FloatArray) -> tuple[Ride, ...]:
+    """Rides between the fixes of a whole stream of locations; steps are given by their times (K,)."""
+    found: list[Ride] = []
+    for before, after in pairwise(fixes_of(location)[1]):
+        duration_s = after.time_s - before.time_s
+        way_m = float(np.linalg.norm(after.position_m - before.position_m))
+        n_steps = np.count_nonzero((step_time_s > before.time_s) & (step_time_s <= after.time_s))
+        is_sure = way_m > 3 * math.sqrt(before.var_m2 + after.var_m2)
+        if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
+            continue
+        if found and found[-1].end_s == before.time_s:
+            found[-1] = Ride(found[-1].begin_s, after.time_s, found[-1].way_m + way_m)
+        else:
+            found.append(Ride(before.time_s, after.time_s, way_m))
+    return tuple(found)
+
+
+def _is_place(latitude_deg: float, longitude_deg: float) -> bool:
+    """True for a place on Earth; apps write 0, 0 where they have none."""
+    return abs(latitude_deg) <= 90 and abs(longitude_deg) <= 180 and (latitude_deg, longitude_deg) != (0.0, 0.0)
+
+
+def _is_accuracy(accuracy_m: float) -> bool:
+    """True for an accuracy that a phone may report: 0 (Android), less (iOS) and NaN mean that it is not known."""
+    return 0 < accuracy_m < MAX_ACCURACY_M

@@ -67,6 +67,8 @@ class OnlineFilter:
         Keeps the track where people can walk; positions are then in its frame. See `Config.with_plan`.
     start : PositionFix or str, optional
         Where on the plan the walk begins: a place, the name of an area, or "anywhere".
+    weighting : {"imm", "wc", "hc"}, optional
+        How context probabilities become step lengths; the recipe's own if not given. See `pdr_filter.track`.
 
     Examples
     --------
@@ -90,6 +92,7 @@ class OnlineFilter:
         height_m: float | None = None,
         plan: FloorPlan | None = None,
         start: PositionFix | str | None = None,
+        weighting: str | None = None,
     ) -> None:
         if config is None:
             from pdr_filter import recipes
@@ -100,7 +103,8 @@ class OnlineFilter:
                 f"height_m is for the default recipe, got {height_m} beside a config: give it to the recipe"
             )
         check_config(config)
-        self.config = on_plan(config, plan, start)
+        config = on_plan(config, plan, start)
+        self.config = config if weighting is None else config.with_weighting(weighting)
         self.state = init(self.config)
 
     def push(

@@ -25,6 +25,7 @@ import pdr_filter as pdr
 from pdr_filter.cli.app import app
 from pdr_filter.io.recording import Truth
 from pdr_filter.simulate import Gait, Leg, simulate
+from pdr_filter.simulate.sensors import BAROMETER, SensorErrors
 from pdr_filter.values import Samples
 from tests.benchmarks.common import FOLDER, Tables, readme_with_tables
 
@@ -83,6 +84,26 @@ def test_the_code_of_a_page_runs_from_top_to_bottom(
     }
     for code in CODE.findall(PAGES[page]):
         exec(compile(code, page, "exec"), names)
+
+
+def test_the_loop_of_the_page_about_apps_gives_the_bits_of_the_track_with_a_barometer_that_begins_before_zero() -> None:
+    walk = simulate(
+        [Leg("walking", distance_m=20.0), Leg("upstairs", distance_m=4.0)], errors=SensorErrors(barometer=BAROMETER)
+    )
+    early = {n: Samples(s.time_s - (0.004 if n != "accelerometer" else 0.0), s.values) for n, s in walk.streams.items()}
+    walk = replace(walk, **early)
+    (loop,) = (code for code in CODE.findall(PAGES["docs/online.md"]) if "push_pressure" in code)
+    names: dict[str, Any] = {"pdr": pdr, "recording": walk}
+    exec(compile(loop, "docs/online.md", "exec"), names)
+    final = [update for update in names["updates"] if update.is_final]
+    track = pdr.track(walk)
+    np.testing.assert_array_equal([u.position_m for u in final], track.position_m)
+    np.testing.assert_array_equal([u.height_m for u in final], track.height_m)
+
+
+def test_no_item_of_a_numbered_list_holds_another_one() -> None:
+    inside = {name: re.findall(r"^\d+\. .*[.)] \d+\. [A-Z].*$", text, re.MULTILINE) for name, text in PAGES.items()}
+    assert not {name: lines for name, lines in inside.items() if lines}
 
 
 def test_the_pages_that_show_code_are_run() -> None:

@@ -606,3 +606,20 @@ def test_an_app_that_knows_as_much_of_a_person_as_the_recording_gives_the_same_t
 def test_a_height_beside_a_configuration_is_refused() -> None:
     with pytest.raises(ValueError, match="height_m is for the default recipe"):
         pdr.OnlineFilter(recipes.default(), height_m=1.8)
+
+
+@pytest.mark.parametrize("weighting", WEIGHTINGS)
+def test_a_weighting_beside_a_configuration_or_none_is_that_of_a_track_with_it(
+    short_walk: Recording, weighting: str
+) -> None:
+    samples = pdr.merge_streams(short_walk)
+    for config in (None, recipes.default()):
+        updates = [u for u in stream(pdr.OnlineFilter(config, weighting=weighting), [samples]) if u.is_final]
+        nobody = changed(short_walk, meta={})
+        track = pdr.track(nobody, config, weighting)
+        np.testing.assert_array_equal([u.position_m for u in updates], track.position_m)
+
+
+def test_an_unknown_weighting_of_an_app_is_refused() -> None:
+    with pytest.raises(ValueError, match="weighting must be one of"):
+        pdr.OnlineFilter(weighting="best")

@@ -127,7 +127,7 @@ def _rmse_m(known: Table, track: Track) -> float:
 def _print(compared: Sequence[Compared]) -> None:
     has_truth = any(found.rmse_m for found in compared)
     columns = ["recording", "track", "steps", "distance", "against the last", "end east", "end north", "± at the end"]
-    table = console.new_table(*columns, "end apart", *(["off the truth"] if has_truth else []))
+    table = console.new_table(*columns, "end apart", *(["off the truth"] if has_truth else []), n_keys=2)
     for found in compared:
         *_, reference = found.tracks.values()
         reference_end = reference.summary()
@@ -151,5 +151,4 @@ def _print(compared: Sequence[Compared]) -> None:
             )
     table.caption = console.SURE
     console.print_table(table)
-    for found in compared:
-        console.print_notes(list(found.tracks.values())[-1])
+    console.print_notes([list(found.tracks.values())[-1] for found in compared])

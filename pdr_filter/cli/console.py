@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import errno
 import json
+import re
 from collections.abc import Callable, Generator, Mapping, Sequence
 from contextlib import contextmanager
 from glob import escape as glob_escape
@@ -12,14 +13,17 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import typer
 from rich import markup
+from rich.cells import cell_len
 from rich.console import Console
-from rich.table import Table
+from rich.table import Column, Table
 
 from pdr_filter.io.texts import printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.tracks import Track
 
+_WIDEST_WORD = 40  # of a table; a longer name is broken
+_BETWEEN = 3  # cells between the columns of a table
 SOME_FAILED, UNUSABLE, STOPPED = 1, 2, 130
 
 T = TypeVar("T")
@@ -167,28 +171,68 @@ def print_json(value: Mapping[str, Any]) -> None:
     typer.echo(json.dumps(value, allow_nan=False))
 
 
-def print_notes(result: Track) -> None:
-    """The notes of a track, a line each."""
-    for note in result.notes:
-        Console(highlight=False, soft_wrap=True).print(f"{escape(result.name)}: {escape(note)}")
+def print_notes(tracks: Sequence[Track]) -> None:
+    """The notes of tracks, a line each; one that several tracks share stands once, with their number."""
+    by_note: dict[str, list[str]] = {}
+    for track in tracks:
+        for note in dict.fromkeys(track.notes):
+            by_note.setdefault(note, []).append(track.name)
+    for note, names in by_note.items():
+        whose = names[0] if len(names) == 1 else f"{len(names)} of {len(tracks)} recordings"
+        Console(highlight=False, soft_wrap=True).print(f"{escape(whose)}: {escape(note)}")
 
 
-def new_table(*columns: str) -> Table:
-    """A table with words in the first column and numbers, right-aligned, in the others."""
+def new_table(*columns: str, n_keys: int = 1) -> Table:
+    """A table with words in the first columns, which tell rows apart, and right-aligned numbers in the others."""
     from rich import box
 
     table = Table(box=box.SIMPLE_HEAD, pad_edge=False)
     for i, column in enumerate(columns):
-        table.add_column(column, justify="left" if i == 0 else "right", overflow="fold")
+        table.add_column(column, justify="left" if i < n_keys else "right", overflow="fold")
     return table
 
 
 def print_table(table: Table) -> None:
-    """Print a table as wide as it needs where nobody watches: a pipe has no width."""
+    """Print a table, in several parts if it is wider than the terminal, so that no word is broken.
+
+    Each part begins with the columns that tell rows apart. A pipe has no width: there the table is as wide as it needs.
+    """
     console = Console(highlight=False)
     if not console.is_terminal:
         console = Console(highlight=False, width=max(console.width, 160))
-    console.print(table)
+    n_keys = next((i for i, column in enumerate(table.columns) if column.justify != "left"), len(table.columns))
+    keys = table.columns[:n_keys]
+    parts = [list(keys)]
+    for column in table.columns[n_keys:]:
+        if len(parts[-1]) > n_keys and sum(map(_least_width, [*parts[-1], column])) > console.width:
+            parts.append(list(keys))
+        parts[-1].append(column)
+    for columns in parts:
+        console.print(_part(table, columns, console.width))
+    if table.caption:
+        console.print(f" {table.caption}", style="dim italic")
+
+
+def _least_width(column: Column) -> int:
+    """Width without a line break within a number, a name or a part of a list, and the space beside it."""
+    cells = [str(cell) for cell in column.cells]
+    whole = cells if column.justify == "right" else [part for cell in cells for part in re.split(r"(?<=,) ", cell)]
+    return min(max(map(cell_len, [*str(column.header).split(), *whole]), default=0), _WIDEST_WORD) + _BETWEEN
+
+
+def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
+    """Some columns of a table; those of words are as wide as is left for them."""
+    widths = [_least_width(column) - _BETWEEN for column in columns]
+    left = width - sum(widths) - _BETWEEN * len(widths)
+    part = Table(box=table.box, pad_edge=False)
+    for column, least in zip(columns, widths, strict=True):
+        wanted = max(map(cell_len, [str(column.header), *map(str, column.cells)]))
+        more = min(max(wanted - least, 0), max(left, 0)) if column.justify == "left" else 0
+        left -= more
+        part.add_column(column.header, justify=column.justify, overflow="fold", width=least + more)
+    for cells, row in zip(zip(*(column.cells for column in columns), strict=True), table.rows, strict=True):
+        part.add_row(*cells, end_section=row.end_section)
+    return part
 
 
 # Below tables with a column "± at the end".
@@ -219,8 +263,7 @@ def print_tracks(tracks: Sequence[Track]) -> None:
         )
     table.caption = SURE
     print_table(table)
-    for result in tracks:
-        print_notes(result)
+    print_notes(tracks)
 
 
 def write_map(result: Track, path: Path) -> Path:

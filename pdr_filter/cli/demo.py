@@ -18,6 +18,7 @@ from pdr_filter.io.texts import file_name
 from pdr_filter.placing import GnssUse
 from pdr_filter.recording_run import track
 from pdr_filter.report.html import write_report
+from pdr_filter.report.page_data import track_data
 from pdr_filter.report.palette import context_colours
 from pdr_filter.simulate import demo_walk
 from pdr_filter.tracks import Track
@@ -39,8 +40,9 @@ class Demo:
     csv: Path
     replaced: tuple[Path, ...] = ()  # of these, what was there before
 
-    def print(self, console: Console) -> None:
-        """Print the summary."""
+    def print(self, console: Console, said: set[str] | None = None) -> None:
+        """Print the summary, without the notes that `said` has, and add its notes to them."""
+        said = set() if said is None else said
         result = self.track
         console.print()
         if self.is_simulated:
@@ -52,9 +54,11 @@ class Demo:
         console.print()
         console.print(_context_bars(result))
         console.print()
-        for note in result.notes:
+        notes = [note for note in result.notes if note not in said]
+        said.update(notes)
+        for note in notes:
             console.print(f"note: {escape(note)}")
-        if result.notes:
+        if notes:
             console.print()
         for what, path, remark in (
             ("report", self.report, "open it in a browser"),
@@ -116,25 +120,26 @@ def _facts(demo: Demo) -> Table:
     result = demo.track
     end_m = result.end_position_m
     table = Table.grid("", "", "", padding=(0, 3))
-    truth = _true_facts(demo.recording, end_m) if demo.is_simulated else ("", "", "")
+    truth = _true_facts(demo.recording, result) if demo.is_simulated else ("", "", "")
     table.add_row("  steps", f"{result.n_steps}", truth[0])
     table.add_row("  distance", f"{result.distance_m:.1f} m", truth[1])
     table.add_row("  end", f"{end_m[0]:z.1f} m east, {end_m[1]:z.1f} m north", truth[2])
     if result.n_steps:
-        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "one standard deviation, in the worst direction")
+        table.add_row("", f"± {result.position_std_m[-1]:.1f} m", "standard deviation, worst direction")
     table.add_row("  duration", f"{result.duration_s:.0f} s", "")
     return table
 
 
-def _true_facts(recording: Recording, end_m: FloatArray) -> tuple[str, str, str]:
+def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
+    """True steps and distance, and the end error of the report, after the true way was turned and shifted to fit."""
     truth = recording.truth
     assert truth.steps is not None and truth.segments is not None  # of every simulated recording
-    apart_m = float(np.hypot(*(end_m - _true_way(recording)[-1])))
+    apart_m = track_data(result, recording, None, 1)["from_truth"][-1]
     distance_m = float(truth.segments.distance_m.sum())
     return (
         f"(truth: {len(truth.steps)})",
         f"(truth: {distance_m:.1f} m)",
-        f"({apart_m:.1f} m from the truth, {100 * apart_m / distance_m:.1f} % of the way)",
+        f"({apart_m:.1f} m from the truth, turned to fit)",
     )
 
 

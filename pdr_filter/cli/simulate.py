@@ -69,8 +69,9 @@ def demo(
                 demos, failed = [run(None, show)], dict[Path, str]()
         else:
             demos, failed = console.each(files, run)
+    said = set[str]()
     for done in demos:
-        done.print(Console(highlight=False))
+        done.print(Console(highlight=False), said)
     console.say_replaced([path for done in demos for path in done.replaced])
     console.exit_if_failed(failed, len(files))
 

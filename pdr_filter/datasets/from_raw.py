@@ -15,8 +15,8 @@ from typing import Any, cast
 import numpy as np
 
 from pdr_filter.io import limits
+from pdr_filter.io.any_table import read_table
 from pdr_filter.io.archive import json_object
-from pdr_filter.io.core_motion import read_core_motion
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.files import read_small
 from pdr_filter.io.folders import recordings_in
@@ -94,7 +94,7 @@ def motionsense(raw: Path) -> Iterator[Recording]:
         person, activity = people.get(code), trial.partition("_")[0]
         if person is None or int(code) > 12 or activity not in _ACTIVITIES:
             continue
-        recording = read_core_motion(path)
+        recording = read_table(path)
         end_s = float(recording.accelerometer.time_s[-1])
         meta = {
             "subject": {

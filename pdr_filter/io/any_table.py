@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath
@@ -9,21 +10,24 @@ from pathlib import Path, PurePosixPath
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.columns import ACCELERATION, VECTORS, letters, quantity_of_file
-from pdr_filter.io.dialects import dialect_of
+from pdr_filter.io.columns import ACCELERATION, LINEAR, SENSOR_CODES, VECTORS, letters, quantity_of_file, words_of
+from pdr_filter.io.dialects import dialect_of, said_platform
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.groups import Group, groups_of
-from pdr_filter.io.guess import Guess, guess
+from pdr_filter.io.guess import Guess, columns_by_content, guess
 from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
-from pdr_filter.io.mapping import Mapping
+from pdr_filter.io.mapping import Mapping, mapping_beside, read_mapping
 from pdr_filter.io.matlab import is_matlab, matlab_sheets
+from pdr_filter.io.phyphox import read_experiment
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sheet_data import SheetData, fill
-from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet
+from pdr_filter.io.sheets import Sheet, TextSheet, text_sheet, text_sheets
 from pdr_filter.io.spreadsheet import is_spreadsheet, spreadsheet_sheets
 from pdr_filter.io.table import UNKNOWN
 
 TEXTS = (".csv", ".txt", ".tsv", ".log", ".dat")
+_TYPES = ("type", "name", "sensor", "sensortype", "event", "eventtype", "kind")  # that say of which sensor a row is
+_NAMED_VALUE = re.compile(r"(?m)(?:^|[\s,;])([A-Za-z]+ ?[:=] ?[-+.]?\d)")
 _DEVICES = ("device", "deviceid", "devicename", "phone", "phoneid", "phonename", "sensorid")  # that say whose a row is
 
 
@@ -55,9 +59,18 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
         data = [SheetData(sheet, _places_of(groups, i), parsed.notes) for i, sheet in enumerate(sheets)]
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
-        found = guess(data, groups, dialect_of(shown), platform, where)
+        dialect = dialect_of(shown)
+        if dialect is None or dialect.sign is None:
+            said = said_platform(members, "\n".join(sheet.about for sheet in sheets))
+            if platform and said and said != platform:
+                raise RecordingError(
+                    f"{where}: its metadata say {said}, and platform is {platform}; leave platform out"
+                )
+            platform = platform or said or None
+        found = guess(data, groups, dialect, platform, where)
         _fill(parsed, found.mapping, data)
-    parsed.source = found.source
+        parsed.source = found.source
+        read_experiment(members, parsed)
     parsed.found += found.evidence
     used = {name for stream in found.mapping.streams for name in (*stream.columns, stream.time)}
     beside = [name for s in sheets if not used.isdisjoint(s.fields) for name in s.fields if name not in used]
@@ -69,6 +82,17 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         return Tables(parsed.recording(), found)
     except RecordingError as error:
         raise RecordingError(f"{error} (read as {found.source})") from error
+
+
+def read_generic_csv(path: str | Path) -> Recording:
+    """Return the recording in a table, as the TOML file beside it says; RecordingError without one that fits."""
+    path = Path(path)
+    if not (mapping := mapping_beside(path)).is_file():
+        raise RecordingError(
+            f"{path}: no {mapping.name} beside it that says which column is what; "
+            f"pdr-filter convert {path.name} shows a mapping to begin with"
+        )
+    return read_mapped(path, read_mapping(mapping))
 
 
 def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Recording:
@@ -102,11 +126,7 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
     else:
         texts = [name for name in members.names if _is_text(name, members)][: limits.MAX_FILES_LOOKED_AT]
         of_json = [name for name in texts if looks_like(members.head(name, 4096))]
-        whole = [
-            sheet
-            for name in texts
-            if name not in of_json and (sheet := text_sheet(members, name, separator)) is not None
-        ]
+        whole = [sheet for name in texts if name not in of_json for sheet in text_sheets(members, name, separator)]
         for sheet in whole:
             _check_one_device(sheet)
         found = [part for sheet in whole for part in _by_sensor(sheet)]
@@ -118,11 +138,22 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
                 found += matlab_sheets(members, name)
     if not found:
         listed = ", ".join(members.names[:8])
-        raise RecordingError(
-            f"{members.path}: no table of samples in it (found: {listed or 'nothing'}); a table has a line of names, "
-            "and below it a line of numbers for each sample, two or more"
-        )
+        head = b"" if members.is_container else next(members.pieces(members.names[0]), b"")[:4096]
+        no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
+        why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
+        raise RecordingError(f"{members.path}: {why}")
     return found
+
+
+def _named_values(head: bytes) -> str:
+    """Why lines such as `ACC: 12, 0.1, 0.2, 9.8` or `x=0.1` are not read; empty of others."""
+    found = _NAMED_VALUE.search(head.decode("utf-8", "replace"))
+    if found is None:
+        return ""
+    return (
+        f"its lines have names in front of their numbers ({found[1]!r}); write the names once, in a line above, and "
+        "the sensor of each line in a column of its own, as in sensor,time,x,y,z"
+    )
 
 
 def _check_one_device(sheet: TextSheet) -> None:
@@ -142,9 +173,12 @@ def _by_sensor(sheet: TextSheet) -> Sequence[TextSheet]:
     """A table with a row for each sample of any sensor, whose name is in a column, as a table for each sensor."""
     column = next((i for i, text in sheet.texts.items() if quantity_of_file(text)[0] in VECTORS), None)
     if column is None:
-        return [sheet]
-    parts = sheet.by_text(column)
-    return parts if any(quantity_of_file(part.name)[0] == ACCELERATION for part in parts) else [sheet]
+        column = next((i for i, name in enumerate(sheet.fields) if "".join(words_of(name)) in _TYPES), None)
+    parts = [] if column is None else sheet.by_text(column)
+    if all(part.name.strip() in SENSOR_CODES for part in parts):
+        parts = [replace(part, name=SENSOR_CODES[part.name.strip()]) for part in parts]
+    is_split = any(quantity_of_file(part.name)[0] in (ACCELERATION, LINEAR) for part in parts)
+    return parts if is_split else [sheet]
 
 
 def _is_text(name: str, members: Members) -> bool:
@@ -161,37 +195,48 @@ def _places_of(groups: Sequence[Group], sheet: int) -> tuple[int, ...]:
 def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
     fill(parsed, mapping, data)
     times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
-    parsed.clock = f"column {', '.join(times)}" if times else f"rows at {mapping.rate_hz:g} Hz"
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
     if mapping.rate_hz and not times:
         parsed.requested_hz = {"accelerometer": mapping.rate_hz}
 
 
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     """Why tables without a sensor that is known cannot be read, and the mapping to write."""
-    fields = sheets[0].fields
-    if all(name.startswith("column ") for name in fields):
-        return "its first line has numbers; write a line with the names of the columns above it"
-    columns = [name.replace('"', "'") for name in (*fields, "?", "?", "?", "?")]
+    sheet = sheets[0]
+    if all(name.startswith("column ") for name in sheet.fields):
+        head = next(iter(sheet.blocks()), b"")[:4096] if isinstance(sheet, TextSheet) else b""
+        numbers = "its first line has numbers; write a line with the names of the columns above it"
+        return _named_values(head) or numbers
+    time, time_unit, force, unit = columns_by_content(sheet)
+    time, *force = [name.replace('"', "'") for name in (time, *force)]
     return (
-        f"no column that is known to be of a sensor. Columns seen: {', '.join(fields[:30])[:300]}. Say which is what "
-        f"in a file like this, with your columns, unit of time (s, ms, us, ns, date), unit (m/s2 or g) and sign (-1 if "
-        f"a phone lying face up reads negative on z), and give it with pdr-filter convert {path.name} --map MAP.toml:\n"
-        f'time = {{ column = "{columns[0]}", unit = "s" }}\n'
-        f'accelerometer = {{ columns = ["{columns[1]}", "{columns[2]}", "{columns[3]}"], unit = "m/s2", sign = 1 }}\n'
+        f"no column that is known to be of a sensor. Columns seen: {', '.join(sheet.fields[:30])[:300]}. Say which is "
+        "what in a file like this, where ? stands for what the values do not show, with your columns, unit of time (s, "
+        "ms, us, ns, date), unit (m/s2 or g) and sign (-1 if a phone lying face up reads negative on z), and give it "
+        f"with pdr-filter convert {path.name} --map MAP.toml:\n"
+        f'time = {{ column = "{time}", unit = "{time_unit}" }}\n'
+        f'accelerometer = {{ columns = ["{force[0]}", "{force[1]}", "{force[2]}"], unit = "{unit}", sign = 1 }}\n'
     )
 
 
 def sensors_of(members: Members, name: str) -> set[str]:
-    """The sensors that the columns of a text name; none of one that is no table."""
+    """Sensors that the columns of a text name; none of a text that is no table."""
+    sheets: Sequence[Sheet]
     try:
-        head = members.head(name)
-        if looks_like(head):
+        if looks_like(members.head(name)):
             sheets = json_fields(members, name)
-            return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
-        sheet = text_sheet(members, name)
-        return set() if sheet is None else {group.quantity for group in groups_of(sheet, 0)}
+        else:
+            sheet = text_sheet(members, name)
+            named = [] if sheet is None else [t for t in sheet.texts.values() if quantity_of_file(t)[0] in VECTORS]
+            sheets = [] if sheet is None else [replace(sheet, name=named[0]) if named else sheet]
     except RecordingError:
         return set()
+    try:
+        return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
+    except RecordingError:  # columns of an accelerometer in an unknown unit or without an axis: reading says so
+        return {ACCELERATION}
 
 
 def is_of_sensors(members: Members, name: str) -> bool:

@@ -17,7 +17,7 @@ from pathlib import Path, PurePosixPath
 from typing import IO, Any, cast
 
 from pdr_filter.io import limits
-from pdr_filter.io.columns import ACCELERATION, LINEAR, quantity_of_file
+from pdr_filter.io.columns import ACCELERATION, LINEAR, quantity_of_file, trial_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.files import inside, open_regular, read_small
 
@@ -50,7 +50,8 @@ _UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 class Members:
     """The files of a recording: those of a zip or a folder, or one file alone, or in a gz. Nothing is unpacked to disk.
 
-    `inside` is what a path names inside a file, which is no folder: of a zip a folder or a file, of a log a session.
+    `inside` is what a path names inside a file or among those of a folder: of a zip a folder or a file, of a log a
+    session, of files such as `walk1_acc.csv` and `walk1_gyro.csv` the trial walk1.
     Where each sensor has a folder of its own, its file is called as if it lay beside them, by the folder's name.
     Text in UTF-16 with a byte order mark comes as UTF-8.
     """
@@ -60,8 +61,8 @@ class Members:
     ) -> None:
         self.path = path / inside if inside else path
         self.inside = inside
-        self._is_folder = path.is_dir()
-        self.is_container = archive is not None or self._is_folder  # not one file
+        self._folder = path if path.is_dir() else None
+        self.is_container = archive is not None or self._folder is not None  # not one file
         self._archive = archive
         self._infos = {} if archive is None else _infos_by_name(path, archive)
         self._n_read = 0
@@ -70,10 +71,11 @@ class Members:
         if is_gzip:
             self._most = min(self._most, _most_unpacked(path.stat().st_size))
         name = path.stem if is_gzip and path.suffix.lower() == ".gz" else path.name
-        self._files = _files_below(path) if self._is_folder else {name: path}
+        self._files = _files_below(path) if self._folder else {name: path}
         names = list(self._files if archive is None else self._infos)  # with forward slashes
-        if inside and archive is not None:
-            names = [name for name in names if name == inside or name.startswith(f"{inside}/")]
+        if inside and self.is_container:
+            of_trial = [name for name in names if _trial_path(name) == inside]
+            names = [name for name in names if name == inside or name.startswith(f"{inside}/")] or of_trial
             self.is_container = names != [inside]
             if not names:
                 raise RecordingError(f"{path}: nothing in it is called {inside}; look into it for the names")
@@ -167,7 +169,7 @@ class Members:
             if self._archive is None:
                 file = self._files[name]
                 _check_size(where, file.stat().st_size)
-                opened = self._open(inside(file, self.path) if self._is_folder else file)
+                opened = self._open(inside(file, self._folder) if self._folder else file)
             else:
                 _check_claims(where, self._infos[name])
                 opened = self._archive.open(self._infos[name])
@@ -199,7 +201,7 @@ def open_members(path: Path) -> Generator[Members]:
         if not path.exists():
             raise RecordingError(f"{path}: no such file or folder; check the path")
         if path.is_dir():
-            yield Members(path)
+            yield Members(path, inside=inside)
             return
         with open_regular(path) as file:
             begin = file.read(2)
@@ -265,12 +267,26 @@ def zips_among(names: Sequence[str]) -> list[str]:
 
 
 def outside(path: Path) -> tuple[Path, str]:
-    """The file that a path goes on inside of, and the rest; the path itself if it is there, or no file is above it."""
+    """The file or folder that a path goes on inside of, and the rest; the path itself if nothing is there.
+
+    Inside a folder it is a trial: files that have its name beside that of their sensor.
+    """
     if not path.exists():
         for parent in path.parents:
             if parent.is_file():
                 return parent, path.relative_to(parent).as_posix()
+        if (
+            path.name
+            and path.parent.is_dir()
+            and any(trial_of(name) == path.name for name in _files_below(path.parent))
+        ):
+            return path.parent, path.name
     return path, ""
+
+
+def _trial_path(name: str) -> str:
+    """Folder and trial of a file."""
+    return str(PurePosixPath(name).parent / trial_of(name))
 
 
 def json_object(content: bytes, where: str) -> dict[str, Any]:

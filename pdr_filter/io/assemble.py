@@ -15,6 +15,7 @@ from pdr_filter.io.describe import READING_KEY
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import TIME_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.row_times import in_order, spread
 from pdr_filter.io.wifi import wifi_of
 from pdr_filter.values import FloatArray, Samples, table
 
@@ -32,6 +33,8 @@ class Parsed:
     found: list[str] = field(default_factory=list[str])  # signs and units
     clock: str = "seconds from the first accelerometer sample"
     is_unit_of_time_declared: bool = False  # by the file itself
+    is_clock: bool = False  # times are dates or clock times
+    rate_hz: float = 0.0  # of samples whose packs have one time; 0 if it is to be estimated
     requested_hz: dict[str, float] = field(default_factory=dict[str, float])
     notes: list[str] = field(default_factory=list[str])
 
@@ -45,7 +48,11 @@ class Parsed:
         where = str(self.path)
         if "accelerometer" not in self.streams:
             raise RecordingError(f"{where}: no accelerometer with gravity; record it and export again")
+        first_s = self.streams["accelerometer"][0][:1]
+        self.streams = in_order(self.streams, "", self.notes)
+        self.streams = spread(self.streams, self.is_clock, self.rate_hz, self.notes)
         time_s = self.streams["accelerometer"][0]
+        self._move_epoch(float((time_s[:1] - first_s).sum()))
         zero_s = float(next(iter(time_s[np.abs(time_s) <= limits.LARGEST_VALUE]), 0.0))
         streams = checked_streams(self.streams, zero_s, "", where, self.notes, self.is_unit_of_time_declared)
         self._check_up(streams, where)
@@ -64,6 +71,13 @@ class Parsed:
             source=where,
             notes=tuple(self.notes),
         )
+
+    def _move_epoch(self, by_s: float) -> None:
+        """Keep the unix time of time zero where time zero moves."""
+        if by_s:
+            for name, per_s in (("epoch_s", 1.0), ("epoch_ns", 1e9)):
+                if name in self.meta:
+                    self.meta[name] += type(self.meta[name])(by_s * per_s)
 
     def _check_up(self, streams: Mapping[str, Samples], where: str) -> None:
         """The phone's own attitude says which way is up: the only witness of the sign of the accelerometer."""

@@ -1,7 +1,7 @@
 """What the columns of a table are, by their names: the words, axes and units of the apps, as data.
 
 `ACCELEROMETER X (m/s\u00b2)`, `accelerometerAccelerationX(G)`, `MPL_Accelerometer.x`, `acc_x[m/s^2]`, `ACCEX` and `gFx`
-are all an axis of one quantity. A word of the vocabulary may have anything before it; the longest that fits is taken.
+are all an axis of one quantity. Other words may stand before one of the vocabulary; the longest that fits is taken.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 import re
 import unicodedata
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
@@ -18,14 +18,15 @@ ACCELERATION, LINEAR, GRAVITY = "acceleration", "linear_acceleration", "gravity"
 RATE, FIELD = "gyroscope", "magnetometer"
 ROTATION = "rotation"  # of some apps the angular rate, of others the orientation
 VECTORS = (ACCELERATION, LINEAR, GRAVITY, RATE, FIELD, ROTATION)
+ANGLES = "angles"  # roll, pitch and yaw of CoreMotion
 SCALARS = ("barometer", "light", "proximity")
 LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
-    ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration accelerationwithg gf gforce "
+    ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
     "specificforce beschleunigung accelerazione accelerometro aceleracion acelerometro",
     LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
-    "useracceleration useraccel useracc accelerationwithoutg linearebeschleunigung",
+    "useracceleration useraccel useracc linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
     RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate "
     "gyroskop giroscopio",
@@ -34,10 +35,9 @@ _WORDS = {
     "barometer": "pressure barometer baro bar pres druck",
     "light": "illuminance light lux",
     "proximity": "proximity prox",
-    "latitude": "latitude lat",
-    "longitude": "longitude lon lng",
-    "altitude": "altitude height altitudewgs",
-    "accuracy": "horizontalaccuracy accuracy",
+    "latitude": "latitude lat gpslat latitud latitudine breitengrad breite breedtegraad",
+    "longitude": "longitude lon gpslon gpslng lng long longitud longitudine langengrad lange lengtegraad",
+    "altitude": "altitude alt height elevation ele altitudewgs altitud altitudine hohe hoogte",
     # What has axes, too, and is no vector in the phone.
     "orientation": "orientation attitude euler rotationvector quaternion heading compass position velocity speed",
 }
@@ -47,7 +47,38 @@ _LETTERS = {
     **{"a": ACCELERATION, "w": RATE, "g": RATE, "b": FIELD, "m": FIELD},
     **dict.fromkeys(("lineara", "lina", "usera"), LINEAR),  # as in linear_ax
 }
-_SHORTEST = 3  # letters of a word that may have something before it
+# A word may stand anywhere in a name. Only these are also recognised within a longer word, such as `wristaccx`: "lacc"
+# is at the end of "totalacc", and "light" at that of "flight".
+_GLUED = [
+    word for word, quantity in QUANTITY_OF.items() if len(word) >= (3 if quantity in VECTORS else 6) and word != "lacc"
+]
+_WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
+# Web browsers name the axes of the angular rate so (W3C, "Device Orientation and Motion"; w3c/deviceorientation#44).
+_GREEK_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
+_WITH_GRAVITY = re.compile(r"(acc|acel|beschl)[a-z]*(incl|including|with|plus|and|mit|con|avec)(g|gravity|gravedad)")
+_WITHOUT_GRAVITY = re.compile(
+    r"(acc|acel|beschl)[a-z]*(excl|excluding|without|minus|no|ohne|sin|sans)(g|gravity|gravedad)"
+)
+
+_ACCURACY = re.compile(
+    r"accurac(y|ies)|accuratezza|genauigkeit|nauwkeurigheid|precis(ion|ione|ao)|exactitude?|uncertainty"
+    r"|\u7cbe\u5ea6|\uc815\ud655\ub3c4|\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c"
+)
+_HORIZONTAL_ALONE = re.compile(r"(gps|gnss|loc|location|pos|position)?(h|hor|horiz|horizontal)acc|eph")
+_HORIZONTAL = re.compile(r"hori|orizz|\u6c34\u5e73|\uc218\ud3c9|\u0433\u043e\u0440\u0438\u0437")
+# An accuracy is of the horizontal position unless its name has one of these words or parts.
+_OF_OTHERS = re.compile(
+    r"vert|altitu|elevation|h(oe|o)he|hoogte|speed|veloc|vitesse|geschw|snelheid|bearing|course|heading|direction|richtung"
+    r"|rumbo|kurs|compass|orient|rotation|magn|gyro|accel|time|clock|\u5782\u76f4|\uc218\uc9c1|\u0432\u0435\u0440\u0442"
+    r"|\u901f|\uc18d\ub3c4|\u0441\u043a\u043e\u0440"
+)
+_OF_OTHERS_WORDS = {"v", "s", "alt", "ele", "vel", "head", "cap", "dir", "yaw", "acc", "mag", "sensor"}
+# Of android.hardware.Sensor, which loggers write in place of a name; and letters.
+SENSOR_CODES = {
+    **{"1": ACCELERATION, "2": FIELD, "4": RATE, "5": "light", "6": "pressure", "8": "proximity", "9": GRAVITY},
+    **{"10": LINEAR, "14": "magnetometer raw", "16": "gyroscope raw", "35": "accelerometer raw"},
+    **{"a": ACCELERATION, "g": RATE, "m": FIELD, "A": ACCELERATION, "G": RATE, "M": FIELD},
+}
 # What a unit alone says of a column whose word is in a language that is not known.
 OF_UNIT = {
     **dict.fromkeys(("m/s^2", "m/s2"), ACCELERATION),
@@ -55,6 +86,7 @@ OF_UNIT = {
     **{"ut": FIELD, "hpa": "barometer"},
 }
 _AXIS_ALONE = re.compile(r"[\s_.]([xyz])\s*$", re.IGNORECASE)
+_AXES = ("x", "y", "z")
 _BARE = re.compile(r"([xyz])(?:axis|value)?|values?([xyz])")
 _CALIBRATED = re.compile(r"(un)?cal(ibrated)?$|raw$")
 _UNIT = re.compile(r"[(\[]([^()\[\]]*)[)\]]\s*$")
@@ -64,7 +96,7 @@ _UNIT_OF_WORD = {"mps2": "m/s2", "ms2": "m/s2", "degps": "deg/s", "degs": "deg/s
 
 # Factors to the unit of the stream, by how the apps write units, without spaces and in lower case.
 _ACCELERATIONS = {
-    **dict.fromkeys(("m/s^2", "m/s2", "m/s/s", "ms^-2"), 1.0),
+    **dict.fromkeys(("m/s^2", "m/s2", "m/s/s"), 1.0),
     **{"g": STANDARD_GRAVITY_MPS2, "mg": 1e-3 * STANDARD_GRAVITY_MPS2},
 }
 _RATES = {
@@ -75,6 +107,7 @@ _RATES = {
 UNITS: dict[str, dict[str, float]] = {
     **dict.fromkeys((ACCELERATION, LINEAR, GRAVITY), _ACCELERATIONS),
     **dict.fromkeys((RATE, ROTATION), _RATES),
+    ANGLES: {"rad": 1.0, "radians": 1.0, "deg": math.pi / 180, "\u00b0": math.pi / 180},
     FIELD: {"ut": 1.0, "mt": 1000.0, "t": 1e6, "gauss": 100.0, "g": 100.0},
     "barometer": {"hpa": 1.0, "mbar": 1.0, "pa": 0.01, "kpa": 10.0},
     "light": {"lux": 1.0, "lx": 1.0},
@@ -82,6 +115,20 @@ UNITS: dict[str, dict[str, float]] = {
 }
 # Cyrillic m, s, rad, and uT as "mkT" and an l
 _LATIN = dict(zip(map(ord, "\u043c\u0441\u0440\u0430\u0434\u043a\u0442"), "msradkt", strict=True)) | {0x43B: ""}
+# How people spell units, in the order of their replacement.
+_SPELLINGS = (
+    (r"^\s*in\s+|'s?\s*$|[\s\u00b7\u22c5*]", ""),
+    (r"met(er|re)s?", "m"),
+    (r"degrees?", "deg"),
+    (r"radians?", "rad"),
+    (r"squared", "^2"),
+    (r"\^-\^", "^-"),
+    (r"seconds?|secs?", "s"),
+    (r"per", "/"),
+    (r"microteslas?", "ut"),
+    (r"(?<=[a-z])s\^*-2$", "/s^2"),
+    (r"(?<=[a-z])s\^*-1$", "/s"),
+)
 TIME_UNITS = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
 _TIME = re.compile(r"(time|stamp|zeit|elapsed|sincestart|datetime|date|clock|epoch)")
 _WHOLE_SECONDS = re.compile(r"(.*?)(secs?|seconds?)", re.IGNORECASE)
@@ -111,10 +158,20 @@ class Column:
 
 
 def normal_unit(unit: str) -> str:
-    """A unit as in `UNITS`."""
-    unit = unit.lower().replace(" ", "").replace("\u00b2", "^2").replace("\u00b5", "u").replace("\u03bc", "u")
+    """Return a unit as `UNITS` spells it.
+
+    Examples
+    --------
+    >>> [normal_unit(unit) for unit in ("m s^-2", "in G's", "rad s^-1", "degrees per second")]
+    ['m/s^2', 'g', 'rad/s', 'deg/s']
+    """
+    unit = unit.lower().replace("\u00b2", "^2").replace("\u207b", "^-").replace("\u00b9", "1").replace("\u2212", "-")
+    unit = unit.replace("\u00b5", "u").replace("\u03bc", "u")
     unit = unit.replace("\u00e2", "")  # what is left of a sign that was decoded wrongly
-    return unit.translate(_LATIN).replace("mkt", "ut")
+    unit = unit.translate(_LATIN).replace("mkt", "ut")
+    for spelled, short in _SPELLINGS:
+        unit = re.sub(spelled, short, unit)
+    return unit
 
 
 def is_unit(text: str) -> bool:
@@ -128,58 +185,125 @@ def letters(name: str) -> str:
     return re.sub(r"[^a-z]", "", unicodedata.normalize("NFKD", name).lower())
 
 
-def quantity_of_stem(stem: str) -> tuple[str, int]:
-    """The quantity of letters that end with a word of the vocabulary, and its preference; "" if none."""
+def words_of(name: str) -> list[str]:
+    """Words of a name in lower case and without accents: separated by other characters, or by `camelCase`."""
+    plain = "".join(c for c in unicodedata.normalize("NFKD", name) if not unicodedata.combining(c))
+    return [word.lower() for word in _WORD.findall(plain)]
+
+
+def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
+    """Quantity that words end with, and its preference; "" if none.
+
+    Examples
+    --------
+    >>> quantity_of_words(["total", "acc"]), quantity_of_words(["lacc"])
+    (('acceleration', 1), ('linear_acceleration', 1))
+    """
+    stem = "".join(words)
     short = _CALIBRATED.sub("", stem)
     preference = 1 if short == stem else 2 if stem.removeprefix(short) in ("cal", "calibrated") else 0
     if short in _LETTERS:
         return _LETTERS[short], preference
-    if short in QUANTITY_OF:
-        return QUANTITY_OF[short], preference
-    fitting = [word for word in QUANTITY_OF if len(word) >= _SHORTEST and short.endswith(word)]
-    return (QUANTITY_OF[max(fitting, key=len)], preference) if fitting else ("", preference)
+    if _WITHOUT_GRAVITY.fullmatch(short) or _WITH_GRAVITY.fullmatch(short):
+        return (LINEAR if _WITHOUT_GRAVITY.fullmatch(short) else ACCELERATION), preference
+    ends = ["".join(words[i:])[: len(short) - len(stem) or None] for i in range(len(words))]
+    known = next((QUANTITY_OF[end] for end in ends if end in QUANTITY_OF and len(end) > 1), "")
+    fitting = [word for word in _GLUED if short.endswith(word)]
+    return known or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
 def quantity_of_file(name: str) -> tuple[str, int]:
-    """The quantity that the name of a file or a sheet says anywhere, and its preference; "" if none."""
-    found = letters(name)
-    words = {letters(word) for word in re.split(r"[^A-Za-z]+", name)}
-    fitting = [w for w in QUANTITY_OF if (w in found if len(w) > _SHORTEST else w in words)]
-    fitting = [w for w in fitting if w not in ("bar", "g", "rotation", "rot")]
-    fitting += [w for w in ("bar",) if w in words]
+    """Quantity that the name of a file or a sheet contains anywhere, and its preference; "" if none."""
+    words = words_of(name)
+    parts = {"".join(words[i:j]) for i in range(len(words)) for j in range(i + 1, min(i + 4, len(words)) + 1)}
+    fitting = [word for word in QUANTITY_OF if word in parts]
+    fitting += [glued for word in words for glued in _GLUED if len(glued) > 3 and glued in word]
+    fitting += [scalar for word in words for scalar in QUANTITY_OF if len(scalar) > 3 and word.startswith(scalar)]
+    fitting = [word for word in fitting if word not in ("rotation", "rot")]
+    found = "".join(words)
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
+    if _WITH_GRAVITY.search(found):
+        return ACCELERATION, preference
     return (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
+def trial_of(name: str) -> str:
+    """Name of a file without suffix and the words of its sensor: `walk1` of `walk1_acc.csv`."""
+    stem = re.sub(r"\.\w+$", "", name.rpartition("/")[2])
+    words = [(word.start(), word.end(), word[0].lower()) for word in _WORD.finditer(stem)]
+    of_sensor = {
+        place
+        for i in range(len(words))
+        for j in range(i + 1, min(i + 3, len(words)) + 1)
+        if "".join(word for _, _, word in words[i:j]) in (*QUANTITY_OF, "sensor", "data", "uncalibrated", "calibrated")
+        for place in range(words[i][0], words[j - 1][1])
+    }
+    left = "".join(" " if place in of_sensor else letter for place, letter in enumerate(stem))
+    return re.sub(r"[\s_.()-]+", "_", left).strip("_")
+
+
+def _accuracy(name: str, unit: str) -> int | None:
+    """Preference of an accuracy as that of the horizontal position, 0 if of something else; None of any other name."""
+    words = words_of(name)
+    stem = "".join(words)
+    # Letters of other scripts are no words above.
+    shown = stem + "".join(c for c in name.lower() if not c.isascii())
+    if _HORIZONTAL_ALONE.fullmatch(stem):
+        return 3
+    if not (found := _ACCURACY.search(shown)):
+        return None
+    rest = shown[: found.start()] + " " + shown[found.end() :]
+    if unit not in ("", "m") or _OF_OTHERS.search(rest) or not _OF_OTHERS_WORDS.isdisjoint([*words, rest.strip()]):
+        return 0
+    return 3 if _HORIZONTAL.search(rest) or "h" in words or "hor" in words else 2
+
+
 def column_of(place: int, name: str) -> Column:
-    """What a name says; see the examples above."""
+    """Quantity, axis and unit that the name of a column says; see the examples above."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())
     unit = normal_unit(unit_found[1]).replace("_", "") if unit_found else ""
     unit = _UNIT_OF_WORD.get(unit, unit)
-    words = name[: unit_found.start()] if unit_found else name
-    stem = letters(words)
-    if bare := _BARE.fullmatch(stem):
-        return Column(place, name, "", bare[1] or bare[2], unit)
-    for axis, rest in ((stem[-1:], stem[:-1]), (stem[:1], stem[1:])):  # the axis behind the word, or before it
-        if axis in ("x", "y", "z"):
-            quantity, preference = quantity_of_stem(rest)
-            if quantity == ROTATION and unit:
-                quantity = RATE if unit in UNITS[RATE] else ""
-            if quantity in VECTORS:
-                unit = unit or ("g" if rest in ("gf", "gforce") else "")
-                return Column(place, name, quantity, axis, unit, rest, preference)
-    quantity, preference = quantity_of_stem(stem)
-    axis_found = _AXIS_ALONE.search(words)
+    bare = name[: unit_found.start()] if unit_found else name
+    words = words_of(bare)
+    stem = "".join(words)
+    if alone := _BARE.fullmatch(stem):
+        return Column(place, name, "", alone[1] or alone[2], unit)
+    if angle := re.fullmatch(r"attitude(roll|pitch|yaw)(radians)?", stem):
+        return Column(place, name, ANGLES, angle[1], "rad" if angle[2] else unit, "attitude")
+    if (accuracy := _accuracy(bare, unit)) is not None:
+        return Column(place, name, "accuracy" if accuracy else "", "", unit, stem, accuracy)
+    for axis, rest in _axes_of(words):
+        quantity, preference = quantity_of_words(rest)
+        if quantity == ROTATION and unit:
+            quantity = RATE if unit in UNITS[RATE] else ""
+        if quantity in VECTORS and (len(axis) == 1 or quantity == RATE):
+            unit = unit or ("g" if "".join(rest) in ("gf", "gforce") else "deg/s" if axis in _GREEK_AXES else "")
+            return Column(place, name, quantity, _GREEK_AXES.get(axis, axis), unit, "".join(rest), preference)
+    quantity, preference = quantity_of_words(words)
+    axis_found = _AXIS_ALONE.search(bare)
     if not quantity and axis_found:  # the chip behind the word, as in accelerometer_lsm6ds3_c.x
-        word = words[: axis_found.start()]
+        word = bare[: axis_found.start()]
         begins = [word[: gap.start()] for gap in re.finditer(r"[^A-Za-z]+", word)]
-        known = next((q for begin in reversed(begins) if (q := quantity_of_stem(letters(begin))[0])), "")
+        known = next((q for begin in reversed(begins) if (q := quantity_of_words(words_of(begin))[0])), "")
         if known in VECTORS:
             return Column(place, name, known, axis_found[1].lower(), unit, letters(word), 0)
     if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
-        word = words[: axis_found.start()].lower()
+        word = bare[: axis_found.start()].lower()
         return Column(place, name, OF_UNIT[unit], axis_found[1].lower(), unit, word)
     return Column(place, name, "" if quantity in VECTORS else quantity, "", unit, stem, preference)
+
+
+def _axes_of(words: Sequence[str]) -> Iterator[tuple[str, list[str]]]:
+    """Axis and remaining words, for an axis behind them or before them."""
+    if not words:
+        return
+    first, last = words[0], words[-1]
+    if greek := next((axis for axis in _GREEK_AXES if last.endswith(axis)), ""):
+        yield greek, [*words[:-1], last.removesuffix(greek)]
+    if last[-1] in _AXES:
+        yield last[-1], [*words[:-1], last[:-1]]
+    if first[0] in _AXES:
+        yield first[0], [first[1:], *words[1:]]
 
 
 def is_time(name: str) -> bool:

@@ -52,12 +52,6 @@ def _found_in(text: str) -> re.Match[str] | None:
     return next((found for kind in _KINDS if (found := kind.fullmatch(text))), None)
 
 
-def has_zone(text: str) -> bool:
-    """Whether a date says how far its clock is from that of Greenwich."""
-    found = _WITH_DATE.fullmatch(text.strip())
-    return found is not None and found[8] is not None and found[8][0] not in "AaPp"
-
-
 def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
     """Rows of text with every date in them as nanoseconds since 1970, and clock times since midnight.
 

@@ -2,24 +2,26 @@
 
 from __future__ import annotations
 
+from contextlib import suppress
+from functools import partial
 from pathlib import Path, PurePosixPath
 
 from pdr_filter.io import (
-    core_motion,
     get_sensor_data,
     indoor_location,
     json_tables,
     limits,
-    phyphox,
     ros_bag,
     sensor_logger,
 )
 from pdr_filter.io.any_table import TEXTS, is_of_sensors
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.generic_csv import mapping_beside
+from pdr_filter.io.mapping import mapping_beside
 from pdr_filter.io.matlab import is_matlab
+from pdr_filter.io.own_format import OTHERS, REQUIRED
 from pdr_filter.io.ronin import SIGNATURE
+from pdr_filter.io.sheets import text_sheet
 from pdr_filter.io.spreadsheet import is_spreadsheet
 
 
@@ -39,9 +41,11 @@ def _detect_among(members: Members) -> str:
     by_name = {PurePosixPath(name).name: name for name in members.names}
     if is_spreadsheet(members):
         return "table"
+    if sensor_logger.is_without_seconds_elapsed(members):
+        return "sensor_logger"
     if "accelerometer.csv" in by_name:
-        found = detect_file(members, by_name["accelerometer.csv"])  # an experiment of phyphox may be called so, too
-        if found in ("phyphox", "sensor_logger") or (found == "table" and "meta.json" not in by_name):
+        found = detect_file(members, by_name["accelerometer.csv"])
+        if found == "sensor_logger" or (found == "table" and "meta.json" not in by_name):
             return found
         return "own"
     if "data.hdf5" in by_name and members.path.is_dir():
@@ -55,23 +59,31 @@ def _detect_among(members: Members) -> str:
     ]
     found = [detect_file(members, name) for name in texts[: limits.MAX_FILES_LOOKED_AT]]
     of_apps = list(dict.fromkeys(format for format in found if format not in ("", "table")))
-    # Tables of phyphox among others are tables: its members may have been renamed or rewritten.
-    return (
-        of_apps[0]
-        if of_apps and not (of_apps == ["phyphox"] and "table" in found)
-        else ("table" if "table" in found else "own")
-    )
+    if of_apps:
+        return of_apps[0]
+    is_table = "table" in found or any(map(partial(_is_unknown_table, members), texts[: limits.MAX_FILES_LOOKED_AT]))
+    return "table" if is_table else "own"
+
+
+def _is_unknown_table(members: Members, name: str) -> bool:
+    """True for a text with rows of numbers that is not of the project's own format: reading says what it lacks."""
+    head = members.head(name)
+    if not name.lower().endswith(TEXTS) or head.startswith((b"time_s,", b"\xef\xbb\xbftime_s,")):
+        return False
+    with suppress(RecordingError):
+        return text_sheet(members, name) is not None
+    return False
 
 
 def _detect_alone(members: Members) -> str:
     """The format of one file."""
     path, name = members.path, members.names[0]
     found = detect_file(members, name)
-    if name == "accelerometer.csv" and not found:
-        return "own"  # which asks for the folder
     if mapping_beside(path).is_file() and mapping_beside(path) != path:
         return found if found in ("get_sensor_data", "ronin") else "generic_csv"
     head = members.head(name)
+    if not found and path.name == REQUIRED and any(path.with_name(other).is_file() for other in OTHERS):
+        return "own"  # which asks for the folder
     if found == "sensor_logger" and head.lstrip()[:1] not in (b"[", b"{") and not head.startswith(b"SQLite"):
         return "table"  # one sensor of it
     if not found and b"\x00" not in head[:4096] and any(mark in head[:4096] for mark in (b",", b";", b"\t")):
@@ -97,11 +109,7 @@ def detect_file(members: Members, name: str) -> str:
     if get_sensor_data.looks_like(head):
         return "get_sensor_data"
     line = head.removeprefix(b"\xef\xbb\xbf").split(b"\n", 1)[0].decode("latin-1").rstrip("\r")
-    if phyphox.looks_like(line):
-        return "phyphox"
     if sensor_logger.looks_like(line):
         return "sensor_logger"
-    if core_motion.looks_like(line):
-        return "core_motion"
     is_own = line.startswith("time_s,")
     return "table" if not is_own and name.lower().endswith(TEXTS) and is_of_sensors(members, name) else ""

@@ -1,4 +1,4 @@
-"""Recordings in folders, and in files that hold several."""
+"""Recordings in folders and in files that hold several: the command line and `read` find the same ones."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ from collections.abc import Iterable
 from itertools import islice
 from pathlib import Path, PurePosixPath
 
-from pdr_filter.io import limits
-from pdr_filter.io.any_table import sensors_of
-from pdr_filter.io.archive import IN_PLACE, Members
-from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, quantity_of_file
+from pdr_filter.io import limits, sensor_logger
+from pdr_filter.io.any_table import TEXTS, sensors_of
+from pdr_filter.io.archive import IN_PLACE, Members, open_members, zips_among
+from pdr_filter.io.columns import ACCELERATION, GRAVITY, LINEAR, RATE, VECTORS, quantity_of_file, trial_of
 from pdr_filter.io.detection import detect, detect_file
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.generic_csv import mapping_beside
 from pdr_filter.io.json_tables import SUFFIXES
-from pdr_filter.io.several import parts_of, recordings_among
+from pdr_filter.io.mapping import mapping_beside
 
 _TEXTS = {".csv", ".txt", ".tsv", *SUFFIXES}
 _FILES = {".zip", ".gz", ".sqlite", ".db", *IN_PLACE}
+# Files whose names say that the folder around them is one recording.
+_MEMBERS = {"accelerometer.csv", "accelerometer.json", "data.hdf5", "metadata.csv", "metadata.yaml", "raw data.csv"}
+_WHOLE = ("get_sensor_data", "indoor_location", "ronin")
 
 
 def recordings_of(paths: str | Path | Iterable[str | Path]) -> list[str]:
@@ -34,63 +36,142 @@ def recordings_in(folder: str | Path) -> list[Path]:
 
     Every zip and hdf5 file is taken for one, so that a broken one is reported; text files only if they look like one of
     the known formats, or have a TOML file of their columns beside them. A file that holds several stands for each.
+    Files such as `walk1_acc.csv` and `walk1_gyro.csv` beside those of `walk2` are the recordings walk1 and walk2.
     """
     folder = Path(folder)
     if folder.is_file():
         return _each_of(folder)
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
-    if _is_one(folder):
+    parts = _parts_in(folder) if not any(map(_is_mapped, inside)) else []
+    if "." in parts:
         return [folder]
-    found: list[Path] = []
+    trials = [part for part in parts if not (folder / part).exists()]
+    found = [folder / trial for trial in trials]
     for path in inside:
         if path.is_dir() and not path.is_symlink():
             found += recordings_in(path)
-        elif path.is_file() and (path.suffix.lower() in _FILES or (path.suffix.lower() in _TEXTS and _is_known(path))):
+        elif (
+            path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
+        ):
             found += _each_of(path)
     return found
 
 
 def only_recording_in(path: Path) -> Path:
     """The path, or the only recording in a folder around it; RecordingError if there are several."""
-    parts = parts_of(path, detect_file)
     # Neither is anybody's home folder searched, nor is a link followed to what nobody gave.
     below = list(islice(path.rglob("*"), limits.MAX_MEMBERS)) if path.is_dir() else []
-    is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
-    if is_searched and (parts or detect(path) == "own"):
-        found = recordings_in(path)
+    if path.is_dir():
+        is_searched = 0 < len(below) < limits.MAX_MEMBERS and not any(entry.is_symlink() for entry in below)
+        found = recordings_in(path) if is_searched else [path]
         if len(found) == 1:
             return found[0]
         parts = [str(recording.relative_to(path)) for recording in found]
-    if parts:
-        listed = ", ".join(parts[:3])
-        if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
-            raise RecordingError(
-                f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
-            )
+    else:
+        parts = parts_of(path)
+    if not parts:
+        return path
+    listed = ", ".join(parts[:3])
+    if all(quantity_of_file(PurePosixPath(part).parent.name)[0] for part in parts):
         raise RecordingError(
-            f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
-            f"{path / parts[0]}, or each that pdr_filter.io.folders.recordings_in lists"
+            f"{path}: several files of a sensor in its folder ({listed}); make a folder of each recording instead"
         )
-    return path
+    raise RecordingError(
+        f"{path}: holds {len(parts)} recordings ({listed}{', ...' if parts[3:] else ''}); read one, such as "
+        f"{path / parts[0]}, or each that pdr_filter.io.folders.recordings_in lists"
+    )
 
 
-def _is_one(folder: Path) -> bool:
-    """Whether the files of a folder are one recording: others in it are left out, with a note."""
+def parts_of(path: Path) -> list[str]:
+    """Names to put behind the path of a file that holds several recordings, of each; none of any other file."""
+    if not path.exists():
+        return []
+    with open_members(path) as members:
+        if not members.is_container:
+            parts = sensor_logger.sessions_of(members)
+        else:
+            parts = zips_among(members.names) or recordings_among(members, members.names)
+    return parts if len(parts) > 1 else []
+
+
+def recordings_among(members: Members, names: Iterable[str]) -> list[str]:
+    """Folders, and files, of which each is one recording; "." is the folder of all.
+
+    A file with an accelerometer alone and files of other sensors beside it are one, with whatever lies there, too,
+    unless their names are those of several trials. Files of which each has all its sensors, or of which there are none
+    but accelerometers, are one each.
+    """
+    by_folder: dict[str, list[str]] = {}
+    for name in list(names)[: limits.MAX_MEMBERS]:
+        pure = PurePosixPath(name)
+        if pure.parent.name != "meta":
+            by_folder.setdefault(str(pure.parent), []).append(name)
+    found: list[str] = []
+    n_looked_at = 0
+    for folder, files in sorted(by_folder.items()):
+        if _MEMBERS.intersection(PurePosixPath(name).name.lower() for name in files):
+            found.append(folder)
+            continue
+        whole: list[str] = []
+        of_sensors: dict[str, set[str]] = {}  # the other files, with their sensors
+        for name in files:
+            if not name.lower().endswith((*TEXTS, *SUFFIXES)) or n_looked_at >= limits.MAX_FILES_LOOKED_AT:
+                continue
+            n_looked_at += 1
+            format = detect_file(members, name)
+            sensors = sensors_of(members, name) if format in ("sensor_logger", "table") else set[str]()
+            has_force = ACCELERATION in sensors or {LINEAR, GRAVITY} <= sensors
+            if format in _WHOLE or (has_force and sensors - {ACCELERATION, LINEAR, GRAVITY}):
+                whole.append(name)
+            else:
+                of_sensors[name] = {ACCELERATION} if has_force else sensors & set(VECTORS)
+        found += _of_one_sensor(folder, of_sensors, not whole)
+        found += whole
+    return found
+
+
+def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -> list[str]:
+    """Recordings of files with a sensor each: their folder, its trials, or each file."""
+    trials: dict[str, set[str]] = {}
+    for name, sensors in of_sensors.items():
+        trials.setdefault(trial_of(name), set()).update(sensors)
+    whole = [
+        trial for trial, sensors in trials.items() if trial and RATE in sensors and sensors & {ACCELERATION, LINEAR}
+    ]
+    if len(whole) > 1:
+        return [str(PurePosixPath(folder) / trial) for trial in whole]
+    kinds = set[str]().union(*of_sensors.values())
+    force_of = ACCELERATION if ACCELERATION in kinds else LINEAR
+    force = [name for name, sensors in of_sensors.items() if force_of in sensors]
+    is_one = bool(force and kinds - {force_of}) or (len(force) == 1 and is_all)
+    return [folder] if is_one else force if force_of == ACCELERATION else []
+
+
+def _parts_in(folder: Path) -> list[str]:
+    """Recordings among the files of a folder itself; "." if these are one, others being left out with a note."""
     try:
         members = Members(folder)
-        return "." in recordings_among(members, [name for name in members.names if name[0] != "."], detect_file)
+        return recordings_among(members, [name for name in members.names if name[0] != "."])
     except Exception:
-        return False  # something is wrong with one of them, which its row will say
+        return []  # something is wrong with one of them, which its row will say
 
 
 def _each_of(path: Path) -> list[Path]:
     try:
-        return [path / part for part in parts_of(path, detect_file)] or [path]
+        return [path / part for part in parts_of(path)] or [path]
     except Exception:
         return [path]  # something is wrong with it, which its row will say
 
 
+def _is_mapped(path: Path) -> bool:
+    """True for a text with a TOML file of its columns beside it."""
+    return path.suffix.lower() in _TEXTS and path.is_file() and mapping_beside(path).is_file()
+
+
 def _is_known(path: Path) -> bool:
+    """True for a text that looks like a recording, also for a broken one."""
+    if path.suffix.lower() not in _TEXTS:
+        return False
     try:
         found = detect(path)
         if found == "table":  # the table of a track has locations, too

@@ -5,16 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from pdr_filter.io.any_table import read_table
-from pdr_filter.io.core_motion import read_core_motion
+from pdr_filter.io.any_table import read_generic_csv, read_table
 from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import only_recording_in
-from pdr_filter.io.generic_csv import read_generic_csv
 from pdr_filter.io.get_sensor_data import read_get_sensor_data
 from pdr_filter.io.indoor_location import read_indoor_location
 from pdr_filter.io.own_format import read_recording
-from pdr_filter.io.phyphox import read_phyphox
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.ronin import read_ronin
 from pdr_filter.io.ros_bag import read_ros_bag
@@ -23,10 +20,10 @@ from pdr_filter.io.sensor_logger import read_sensor_logger
 FORMATS: dict[str, Callable[[Path], Recording]] = {
     "own": read_recording,
     "sensor_logger": read_sensor_logger,
-    "phyphox": read_phyphox,
+    "phyphox": read_table,
     "get_sensor_data": read_get_sensor_data,
     "indoor_location": read_indoor_location,
-    "core_motion": read_core_motion,
+    "core_motion": read_table,
     "ronin": read_ronin,
     "ros_bag": read_ros_bag,
     "table": read_table,

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from pdr_filter.io.columns import (
     ACCELERATION,
+    ANGLES,
+    LINEAR,
     LOCATION,
     OF_UNIT,
     SCALARS,
@@ -25,6 +28,7 @@ from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.sheets import Sheet
 
 _AXES = ("x", "y", "z")
+_ANGLES = ("roll", "pitch", "yaw")
 
 
 @dataclass(frozen=True, slots=True)
@@ -45,6 +49,10 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
     """The sensors of a table."""
     is_named = not all(name.startswith("column ") for name in sheet.fields)
     columns = [column_of(i, name) for i, name in enumerate(sheet.fields)]
+    numbered = [i for i, name in enumerate(sheet.fields) if re.fullmatch(r"(?i)v(al(ue)?s?)?[\W_]*[0-3]\W*", name)]
+    if len(numbered) == len(_AXES):  # value1, value2, value3
+        for i, axis in zip(numbered, _AXES, strict=True):
+            columns[i] = Column(i, sheet.fields[i], "", axis)
     times = [i for i, name in enumerate(sheet.fields) if i in sheet.dates or (is_named and is_time(name))]
     nanoseconds = {nanoseconds_of(sheet.fields, i) for i in times}
     times = [i for i in times if i not in nanoseconds]
@@ -57,11 +65,15 @@ def groups_of(sheet: Sheet, at: int) -> list[Group]:
         unit = next((column.unit for column in axes if column.unit), "")
         if unit and unit not in UNITS[quantity]:
             raise RecordingError(
-                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; "
-                f"known are {', '.join(UNITS[quantity])}"
+                f"{sheet.where}: column {axes[0].name!r}: unit {unit!r} is not known for the {quantity}; write one of "
+                f"{', '.join(UNITS[quantity])}, or give the unit in a file with pdr-filter convert FILE --map MAP.toml"
             )
         places = tuple(column.place for column in axes)
         groups.append(_group(sheet, at, quantity, places, times, unit, preference))
+    angles = [column for name in _ANGLES for column in columns if column.quantity == ANGLES and column.axis == name]
+    if len(angles) == len(_ANGLES):
+        places = tuple(column.place for column in angles)
+        groups.append(_group(sheet, at, ANGLES, places, times, angles[0].unit, 1))
     groups += _scalars(sheet, at, columns, times)
     return groups
 
@@ -79,14 +91,14 @@ def _group(
 def _without_names(sheet: Sheet, times: list[int]) -> tuple[list[Column], list[int]]:
     """Columns by their order: the time, then the axes of the sensor that the name of the file says."""
     quantity, _ = quantity_of_file(sheet.name)
-    times = times or [0]
-    if not quantity or len(sheet.fields) < (4 if quantity in VECTORS else 2):
-        return [], times
-    first = times[0] + 1
+    numbers = [i for i in range(len(sheet.fields)) if i not in getattr(sheet, "texts", ())]
+    times = times or numbers[:1]
     axes = _AXES if quantity in VECTORS else ("",)
+    after = [i for i in numbers if i > times[0]][: len(axes)] if times else []
+    if not quantity or len(after) < len(axes):
+        return [], times
     bare = "" if quantity in VECTORS else quantity
-    names = sheet.fields[first : first + len(axes)]
-    return [Column(first + i, name, bare, axes[i]) for i, name in enumerate(names)], times
+    return [Column(i, sheet.fields[i], bare, axis) for i, axis in zip(after, axes, strict=True)], times
 
 
 def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> list[tuple[str, list[Column], int]]:
@@ -98,7 +110,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
     for column in columns:
         quantity = column.quantity
         says_little = not quantity or (len(column.stem) == 1 and not differ)
-        if not column.axis or (says_little and of_file and of_file not in VECTORS):
+        if column.axis not in _AXES or (says_little and of_file and of_file not in VECTORS):
             continue
         if says_little:
             before = max((t for t in times if t < column.place), default=-1)
@@ -115,7 +127,7 @@ def _triples(sheet: Sheet, columns: Sequence[Column], times: Sequence[int]) -> l
         if all(axis in axes for axis in _AXES):
             preference = min(axes[axis].preference for axis in _AXES) if named else of_file_preference
             triples.append((quantity, [axes[axis] for axis in _AXES], preference))
-        elif quantity == ACCELERATION and stem:
+        elif quantity in (ACCELERATION, LINEAR) and stem:
             missing = ", ".join(axis for axis in _AXES if axis not in axes)
             raise RecordingError(
                 f"{sheet.where}: {next(iter(axes.values())).name!r} is one axis of the accelerometer, and there is no "
@@ -132,8 +144,9 @@ def _scalars(sheet: Sheet, at: int, columns: Sequence[Column], times: Sequence[i
         quantity = column.quantity
         if not quantity and of_file in SCALARS and (column.axis == "x" or len(columns) == 1):
             quantity = of_file
-        if quantity and quantity not in VECTORS:
-            first.setdefault(quantity, column)
+        best = first.get(quantity)
+        if quantity and quantity not in (*VECTORS, ANGLES) and (best is None or column.preference > best.preference):
+            first[quantity] = column
     groups = [
         _group(sheet, at, q, (c.place,), times, c.unit if c.unit in UNITS[q] else "", 1)
         for q, c in first.items()

@@ -6,13 +6,25 @@ What names and values leave open is said: units from values, the sign of an app 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, ROTATION, SCALARS, TIME_UNITS, UNITS
+from pdr_filter.io.columns import (
+    ACCELERATION,
+    ANGLES,
+    FIELD,
+    GRAVITY,
+    LINEAR,
+    RATE,
+    ROTATION,
+    SCALARS,
+    TIME_UNITS,
+    UNITS,
+)
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.dialects import Dialect
 from pdr_filter.io.errors import RecordingError
@@ -20,6 +32,7 @@ from pdr_filter.io.evidence import constant_part, turning
 from pdr_filter.io.groups import Group
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheet_data import SheetData, is_new_place
+from pdr_filter.io.sheets import Sheet
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
 
 # Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
@@ -35,7 +48,7 @@ _TURNS_AS_SAID = (0.5, 2.0)
 _RATE_SHARE = 0.25
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
-    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "ms^-2": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+    **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
 }
 # Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
 # that, but would then come less often than any sensor.
@@ -90,7 +103,7 @@ def guess(
     chosen = [*forces]
     result.is_time_declared = forces[0].is_time_declared
     time_s, force = forces[0].time_s, _force(forces)
-    for quantity in (RATE, FIELD, *SCALARS, "location"):
+    for quantity in (RATE, FIELD, *SCALARS, "location", ANGLES):
         fitting = [s for s in streams if s.group.quantity == quantity]
         if fitting:
             near = max(
@@ -130,11 +143,35 @@ def guess(
     return result
 
 
+def columns_by_content(sheet: Sheet) -> tuple[str, str, Sequence[str], str]:
+    """Time and accelerometer of a table as its values show them, each with its unit; "?" where they show none."""
+    numbers = [i for i in range(len(sheet.fields)) if i not in sheet.dates and i not in getattr(sheet, "texts", ())]
+    time, time_unit = next(((sheet.fields[i], "date") for i in sheet.dates), ("?", "s"))
+    with suppress(RecordingError):
+        values = sheet.table(numbers, None, []).values
+        increasing = [k for k in range(len(numbers)) if len(values) > 1 and (np.diff(values[:, k]) > 0).all()]
+        per_tick = {k: (len(values) - 1) / np.ptp(values[:, k]) for k in increasing}
+        # A count of the rows increases, too.
+        for k in sorted(increasing, key=lambda k: per_tick[k] == 1.0)[:1]:
+            time, time_unit = sheet.fields[numbers[k]], _time_unit(values[:, k])
+            at_s = values[:, k] * TIME_UNITS[time_unit]
+            triples = [range(i, i + 3) for i in range(len(numbers) - 2) if k not in range(i, i + 3)]
+            # Axes have names of one length; with another column in place of an axis, less of gravity is constant.
+            lengths = {triple: len({len(sheet.fields[numbers[i]]) for i in triple}) for triple in triples}
+            for unit, gravity in (("m/s2", STANDARD_GRAVITY_MPS2), ("g", 1.0)):
+                parts = {triple: constant_part(at_s, values[:, [*triple]]) / gravity for triple in triples}
+                low, high = _G_OF_GRAVITY
+                if fitting := [triple for triple, part in parts.items() if low <= part <= high]:
+                    best = max(fitting, key=lambda triple: (-lengths[triple], parts[triple]))
+                    return time, time_unit, [sheet.fields[numbers[i]] for i in best], unit
+    return time, time_unit, ["?"] * 3, "m/s2"
+
+
 def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: Dialect | None, where: str) -> float:
     """The rate of tables without a time; zero if all have one."""
     if all(group.time is not None for group in groups):
         return 0.0
-    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)) is not None:
+    if dialect is not None and (period_ms := dialect.period_of(data[groups[0].sheet].sheet.about)):
         return 1000 / period_ms
     names = ", ".join(data[groups[0].sheet].sheet.fields)[:200]
     app = f"this looks like {dialect.app}, but there is" if dialect else "there is"
@@ -275,7 +312,7 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
         fits = [u for u in ("hpa", "pa", "kpa") if low <= norm * UNITS[quantity][u] <= high]
         s = replace(s, unit=fits[0] if fits else "hpa")
     elif not s.unit:
-        s = replace(s, unit={"light": "lux", "proximity": "cm"}.get(quantity, ""))
+        s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
     return s
 
@@ -309,17 +346,18 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     if dialect is not None and dialect.sign is not None:
         if platform is not None:
             raise RecordingError(
-                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave --platform out"
+                f"{where}: {dialect.app} writes the same sign whatever the platform is; leave platform out"
             )
-        result.evidence.append(f"sign: {dialect.sign:+d}, as {dialect.app} writes it")
+        result.evidence.append(f"sign: {'Android' if dialect.sign > 0 else 'Apple'}'s, as {dialect.app} writes it")
         return dialect.sign
     if platform is not None:
-        result.evidence.append(f"sign: that of {platform}, as given")
+        result.evidence.append(f"sign: that of {platform}, as given or as the metadata say")
         return -1 if platform == "ios" else 1
     if dialect is None and forces[0].unit in ("g", "mg"):
         raise RecordingError(
             f"{where}: acceleration in g, and nothing shows its sign, which is Apple's or Android's: a phone lying "
-            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android"
+            "face up reads -1 or +1 on z; say it with pdr-filter convert FILE --platform ios, or --platform android, "
+            'and in Python with pdr.read(path, platform="ios")'
         )
     result.notes.append(
         "accelerometer: nothing in the file shows its sign, so Android's is taken; if a phone lying face up reads "

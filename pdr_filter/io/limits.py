@@ -67,7 +67,6 @@ RATE_RANGE_HZ = (5.0, 2000.0)
 # 1.6. Walking with gravity removed gives about 1 to 4, so the message for small values names both.
 SPECIFIC_FORCE_RANGE_MPS2 = (5.0, 25.0)
 G_RANGE = (0.8, 1.7)
-GRAVITY_RANGE_G = (0.9, 1.1)  # of CoreMotion, 1 by construction, to rounding
 # Two turns a second as the median; jogging reaches 4.3. The same walk in deg/s gives 20 and more.
 MAX_MEDIAN_ANGULAR_RATE_RADPS = 12.0
 MAGNETIC_FIELD_RANGE_UT = (20.0, 80.0)  # the Earth's is 22 to 67 uT, steel indoors bends it a little further

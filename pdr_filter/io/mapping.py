@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, cast
 
 from pdr_filter.io.archive import read_toml
-from pdr_filter.io.columns import ACCELERATION, FIELD, GRAVITY, LINEAR, RATE, TIME_UNITS, UNITS
+from pdr_filter.io.columns import ACCELERATION, ANGLES, FIELD, GRAVITY, LINEAR, RATE, TIME_UNITS, UNITS
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.files import beside
 
 # For each stream: how many columns, and its units with the factor to the one of `Recording`; "" if none is needed.
 STREAMS: dict[str, tuple[int, dict[str, float]]] = {
@@ -19,6 +20,7 @@ STREAMS: dict[str, tuple[int, dict[str, float]]] = {
     "light": (1, {"lux": 1.0, "": 1.0}),
     "proximity": (1, {"cm": 1.0, "mm": 0.1, "m": 100.0, "": 1.0}),
     "attitude": (4, {"": 1.0}),
+    ANGLES: (3, {"rad": 1.0, "deg": UNITS[RATE]["deg/s"]}),
     "location": (4, {"": 1.0}),
 }
 _SIGNED = ("accelerometer", GRAVITY, LINEAR)
@@ -70,6 +72,12 @@ class Mapping:
             if stream.time:
                 lines += [f"time = {_quoted(stream.time)}", f"time_unit = {_quoted(stream.time_unit)}"]
         return "\n".join(lines) + "\n"
+
+
+def mapping_beside(path: Path) -> Path:
+    """Path of the mapping of a file: walk.toml or walk.csv.toml beside walk.csv."""
+    longer = beside(path, path.name + ".toml")
+    return longer if longer.is_file() else beside(path, path.with_suffix(".toml").name)
 
 
 def read_mapping(path: Path) -> Mapping:

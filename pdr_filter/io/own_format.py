@@ -15,11 +15,13 @@ from pdr_filter.io.checks import checked_streams, with_time
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.own_writer import STREAM_COLUMNS, TEXT_COLUMNS, TIME_COLUMNS, TRUTH_COLUMNS, WIFI_COLUMNS
 from pdr_filter.io.recording import Recording, Truth
+from pdr_filter.io.row_times import in_order
 from pdr_filter.io.table import TextTable
 from pdr_filter.io.wifi import wifi_of, with_whole_addresses
 from pdr_filter.values import CONTEXTS, FloatArray, Table, Wifi, table
 
 REQUIRED = "accelerometer.csv"
+OTHERS = ("meta.json", "gyroscope.csv")  # beside it in a recording, one of them at least
 
 
 def read_recording(path: str | Path) -> Recording:
@@ -47,6 +49,7 @@ def read_recording(path: str | Path) -> Recording:
         }
         has_wifi = f"{folder}wifi.csv" in members.names
         wifi = _read_wifi(members, f"{folder}wifi.csv", notes) if has_wifi else None
+    found = in_order(found, ".csv", notes)
     streams = checked_streams(found, 0.0, ".csv", str(path), notes)
     first_s = streams["accelerometer"].time_s.min()
     if abs(first_s) > 1.0:

@@ -21,6 +21,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.checks import up_cosine
+from pdr_filter.io.dialects import said_platform
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.sensor_logger_json import objects_by_sensor
@@ -77,6 +78,15 @@ class _Export:
 def looks_like(header: str) -> bool:
     """Whether the header line of a CSV file is one of Sensor Logger."""
     return {"time", "seconds_elapsed"} <= set(header_fields(header, find_separator(header)))
+
+
+def is_without_seconds_elapsed(members: Members) -> bool:
+    """True for an export of 2021, whose tables show less than its Metadata.csv."""
+    by_stem = {PurePosixPath(name).stem.lower(): name for name in members.names if name.lower().endswith(".csv")}
+    if not {"metadata", "accelerometer"} <= by_stem.keys():
+        return False
+    header = members.head(by_stem["accelerometer"]).partition(b"\n")[0].decode("latin-1").strip()
+    return {*header_fields(header, ",")} == {"time", "x", "y", "z"} and bool(said_platform(members))
 
 
 def looks_like_export(head: bytes) -> bool:

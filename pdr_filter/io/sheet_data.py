@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from pdr_filter.io.assemble import Parsed
-from pdr_filter.io.columns import GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
+from pdr_filter.io.columns import ANGLES, GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheets import Sheet
@@ -82,6 +82,9 @@ def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
         found[stream.stream] = (ticks[known], unit_s, values[known])
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
         found["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
+    if ANGLES in found:
+        ticks, unit_s, angles = found.pop(ANGLES)
+        found["attitude"] = ticks, unit_s, quaternion_of(*angles.T)
     first = found.get("accelerometer", (np.empty(0), 1.0, np.empty(0)))
     whole = [ticks for ticks, _, _ in found.values() if ticks.dtype.kind == "i"]
     # Whole numbers need all their digits: made relative before they become seconds.
@@ -91,6 +94,15 @@ def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
             parsed.streams[name] = (_seconds(ticks, unit_s, zero, zero_unit_s), values)
     if whole and len(first[0]) and first[0].dtype.kind == "i" and first[0][0] * first[1] > 1e9:
         parsed.meta["epoch_s"] = float(first[0][0]) * first[1]
+
+
+def quaternion_of(roll_rad: FloatArray, pitch_rad: FloatArray, yaw_rad: FloatArray) -> FloatArray:
+    """Quaternions wxyz, sensor to world with z up, of CoreMotion's angles: R = Rz(yaw) Rx(pitch) Ry(roll)."""
+    with np.errstate(invalid="ignore"):
+        (cr, sr), (cp, sp), (cy, sy) = ((np.cos(a / 2), np.sin(a / 2)) for a in (roll_rad, pitch_rad, yaw_rad))
+    # q_z(yaw) q_x(pitch) = (cy cp, cy sp, sy sp, sy cp); times q_y(roll) = (cr, 0, sr, 0)
+    w, x, y, z = cy * cp, cy * sp, sy * sp, sy * cp
+    return np.column_stack([w * cr - y * sr, x * cr - z * sr, y * cr + w * sr, z * cr + x * sr])
 
 
 def is_new_place(values: FloatArray) -> BoolArray:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
+from functools import partial
 from itertools import pairwise
 
 import numpy as np
@@ -114,7 +115,9 @@ class TextSheet:
             rows = re.sub(rb"(?m)^ | $", b"", re.sub(rb"[ \t]+", b" ", rows)) if self.separator == " " else rows
             if self.only is not None:
                 column, text = self.only
-                pattern = self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?' + self._mark + rb".*\n?"
+                pattern = (
+                    self._up_to(column) + b'"?' + re.escape(text.encode()) + b'"?(?=\\s|$|' + self._mark + rb").*\n?"
+                )
                 rows = b"".join(re.findall(pattern, rows))
             if rows:
                 yield rows
@@ -142,9 +145,49 @@ class TextSheet:
 Sheet = ArraySheet | TextSheet
 
 
-def text_sheet(members: Members, member: str, separator: str | None = None) -> TextSheet | None:
-    """The table in a text; None if it holds none."""
-    head = members.head(member)
+def text_sheets(members: Members, member: str, separator: str | None = None) -> list[TextSheet]:
+    """The tables in a text, of which there are several where its first name begins another line of names."""
+    header = members.head(member).removeprefix(b"\xef\xbb\xbf").partition(b"\n")[0].strip()
+    if header.startswith(b'"') and (first := re.match(rb'"[^"\d]*"', header)):
+        n_tables = sum(len(_begins(block, first[0])) for block in members.blocks(member))
+        if n_tables > limits.MAX_TABLES:
+            raise RecordingError(
+                f"{members.where(member)}: {n_tables} lines that begin like a header; write each table into a file"
+            )
+        tables = [partial(_table_at, members, member, first[0], n) for n in range(n_tables)]
+        if n_tables > 1 and len({next(table(), b"").partition(b"\n")[0] for table in tables}) == n_tables:
+            sheets = [text_sheet(members, member, separator, table) for table in tables]
+            return [replace(sheet, name=f"{sheet.name} {n}") for n, sheet in enumerate(sheets, 1) if sheet is not None]
+    sheet = text_sheet(members, member, separator)
+    return [] if sheet is None else [sheet]
+
+
+def _begins(block: bytes, first: bytes) -> list[int]:
+    """Places of the lines of a block that begin so."""
+    found = [0] if block.startswith(first) else []
+    at = block.find(b"\n" + first)
+    while at >= 0:
+        found.append(at + 1)
+        at = block.find(b"\n" + first, at + 1)
+    return found
+
+
+def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
+    """Blocks of the n-th of several tables."""
+    at = -1
+    for block in members.blocks(member):
+        begins = _begins(block, first)
+        for begin, end in pairwise(sorted({0, *begins, len(block)})):
+            at += begin in begins
+            if at == n:
+                yield block[begin:end]
+
+
+def text_sheet(
+    members: Members, member: str, separator: str | None = None, blocks: Callable[[], Iterator[bytes]] | None = None
+) -> TextSheet | None:
+    """The table in a text, or in some blocks of it; None if it holds none."""
+    head = members.head(member) if blocks is None else next(blocks(), b"")[: limits.HEAD_BYTES]
     if b"\x00" in head[:4096]:
         return None
     lines = _lines(head)
@@ -171,7 +214,7 @@ def text_sheet(members: Members, member: str, separator: str | None = None) -> T
         separator=found.separator,
         decimal=found.decimal,
         n_before=found.first,
-        blocks=lambda: members.blocks(member),
+        blocks=blocks or (lambda: members.blocks(member)),
     )
 
 
@@ -218,9 +261,12 @@ def _layout(lines: list[str], separator: str) -> _Found | None:
     # Line ends that were converted twice leave a blank line after each.
     places = [i for i, line in enumerate(lines) if line.strip()][: _LINES_TRIED + _LINES_COMPARED]
     split = [_split(lines[i], separator) for i in places]
-    for first, (row, after) in enumerate(pairwise(split[: _LINES_TRIED + 1])):
-        n = len(row)
-        if n < 2 or len(after) != n or not (_is_row(row) and _is_row(after)):
+    for first, (row, after) in enumerate(pairwise([*split, None][: _LINES_TRIED + 1])):
+        n = len(row or ())
+        is_only = after is None and first > 0 and len(split[first - 1]) == n and not _is_row(split[first - 1])
+        if row is None or n < 2 or not _is_row(row):
+            continue
+        if not is_only and (after is None or len(after) != n or not _is_row(after)):
             continue
         rows = [r for r in split[first : first + _LINES_COMPARED] if len(r) == n]
         values = [text for r in rows for text in r if text]

@@ -7,18 +7,14 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import numpy as np
-
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
-from pdr_filter.io.dates import is_date, nanoseconds_of, without_midnights
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.sheets import ArraySheet, unlike
-from pdr_filter.io.table import to_number
-from pdr_filter.values import FloatArray, IntArray
+from pdr_filter.io.sheets import TextSheet, text_sheet
 
 _WORKBOOK = "xl/workbook.xml"
 _OLD = b"\xd0\xcf\x11\xe0\xa1\xb1\x1a\xe1"
@@ -26,7 +22,7 @@ _CELL = re.compile(rb"""\br\s{0,9}=\s{0,9}["']([A-Z]{1,9})([0-9]{1,18})["']""")
 # A sheet is read as a rectangle: one cell far off would make it large. Tables of samples are full.
 _LEAST_FILLED = 0.05
 _CELLS_FREELY = 1_000_000
-_ROWS_TRIED = 40
+_BREAKS = re.compile(r"[\t\r\n]")
 _MOST_S = 300.0  # a sheet of a million rows takes some ten seconds
 
 
@@ -37,7 +33,7 @@ def is_spreadsheet(members: Members, name: str = "") -> bool:
     return members.head(name or members.names[0], 8) == _OLD
 
 
-def spreadsheet_sheets(members: Members) -> list[ArraySheet]:
+def spreadsheet_sheets(members: Members) -> list[TextSheet]:
     """The tables in a spreadsheet."""
     path = members.path
     if importlib.util.find_spec("python_calamine") is None:
@@ -55,7 +51,7 @@ def spreadsheet_sheets(members: Members) -> list[ArraySheet]:
         if isinstance(error, RecordingError):
             raise
         raise RecordingError(f"{path}: this spreadsheet is damaged or no table; export it again, or as CSV") from error
-    return [sheet for name, rows in sheets if (sheet := _sheet(name, rows, f"{path}: {name}")) is not None]
+    return [sheet for name, rows in sheets if (sheet := _sheet(members, name, rows)) is not None]
 
 
 def _check_claims(members: Members) -> None:
@@ -77,57 +73,9 @@ def _check_claims(members: Members) -> None:
             )
 
 
-def _sheet(name: str, rows: list[list[Any]], where: str) -> ArraySheet | None:
-    """The table in a sheet; None if there is none."""
-    first = next((i for i in range(min(len(rows) - 1, _ROWS_TRIED)) if _is_row(rows[i]) and _is_row(rows[i + 1])), None)
-    if first is None:
-        return None
-    header = next((row for row in reversed(rows[:first]) if any(isinstance(v, str) and v.strip() for v in row)), None)
-    n = max(map(len, rows[first : first + 2]))
-    if n > limits.MAX_COLUMNS:
-        raise RecordingError(f"{where}: {n} columns, more than {limits.MAX_COLUMNS}; this is no table")
-    names = [str(v).strip() for v in header or []][:n]
-    dates = frozenset(i for i, value in enumerate(rows[first]) if _is_date(value))
-    columns: list[FloatArray | IntArray] = []
-    for i in range(n):
-        values = [row[i] if i < len(row) else "" for row in rows[first:]]
-        columns.append(
-            _nanoseconds(values, where) if i in dates else np.array([_number(v) for v in values], dtype=float)
-        )
-    about = "\n".join(
-        " ".join(str(v) for v in row if str(v).strip())[:200] for row in rows[:first] if row is not header
-    )
-    return ArraySheet(name, where, unlike(names + [""] * (n - len(names))), tuple(columns), about, dates)
-
-
-def _is_row(row: list[Any]) -> bool:
-    known = [value for value in row if value != ""]
-    n_values = sum(_is_date(value) or not np.isnan(_number(value)) for value in known)
-    return n_values >= 2 and 2 * n_values > len(known)
-
-
-def _is_date(value: Any) -> bool:
-    return isinstance(value, str) and is_date(value)
-
-
-def _number(value: Any) -> float:
-    """A number, also one that was typed as text, with a point or a comma; NaN for anything else."""
-    if isinstance(value, bool):
-        return float("nan")
-    if isinstance(value, int | float):
-        return float(value)
-    number = to_number(value.replace(",", ".")) if isinstance(value, str) else None
-    return float("nan") if number is None else number
-
-
-def _nanoseconds(values: list[Any], where: str) -> IntArray:
-    """Dates of cells as whole nanoseconds."""
-    found: list[int] = []
-    for value in values:
-        if not _is_date(value):
-            raise RecordingError(f"{where}: {str(value)[:40]!r} in a column of dates; give every row its time")
-        try:
-            found.append(nanoseconds_of(value))
-        except ValueError as error:
-            raise RecordingError(f"{where}: {error}") from error
-    return without_midnights(np.array(found, dtype=np.int64))
+def _sheet(members: Members, name: str, rows: list[list[Any]]) -> TextSheet | None:
+    """Table in a sheet, read like the text that the sheet would be as CSV; None if there is none."""
+    lines = ("\t".join(_BREAKS.sub(" ", "" if isinstance(v, bool) else str(v)) for v in row) for row in rows)
+    content = "".join(f"{line}\n" for line in lines).encode()
+    found = text_sheet(members, name, "\t", lambda: iter([content] if content else []))
+    return None if found is None else replace(found, name=name, where=f"{members.path}: {name}")

@@ -69,8 +69,7 @@ def find_separator(header: str) -> str:
 class TextTable:
     """A table whose first line names its columns; the rows are parsed when they are asked for.
 
-    Its text comes in blocks that end with a line feed, except perhaps the last; `separator_of` finds the separator in
-    the first line. `where` and the number of the first line are for messages.
+    Its text comes in blocks that end with a line feed, except perhaps the last. `where` is for messages.
     """
 
     def __init__(
@@ -78,14 +77,12 @@ class TextTable:
         blocks: Iterable[bytes],
         where: str,
         separator_of: Callable[[str], str] = find_separator,
-        first_line: int = 1,
     ) -> None:
         self.where = where
         self._rest = iter(blocks)
         head, _, first_rows = next(self._rest, b"").partition(b"\n")
         self.first_rows = first_rows or next(self._rest, b"")  # the first block of them
-        self._first_line = first_line
-        self.header = decode(head, where, first_line)
+        self.header = decode(head, where)
         self.separator = separator_of(self.header)
         self.fields = header_fields(self.header, self.separator)
         if len(self.fields) > limits.MAX_COLUMNS:
@@ -120,7 +117,7 @@ class TextTable:
         """The columns at these places; see `Layout` and `parse_blocks`."""
         names = tuple(self.fields[place] for place in places)
         layout = Layout(tuple(places), whole, self.separator, decimal, names, tuple(texts))
-        return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes, self._first_line + 1)
+        return parse_blocks(chain([self.first_rows], self._rest), layout, self.where, notes)
 
 
 def decode(content: bytes, where: str, first_line: int = 1) -> str:

@@ -44,7 +44,7 @@ FILES = (
     Known("phyphox/gait_lab", "phyphox", "walking"),
     Known("phyphox/columns_t_x_y_z", "table", "walking"),
     Known("phyphox/columns_timestamps", "table", "", "does not increase", "times rounded to three digits, 4 Hz"),
-    Known("phyphox/linear_acceleration_only", "phyphox", "", "without gravity", "without gravity"),
+    Known("phyphox/linear_acceleration_only", "phyphox", "", "lacks gravity", "without gravity"),
     Known("androsensor/data.csv", "AndroSensor", "", "a rate of 2 Hz", "2 Hz"),
     Known("androsensor/record.csv", "AndroSensor", "", "a rate of 2 Hz", "2 Hz"),
     Known("hyperimu/with_timestamp.csv", "HyperIMU", "3 s, shaken"),

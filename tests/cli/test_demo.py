@@ -14,6 +14,7 @@ from rich.console import Console
 import pdr_filter as pdr
 from pdr_filter.cli.demo import Demo, run_demo
 from pdr_filter.io.own_format import write_recording
+from pdr_filter.report.page_data import track_data
 
 
 @pytest.fixture(scope="module")
@@ -86,7 +87,7 @@ def test_the_summary_names_the_files_the_uncertainty_and_the_next_step(simulated
     text = printed(simulated)
     for path in (simulated.report, simulated.picture, simulated.geojson, simulated.csv):
         assert str(path) in text
-    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +one standard deviation, in the worst direction"
+    how_sure = f"± {simulated.track.position_std_m[-1]:.1f} m  +standard deviation, worst direction"
     assert re.search(how_sure, text)
     assert "pdr-filter demo YOUR.zip" in text
     assert len(text.splitlines()) <= 24  # one screen
@@ -132,3 +133,24 @@ def test_progress_reaches_one(tmp_path: Path) -> None:
     fractions: list[float] = []
     run_demo(None, tmp_path, fractions.append)
     assert fractions[-1] == 1.0
+
+
+def test_the_end_error_on_the_screen_is_that_of_the_report_at_the_last_step(simulated: Demo) -> None:
+    position_m = simulated.track.position_m.copy()
+    position_m[-1] += 9.0
+    off = replace(simulated, track=replace(simulated.track, position_m=position_m))
+    for demo in (simulated, off):
+        data = track_data(demo.track, demo.recording, None, 1)
+        assert f"{data['from_truth'][-1]:.1f} m from the truth, turned to fit" in printed(demo)
+        assert (data["from_truth"][-1] > 5.0) == (demo is off)
+    data = track_data(simulated.track, simulated.recording, None, 1)
+    assert f'"from_truth":{json.dumps(data["from_truth"], separators=(",", ":"))}' in simulated.report.read_text()
+
+
+def test_a_note_that_was_said_is_not_said_again(simulated: Demo) -> None:
+    noted = replace(simulated, track=replace(simulated.track, notes=("the height is not known",)))
+    console, said = Console(width=100, highlight=False), set[str]()
+    with console.capture() as capture:
+        for _ in range(3):
+            noted.print(console, said)
+    assert capture.get().count("the height is not known") == 1

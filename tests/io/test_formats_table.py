@@ -315,6 +315,10 @@ TRAPS: dict[tuple[str, str], list[tuple[str, str]]] = {
         (TIMES, "test_a_clock_goes_on_at_midnight"),
         (DATES, "test_minutes_and_seconds_go_on_at_the_full_hour"),
     ],
+    (
+        "tables",
+        "rows out of order; packs of samples with one time; several accuracies; [further kinds](formats.md#odd-tables)",
+    ): [("test_oddities.py", "test_what_is_said_of_an_odd_table_and_its_samples_are_right")],
     ("tables", "times that a spreadsheet rounded (`mm:ss.0`, `18:23`, `1.7E+18`)"): [
         (TIMES, "test_times_that_a_spreadsheet_rounded_are_refused_with_what_happened"),
         (LOGGER, "test_times_that_a_spreadsheet_rounded_are_replaced_by_the_seconds_elapsed"),

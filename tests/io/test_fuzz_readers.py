@@ -18,6 +18,7 @@ from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.formats import FORMATS, read
 
+AS_TABLES = ("phyphox", "core_motion")  # formats that are read like the tables of any app
 TEXTS = ("sensor_logger:json", "get_sensor_data", "indoor_location", "core_motion", "phyphox:csv")
 # Of processor time; each takes some 0.1 s, and a machine may be busy. The benchmark of the same mutations says seconds.
 SOON_S = 5.0
@@ -53,14 +54,16 @@ def recording_or_refusal(path: Path, format: str | None) -> None:
 @pytest.mark.parametrize("form", FORMS)
 def test_the_format_is_found_by_content_whatever_the_name(tmp_path: Path, form: str) -> None:
     path = good(form, tmp_path / "x")
-    assert detect(path) == form.partition(":")[0]
+    format = form.partition(":")[0]
+    format = "table" if format in AS_TABLES else format
+    assert detect(path) == format
     if form != "generic_csv":  # which the file beside it makes known
         renamed = path.rename(path.with_name("recording.bin"))
-        assert detect(renamed) == form.partition(":")[0]
+        assert detect(renamed) == format
         assert len(read(renamed).accelerometer) > 0
 
 
-@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"table"}))  # which reads the tables of others, too
+@pytest.mark.parametrize("format", sorted(set(FORMATS) - {"table", *AS_TABLES}))  # which read the tables of others, too
 def test_a_format_that_is_forced_on_another_file_is_refused_clearly(tmp_path: Path, format: str) -> None:
     if format == "ronin":
         pytest.importorskip("h5py")

@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import os
 import random
-import re
 import tracemalloc
 import zipfile
 from collections.abc import Callable, Iterator
@@ -17,8 +16,6 @@ from typing import Any
 import numpy as np
 import pytest
 from app_files import a_walk, phyphox_files, refusal, write_folder, write_zip
-from hypothesis import example, given
-from hypothesis import strategies as st
 from mutations import FORMS, faults_of_recording, faults_of_refusal, good_file, of_another_kind
 
 from pdr_filter import batch
@@ -27,7 +24,6 @@ from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.io.phyphox import _name_axis_unit
 from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.values import Samples
 
@@ -56,23 +52,6 @@ def test_a_phyphox_header_takes_no_longer_than_its_length(tmp_path: Path, column
     (tmp_path / "a.csv").write_text(f'"Time (s)",{column.format(" " * 130_000)}\n0,0\n')
     with soon_and_in_little_memory():
         assert refusal(tmp_path / "a.csv", "phyphox")
-
-
-PATTERN = re.compile(r"^\s*(?P<name>[^()]*?)(?:\s+(?P<axis>[xyzXYZ]))?\s*\((?P<unit>[^()]*)\)\s*$")
-AXIS_ONLY = re.compile(r"^\s*(?P<axis>[xyzXYZ])\s*\((?P<unit>[^()]*)\)\s*$")
-
-
-@example("a\tX (u)")
-@example("a  b x(u) ")
-@given(st.text("xXa ()/^2\t", max_size=12) | st.text(max_size=12))
-def test_names_axes_and_units_are_those_of_the_pattern(field: str) -> None:
-    """The pattern says what is meant, but takes quadratic time."""
-    found = AXIS_ONLY.match(field) or PATTERN.match(field)
-    expected = None
-    if found is not None:
-        name = found.groupdict().get("name") or ""
-        expected = (name.lower().strip(), (found["axis"] or "").lower(), found["unit"].strip())
-    assert _name_axis_unit(field) == expected
 
 
 def test_a_table_of_a_hundred_thousand_columns_is_refused(tmp_path: Path) -> None:

@@ -189,10 +189,13 @@ def test_a_table_without_a_time_is_asked_for_its_column_or_its_rate(tmp_path: Pa
     assert "rate_hz = ..." in message
 
 
-@pytest.mark.parametrize("rows", ["", "0.0,0.1,0.2,9.8,0,0,0\n"])
-def test_a_table_of_less_than_two_samples_is_refused_with_what_it_lacks(tmp_path: Path, rows: str) -> None:
+@pytest.mark.parametrize(
+    ("rows", "lacks"),
+    [("", "a line of numbers for each sample, two or more"), ("0.0,0.1,0.2,9.8,0,0,0\n", "only 1 samples")],
+)
+def test_a_table_of_less_than_two_samples_is_refused_with_what_it_lacks(tmp_path: Path, rows: str, lacks: str) -> None:
     path = write_text(tmp_path / "walk.csv", "time,ax,ay,az,gx,gy,gz\n" + rows)
-    assert "a line of numbers for each sample, two or more" in refusal(path)
+    assert lacks in refusal(path)
 
 
 def test_nothing_in_a_gz_is_called_empty(tmp_path: Path) -> None:

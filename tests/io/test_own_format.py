@@ -288,6 +288,7 @@ def test_a_zip_with_two_recordings_is_refused(tmp_path: Path) -> None:
 
 def test_a_file_that_is_no_zip_is_refused(tmp_path: Path) -> None:
     (tmp_path / "accelerometer.csv").write_text(accelerometer_csv())
+    (tmp_path / "meta.json").write_text("{}")
     message = refusal(tmp_path / "accelerometer.csv")
     assert "the folder that holds accelerometer.csv" in message
     (tmp_path / "picture.jpg").write_bytes(bytes(range(256)))
@@ -373,10 +374,19 @@ def test_too_few_samples_are_refused_with_their_number(tmp_path: Path, n: int) -
     assert "at least 10" in message
 
 
-def test_a_reversed_recording_is_refused(tmp_path: Path) -> None:
+def test_an_accelerometer_alone_is_read_whatever_its_file_is_called(tmp_path: Path) -> None:
+    for name in ("accelerometer.csv", "walk.csv"):
+        (tmp_path / name).write_text(accelerometer_csv())
+    ours, theirs = (read(tmp_path / name).accelerometer for name in ("accelerometer.csv", "walk.csv"))
+    np.testing.assert_array_equal(ours.values, theirs.values)
+
+
+def test_reversed_rows_are_sorted_with_a_note(tmp_path: Path) -> None:
     header, *rows = accelerometer_csv().splitlines()
-    message = refusal(folder_with(tmp_path / "w", accelerometer="\n".join([header, *reversed(rows)])))
-    assert "time_s does not increase in 199 of 199 rows; sort" in message
+    recording, notes = noted(folder_with(tmp_path / "w", accelerometer="\n".join([header, *reversed(rows)])))
+    right = read(folder_with(tmp_path / "right", accelerometer=accelerometer_csv()))
+    np.testing.assert_array_equal(recording.accelerometer.values, right.accelerometer.values)
+    assert "accelerometer.csv: 199 rows out of order" in notes
 
 
 @pytest.mark.parametrize(("factor", "unit"), [(1e3, "milliseconds"), (1e6, "microseconds"), (1e9, "nanoseconds")])

@@ -9,6 +9,7 @@ import pytest
 from app_files import a_walk, assert_same_streams, phyphox_files, phyphox_table, refusal, write_folder, write_zip
 
 from pdr_filter.io.describe import reading_report
+from pdr_filter.io.dialects import dialect_of
 from pdr_filter.io.formats import read
 from pdr_filter.values import STANDARD_GRAVITY_MPS2, Samples
 
@@ -52,7 +53,7 @@ def test_the_sign_is_androids(tmp_path: Path) -> None:
     files = {"Raw Data.csv": phyphox_table(face_up, "Acceleration", "m/s^2")}
     recording = read(write_zip(tmp_path / "w.zip", files))
     np.testing.assert_allclose(recording.accelerometer.values[:, 2], 9.81)
-    assert any("Android's sign" in line for line in reading_report(recording).found)
+    assert any("sign: Android's, as phyphox writes it" in line for line in reading_report(recording).found)
 
 
 @pytest.mark.parametrize(("unit", "factor"), [("m/s\u00b2", 1.0), ("g", STANDARD_GRAVITY_MPS2)])
@@ -104,8 +105,9 @@ def test_pressure_and_location_are_read(tmp_path: Path) -> None:
 
 
 def test_acceleration_without_gravity_alone_is_refused(tmp_path: Path) -> None:
-    files = {"Linear.csv": phyphox_table(WALK.accelerometer, "Linear Acceleration", "m/s^2")}
-    assert "acceleration without gravity" in refusal(write_zip(tmp_path / "w.zip", files))
+    linear = Samples(WALK.accelerometer.time_s, WALK.accelerometer.values - WALK.accelerometer.values.mean(axis=0))
+    files = {"Linear.csv": phyphox_table(linear, "Linear Acceleration", "m/s^2")}
+    assert "lacks gravity" in refusal(write_zip(tmp_path / "w.zip", files))
 
 
 def test_acceleration_without_gravity_beside_the_right_one_is_ignored(tmp_path: Path) -> None:
@@ -125,7 +127,7 @@ def test_an_unknown_unit_is_refused_with_the_known_ones(tmp_path: Path) -> None:
 def test_a_missing_axis_is_refused(tmp_path: Path) -> None:
     text = phyphox_table(WALK.accelerometer, "Acceleration", "m/s^2").replace("Acceleration z", "Something z", 1)
     (tmp_path / "w.csv").write_text(text)
-    assert "accelerometer has no column for z" in refusal(tmp_path / "w.csv")
+    assert "is one axis of the accelerometer, and there is no column for z" in refusal(tmp_path / "w.csv")
 
 
 def test_values_in_g_under_a_header_of_mps2_are_refused(tmp_path: Path) -> None:
@@ -137,3 +139,11 @@ def test_values_in_g_under_a_header_of_mps2_are_refused(tmp_path: Path) -> None:
 def test_a_file_of_nothing_but_headers_is_refused_soon(tmp_path: Path) -> None:
     (tmp_path / "w.csv").write_text('"Time (s)","Acceleration x (m/s^2)"\n' + '"Time (s)"\n' * 100_000)
     assert "lines that begin like a header" in refusal(tmp_path / "w.csv") or "no column" in refusal(tmp_path / "w.csv")
+
+
+def test_a_table_whose_columns_have_no_units_is_not_one_of_phyphox() -> None:
+    phyphox = ("Time (s),Acceleration x (m/s^2)", "Time (s),Acceleration x (g),Acceleration y (g)")
+    assert all((dialect := dialect_of(header)) is not None and dialect.app == "phyphox" for header in phyphox)
+    physics_toolbox = dialect_of("Time (s),gFx,gFy,gFz,wx (rad/s),wy (rad/s),wz (rad/s)")
+    assert physics_toolbox is not None
+    assert physics_toolbox.app == "Physics Toolbox"

@@ -270,12 +270,26 @@ def test_g_units_where_mps2_are_documented_are_refused(tmp_path: Path) -> None:
 
 
 def test_one_sensor_alone_is_read_if_gravity_is_in_it_and_refused_with_what_to_export_if_not(tmp_path: Path) -> None:
-    write_folder(tmp_path, sensor_logger_files(WALK) | sensor_logger_files(WALK, "ios"))
+    write_folder(tmp_path, sensor_logger_files(WALK, "ios") | sensor_logger_files(WALK))
+    (tmp_path / "Metadata.csv").unlink()
     alone = read(tmp_path / "TotalAcceleration.csv")
     assert_same_streams(alone, WALK, "accelerometer", time_s=1e-9)
     assert any("Android's is taken" in note for note in alone.notes)
     assert "export TotalAcceleration, or Gravity" in refusal(tmp_path / "Accelerometer.csv")
     assert "no accelerometer" in refusal(tmp_path / "Gyroscope.csv")
+
+
+@pytest.mark.parametrize(("platform", "standardisation"), [("ios", False), ("ios", True), ("android", False)])
+def test_the_sign_of_one_sensor_alone_is_that_of_the_metadata_beside_it(
+    tmp_path: Path, platform: str, standardisation: bool
+) -> None:
+    sign = -1.0 if platform == "ios" and not standardisation else 1.0
+    files = {"Metadata.csv": metadata(platform, standardisation)}
+    files["TotalAcceleration.csv"] = sensor_logger_csv(WALK.accelerometer, "z,y,x", sign * WALK.accelerometer.values)
+    write_folder(tmp_path, files)
+    alone = read(tmp_path / "TotalAcceleration.csv")
+    assert_same_streams(alone, WALK, "accelerometer", time_s=1e-9)
+    assert not any("nothing in the file shows its sign" in note for note in alone.notes)
 
 
 def test_without_a_platform_an_attitude_shows_the_sign(tmp_path: Path) -> None:

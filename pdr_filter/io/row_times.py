@@ -1,0 +1,103 @@
+"""Times of rows that are not those of the samples: rows out of order, and packs of samples with one time."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from pdr_filter.io.describe import GAP_INTERVALS, GAP_S
+from pdr_filter.values import FloatArray, IntArray, how_many
+
+Streams = Mapping[str, tuple[FloatArray, FloatArray]]
+
+# The clock of a phone goes back by a few of its ticks, of 10 ms in OxIOD: such times stay as recorded.
+_JITTER_S = 0.1
+# Share of the rows that repeat the time of the row before: in packs of two it is a half, in a phone's jitter a few
+# hundredths.
+_PACKED_SHARE = 1 / 3
+_FEWEST_PACKS = 10
+# A longer pack hides lost samples. One second is also what a clock shows that a spreadsheet rounded.
+_LONGEST_PACK_S = 2.0
+# A time from which more than this many periods of the samples are missing begins after a loss.
+_LOST = 1.5
+
+
+def in_order(streams: Streams, suffix: str, notes: list[str]) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Streams with the rows sorted that were moved within a table.
+
+    Moved rows fill a gap. After a backward clock jump rows lie between others, or far from all, and stay as recorded:
+    the filter follows the clock. The accelerometer decides between the two for all sensors.
+    """
+    found = dict(streams)
+    orders = {name: _order(time_s) for name, (time_s, _) in streams.items()}
+    if orders.get("accelerometer") is None:
+        return found
+    moved: dict[str, int] = {}
+    for name, order in orders.items():
+        time_s, values = streams[name]
+        if order is not None and (n_late := _n_late(time_s)):
+            found[name] = time_s[order], values[order]
+            moved[name + suffix] = n_late
+    if moved:
+        words = f"{how_many(max(moved.values()), 'row')} out of order, as after editing a table, sorted by time"
+        notes.append(f"{', '.join(moved)}: {words}")
+    return found
+
+
+def spread(
+    streams: Streams, is_clock: bool, rate_hz: float, notes: list[str]
+) -> dict[str, tuple[FloatArray, FloatArray]]:
+    """Streams with a time for each sample of a pack that has one time, as Bluetooth sensors deliver them.
+
+    The time of a pack is that of its last sample. `rate_hz` is that of the samples, 0 if it is to be estimated.
+    `is_clock` says that the times were shown as dates, which a spreadsheet rounds to tenths and whole seconds.
+    """
+    found, said = dict(streams), dict[str, list[str]]()
+    for name in ("accelerometer", "gyroscope", "magnetometer"):
+        if name not in streams:
+            continue
+        time_s, values = streams[name]
+        repeats = (np.diff(time_s) == 0) & (np.diff(values, axis=0) != 0).any(axis=1)
+        last = np.append(np.flatnonzero(np.diff(time_s) != 0), len(time_s) - 1)  # last rows of the packs
+        if repeats.sum() <= _PACKED_SHARE * len(time_s) or len(last) < _FEWEST_PACKS:
+            continue
+        pack_s, n = time_s[last], np.diff(last, prepend=-1)
+        apart_s = np.diff(pack_s)
+        grid_s = 0.1 if is_clock else 1.0
+        is_rounded = bool((np.abs(pack_s / grid_s - np.round(pack_s / grid_s)) < 1e-6).all())
+        if is_rounded or not (apart_s.min() > 0 and np.median(apart_s) <= _LONGEST_PACK_S):
+            continue  # refused by the checks of every reader
+        period_s = 1 / rate_hz if rate_hz else float(np.median(apart_s / n[1:]))
+        before_s = np.append(-np.inf, pack_s[:-1])
+        is_after_loss = pack_s - before_s > _LOST * n * period_s
+        each_s = np.where(is_after_loss, period_s, (pack_s - np.where(is_after_loss, 0.0, before_s)) / n)
+        from_last = np.repeat(last, n) - np.arange(len(time_s))
+        found[name] = np.repeat(pack_s, n) - from_last * np.repeat(each_s, n), values
+        how = "as given" if rate_hz else "estimated; rate_hz in a TOML file gives another"
+        words = (
+            f"samples come in packs of {np.median(n):g} with one time each, as from Bluetooth sensors, and are spread"
+        )
+        said.setdefault(f"{words} at {1 / period_s:.4g} Hz ({how})", []).append(name)
+    notes += [f"{', '.join(names)}: {words}" for words, names in said.items()]
+    return found
+
+
+def _n_late(time_s: FloatArray) -> int:
+    """Number of rows with an earlier time than a row above them; 0 if only the clock jitters."""
+    late_s = np.fmax.accumulate(time_s) - time_s
+    return int((late_s > 0).sum()) if (late_s > _JITTER_S).any() else 0
+
+
+def _order(time_s: FloatArray) -> IntArray | None:
+    """Order of the rows by time; None if sorting does not undo a move."""
+    order = np.argsort(time_s, kind="stable")
+    n_late = _n_late(time_s)
+    if n_late == 0:
+        return order
+    apart_s, sorted_s = np.diff(time_s), np.diff(time_s[order])
+    period_s = float(np.nanmedian(np.abs(apart_s[apart_s != 0])))
+    gap_s = max(GAP_S, GAP_INTERVALS * period_s)
+    n_between = int((sorted_s < 0.5 * period_s).sum()) - int((np.abs(apart_s) < 0.5 * period_s).sum())
+    makes_gaps = (sorted_s > gap_s).sum() > (apart_s > gap_s).sum()
+    return None if makes_gaps or 10 * n_between > n_late else order
