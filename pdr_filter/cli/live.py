@@ -113,13 +113,16 @@ class Sources:
         def say(words: str) -> None:
             console.say_error(words)
 
+        def take(name: str) -> sources.Taker:
+            return sources.told(shared.take, name, say)
+
         session = uuid.uuid4().hex[:8]
         made: list[Callable[[], Coroutine[Any, Any, None]]] = [
-            *(sources.Phyphox(address, shared.take).run for address in self.phyphox or ()),
-            *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
-            *(sources.Mqtt(address, shared.take).run for address in self.mqtt or ()),
+            *(sources.Phyphox(address, take(address)).run for address in self.phyphox or ()),
+            *(partial(sources.sensor_server, address, session, take(address)) for address in self.sensorserver or ()),
+            *(sources.Mqtt(address, take("--mqtt")).run for address in self.mqtt or ()),
         ]
-        replay = [] if walk is None else [sources.replay(walk, self.speed, shared.take)]
+        replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
         return [*(sources.again(source, say) for source in made), *replay]
 
 

@@ -1,15 +1,17 @@
-"""Phones while they walk: each session of each device has its own filter, its own recording and its own saved state.
+"""Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Devices.take` gets the body of a message and says what came of it; what there is to show goes to `emit`.
+No web here: `Devices.take` gets the body of a message and returns what it held; events for pages go to `emit`.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from pdr_filter.io.texts import printable
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.messages import Message, MessageError, parse
 from pdr_filter.live.session import Session, session_id
@@ -19,12 +21,13 @@ from pdr_filter.live.settings import BusyError, Event, Settings, part_of
 _SAVE_S = 10.0
 # A phone that sends nothing for so long is forgotten until it sends again.
 _IDLE_S = 600.0
-# Which device and session a folder is of.
-ABOUT = "session.json"
+# Folder with a file for each session, which holds the names of its device and session.
+NAMES = "sessions"
+_LOG = logging.getLogger(__name__)
 
 
 class Devices:
-    """The sessions of one worker. What there is to show is given to `emit`, as JSON objects."""
+    """Sessions of one worker. Events for pages are given to `emit`, as JSON objects."""
 
     def __init__(
         self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
@@ -32,54 +35,106 @@ class Devices:
         self.settings, self.folder, self.emit = settings, folder, emit
         self.part, self.n_parts = part, n_parts
         self.sessions: dict[str, Session] = {}
-        for path in sorted(folder.glob("*/" + ABOUT)):
-            device, session = json.loads(path.read_text())
-            is_recent = time.time() - max(f.stat().st_mtime for f in path.parent.iterdir()) < _IDLE_S
-            if is_recent and part_of(device, n_parts) == part:
-                loaded = Session.load(device, session, settings, folder)
-                self.sessions[loaded.id] = loaded
+        self._taken: set[str] = set()  # sessions with messages since the last `settle`
+        for path in sorted((folder / NAMES).glob("*.json")):
+            try:
+                device, session = json.loads(path.read_text())
+                files = list((folder / path.stem).iterdir())
+                is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
+                if is_recent and part_of(device, n_parts) == part:
+                    self.sessions[path.stem] = self._loaded(device, session)
+            except (OSError, ValueError) as error:  # one folder must not stop the others
+                _LOG.warning("%s: not loaded: %s", path, error)
 
     def take(self, body: bytes, device: str, session: str, platform: str, received_s: float) -> Event:
-        """How many samples a body held, all of which are taken.
+        """Number of samples of a body, all of which are filtered and on the disk.
 
-        MessageError, SessionError, FixError or BusyError if one of its messages cannot be used; those before it are.
+        MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
+        messages before it are taken.
         """
-        n = 0
+        content, keys = self.accept(body, device, session, platform, received_s)
+        failed = self.settle()
+        for key in keys & failed.keys():
+            raise failed[key]
+        return content
+
+    def accept(
+        self, body: bytes, device: str, session: str, platform: str, received_s: float
+    ) -> tuple[Event, set[str]]:
+        """Number of samples of a body, and the sessions that it is of; `settle` filters and writes them."""
+        n, keys = 0, set[str]()
         for message in parse(body, device, session, platform):
             if not message.device:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
             if part_of(message.device, self.n_parts) != self.part:
                 raise MessageError("one body is of one device; send messages of different devices apart")
             taken_by = self._session(message)
-            try:
-                events = taken_by.take(message, received_s)
-            except SessionError:
-                self.emit(taken_by.about())  # the page says why, too
-                raise
-            for event in events:
+            self._taken.add(taken_by.id)
+            for event in taken_by.take(message, received_s):
                 self.emit(event)
+            keys.add(taken_by.id)
             n += message.n_samples
-        return {"samples": n}
+        return {"samples": n}, keys
+
+    def settle(self) -> dict[str, Exception]:
+        """Filter and write all messages since the last call, once for each session; return what failed."""
+        failed: dict[str, Exception] = {}
+        for key in self._taken:
+            session = self.sessions[key]
+            for event in session.advance():
+                self.emit(event)
+            if session.refused and not session.has_ended:
+                failed[key] = SessionError(session.refused)
+            try:
+                session.recorder.flush()
+            except OSError as error:
+                # what was written in part is cut off when the session is loaded again, with the next message
+                del self.sessions[key]
+                failed[key] = BusyError(f"the recording cannot be written ({error}); free some space and send it again")
+        self._taken = set()
+        return failed
 
     def _session(self, message: Message) -> Session:
         key = session_id(message.device, message.session)
         if key not in self.sessions:
             if len(self.sessions) >= self.settings.max_devices:
                 raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
-            kept = self.folder / key / ABOUT
-            make = Session.load if kept.exists() else Session
-            self.sessions[key] = make(message.device, message.session, self.settings, self.folder)
-            if not kept.exists():
-                kept.write_text(json.dumps([message.device, message.session]))
+            names = self.folder / NAMES / f"{key}.json"
+            if names.exists():
+                self.sessions[key] = self._loaded(message.device, message.session)
+            else:
+                self.sessions[key] = Session(message.device, message.session, self.settings, self.folder)
+                names.parent.mkdir(exist_ok=True)
+                names.write_text(json.dumps([message.device, message.session]))
         return self.sessions[key]
 
+    def _loaded(self, device: str, session: str) -> Session:
+        """Session as it was saved; a new one if its files cannot be used, which are then kept in another folder."""
+        try:
+            return Session.load(device, session, self.settings, self.folder)
+        except Exception as error:  # damaged files, or those of another version, fail in many ways
+            reason = printable(error)[:200]
+        kept = self.folder / session_id(device, session)
+        n = sum(1 for _ in self.folder.glob(f"{kept.name}.damaged*")) + 1
+        aside = kept.rename(kept.with_name(f"{kept.name}.damaged{n}"))
+        _LOG.warning("%s cannot be loaded (%s): kept as %s", kept, reason, aside.name)
+        made = Session(device, session, self.settings, self.folder)
+        made.notes = (
+            f"the recording until now cannot be continued ({reason}): it is kept in the folder {aside.name}, and the "
+            "track begins again",
+        )
+        self.emit(made.about())
+        return made
+
     def tick(self) -> None:
-        """Tell and save what is left, and forget phones that are silent; to be called about once a second."""
+        """Tell and save the rest, and forget silent phones; to be called about once a second."""
         for key, session in list(self.sessions.items()):
             for event in session.rest():
                 self.emit(event)
             silent_s = time.monotonic() - session.seen_at
             if silent_s > _IDLE_S:
+                for event in session.release():
+                    self.emit(event)
                 session.save()
                 del self.sessions[key]
                 self.emit({"event": "gone", "id": key})

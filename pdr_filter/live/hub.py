@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import asyncio
 import json
-import re
 import time
 from collections import deque
 from collections.abc import AsyncIterator
@@ -13,6 +12,7 @@ from pathlib import Path
 
 from pdr_filter.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.live.cluster import Cluster
+from pdr_filter.live.messages import MessageError, devices_of
 from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Process, Starter, Workers
@@ -20,7 +20,6 @@ from pdr_filter.live.workers import Process, Starter, Workers
 # Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
 _MAX_WAITING = 500
 _MAX_READERS = 100
-_DEVICE = re.compile(rb'"device(?:Id)?"\s*:\s*"([^"\\]{1,200})"')
 _ALIVE_S = 15.0
 
 
@@ -65,11 +64,16 @@ class Live:
             await self._cluster.close()
 
     async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
-        """What became of the body of a message; `device` and the others are for messages that do not say them."""
+        """Answer to the body of a message; `device` and the others are for messages that do not hold them."""
         if len(body) > MAX_BODY_BYTES:
             return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
-        found = _DEVICE.search(body)
-        name = found[1].decode("utf-8", "replace") if found else device
+        try:
+            names = devices_of(body, device)
+        except MessageError as error:
+            return Answer(400, {"error": str(error)})
+        if len(names) > 1:
+            return Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
+        name = next(iter(names), device)
         if not self.rates.allows(name, len(body)):
             return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
         return await self.workers.take(Take(body, name, session, platform, time.time()))

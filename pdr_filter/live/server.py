@@ -21,12 +21,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from pdr_filter.io.own_writer import FILES
 from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, is_token
 from pdr_filter.live.certificate import NAMES
 from pdr_filter.live.geojson import geojson
 from pdr_filter.live.hub import Live
 from pdr_filter.live.parts import Answer, Take
+from pdr_filter.live.recorder import exported
 
 PAGE = Path(__file__).parent / "page"
 # uPlot and the map, which reports hold, too.
@@ -243,10 +243,9 @@ def _policy(tiles: str) -> dict[str, str]:
 
 
 def _zipped(folder: Path) -> bytes:
-    """The files of a recording that are on the disk."""
+    """Zip file of the files of a recording that are on the disk."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name in FILES:
-            if (folder / name).exists():
-                archive.write(folder / name, name)
+        for name, path in exported(folder).items():
+            archive.write(path, name)
     return content.getvalue()

@@ -1,4 +1,4 @@
-"""What the server fetches itself, given to `take` as if a phone had sent it."""
+"""Sources from which the server fetches samples; `take` gets them like messages of a phone."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import asyncio
 import json
 import urllib.request
 import uuid
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
@@ -28,7 +28,7 @@ from pdr_filter.live.messages import (
 from pdr_filter.live.parts import Answer
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
-Taker = Callable[..., Awaitable[Answer]]
+Taker = Callable[..., Coroutine[Any, Any, Answer]]
 # Samples of so long are one message, as with phones that send several times a second.
 _PART_S = 0.2
 # Between two tries to reach a phone or a broker.
@@ -42,14 +42,24 @@ _LONG_S = 10.0
 _AT_ONCE = 64
 
 
-async def _given(take: Taker, body: bytes, **named: str) -> None:
-    """Give a message to the server, again where it has no time for it."""
-    while (await take(body, **named)).status in (429, 503):
-        await asyncio.sleep(_PART_S)
+def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
+    """Return a taker that waits for a busy server, and tells the user each new reason of a refusal."""
+    reason = ""
+
+    async def taken(body: bytes, **named: str) -> Answer:
+        nonlocal reason
+        while (answer := await take(body, **named)).status in (429, 503):
+            await asyncio.sleep(_PART_S)
+        if answer.status != 200 and answer.content["error"] != reason:
+            reason = answer.content["error"]
+            say(f"{name}: {reason}")
+        return answer
+
+    return taken
 
 
 async def replay(recording: Recording, speed: float, take: Taker) -> None:
-    """Send a recording as if it were walked now, or `speed` times as fast."""
+    """Send a recording as if it were walked now, or `speed` times as fast, until it ends or is refused."""
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
@@ -69,7 +79,8 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
         is_end = number == len(cuts) - 1
         message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
         await asyncio.sleep(max(begun + (number + 1) * part_s / speed - loop.time(), 0.0))
-        await _given(take, to_json(message))
+        if (await take(to_json(message))).status != 200:
+            return
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
@@ -120,7 +131,7 @@ class Phyphox:
         """New samples as messages, of which none is too long; their times say what came before."""
         for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
             message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
-            await _given(self._take, to_json(message))
+            await self._take(to_json(message))
             self._seen_s |= {name: float(r.time.max()) for name, r in part.items()}
 
     async def _got(self, path: str) -> bytes:
@@ -177,7 +188,7 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
                 except TimeoutError:
                     break
             device = f"SensorServer {urlsplit(address).netloc}"
-            await _given(take, to_json(Message(device, session, None, "android", _joined(parts))))
+            await take(to_json(Message(device, session, None, "android", _joined(parts))))
 
 
 def _joined(bodies: list[bytes]) -> dict[str, Rows]:
@@ -221,11 +232,11 @@ class Mqtt:
             transport="websockets" if parts.scheme in ("ws", "wss") else "tcp",
             tls_params=aiomqtt.TLSParameters() if parts.scheme in ("mqtts", "wss") else None,
         )
-        giving = set[asyncio.Task[None]]()  # each reaches the worker of its phone in its turn
+        giving = set[asyncio.Task[Answer]]()  # each reaches the worker of its phone in its turn
         async with client:
             await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
             async for message in client.messages:
-                task = asyncio.create_task(_given(self._take, message.payload))
+                task = asyncio.create_task(self._take(message.payload))
                 giving.add(task)
                 task.add_done_callback(giving.discard)
                 while len(giving) >= _AT_ONCE:

@@ -32,6 +32,10 @@ _AT_ONCE = 8
 _MAX_TRIES = 2
 _TICK_S = 1.0
 _START_S, _CLOSE_S = 60.0, 20.0
+# Between two tries to start a share: the reason may last, and each try loads the filter.
+_LONGEST_WAIT_S = 30.0
+# Phones wait for an answer as long as a worker takes to start; most apps give up after half a minute.
+_PATIENCE_S = 10.0
 
 
 T = TypeVar("T")
@@ -189,13 +193,18 @@ class _Worker:
             self._answered(batch[0], Answer(500, {"error": "this message ended the process that took it, twice"}))
 
     async def _restart(self) -> Share:
-        """The next share, however long it takes."""
+        """Next share, however long it takes; after a while requests are refused, so that phones do not hang."""
+        wait_s, begun = _TICK_S, time.monotonic()
         while True:
             try:
                 return await asyncio.wait_for(self._start(), _START_S)
             except (LostError, TimeoutError, ValueError) as error:
                 _LOG.warning("no worker yet: %s", error)
-                await asyncio.sleep(_TICK_S)
+            is_long = time.monotonic() - begun > _PATIENCE_S
+            for waiting in list(self._waiting) if is_long else ():
+                self._answered(waiting, Answer(503, {"error": "no worker at present; send it again later"}))
+            await asyncio.sleep(wait_s)
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
 
 # Starts the share with this number, of so many.

@@ -11,8 +11,9 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import numpy as np
 
-# Beyond this lies nothing that is measured or counted: squares of numbers are numbers, whole ones exact as floats.
-_LARGEST, _LARGEST_WHOLE = 1e30, 2**53
+# Squares of measured values must stay finite. Times in nanoseconds since 1970 need all of an int64. Whole numbers in
+# place of a float must be exact as one.
+_LARGEST, _LARGEST_WHOLE, _LARGEST_EXACT = 1e30, 2**63 - 1, 2**53
 
 
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
@@ -60,7 +61,7 @@ def _is_a(value: Any, declared: Any) -> bool:
     if kind is int:
         return type(value) is int and abs(value) <= _LARGEST_WHOLE
     if kind is float:
-        whole = type(value) is int and abs(value) <= _LARGEST_WHOLE
+        whole = type(value) is int and abs(value) <= _LARGEST_EXACT
         return whole or (type(value) is float and (not isfinite(value) or abs(value) <= _LARGEST))
     if kind is tuple:
         values = cast(tuple[Any, ...], value)
