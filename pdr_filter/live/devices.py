@@ -14,6 +14,7 @@ from pathlib import Path
 from pdr_filter.io.texts import printable
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.messages import Message, MessageError, parse
+from pdr_filter.live.recorder import replaced
 from pdr_filter.live.session import Session, session_id
 from pdr_filter.live.settings import BusyError, Event, Settings, part_of
 
@@ -38,11 +39,12 @@ class Devices:
         self._taken: set[str] = set()  # sessions with messages since the last `settle`
         for path in sorted((folder / NAMES).glob("*.json")):
             try:
-                device, session = json.loads(path.read_text())
+                device, session, begun_unix_s = json.loads(path.read_text())
                 files = list((folder / path.stem).iterdir())
                 is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
                 if is_recent and part_of(device, n_parts) == part:
                     self.sessions[path.stem] = self._loaded(device, session)
+                    self.sessions[path.stem].begun_unix_s = begun_unix_s
             except (OSError, ValueError) as error:  # one folder must not stop the others
                 _LOG.warning("%s: not loaded: %s", path, error)
 
@@ -68,7 +70,7 @@ class Devices:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
             if part_of(message.device, self.n_parts) != self.part:
                 raise MessageError("one body is of one device; send messages of different devices apart")
-            taken_by = self._session(message)
+            taken_by = self._session(message, received_s)
             self._taken.add(taken_by.id)
             for event in taken_by.take(message, received_s):
                 self.emit(event)
@@ -94,19 +96,24 @@ class Devices:
         self._taken = set()
         return failed
 
-    def _session(self, message: Message) -> Session:
+    def _session(self, message: Message, received_s: float) -> Session:
         key = session_id(message.device, message.session)
-        if key not in self.sessions:
-            if len(self.sessions) >= self.settings.max_devices:
-                raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
-            names = self.folder / NAMES / f"{key}.json"
-            if names.exists():
-                self.sessions[key] = self._loaded(message.device, message.session)
-            else:
-                self.sessions[key] = Session(message.device, message.session, self.settings, self.folder)
-                names.parent.mkdir(exist_ok=True)
-                names.write_text(json.dumps([message.device, message.session]))
-        return self.sessions[key]
+        if key in self.sessions:
+            return self.sessions[key]
+        if len(self.sessions) >= self.settings.max_devices:
+            raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
+        names = self.folder / NAMES / f"{key}.json"
+        if names.exists():
+            _, _, begun_unix_s = json.loads(names.read_text())
+            session = self._loaded(message.device, message.session)
+        else:
+            session = Session(message.device, message.session, self.settings, self.folder)
+            begun_unix_s = received_s
+            names.parent.mkdir(exist_ok=True)
+            replaced(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
+        session.begun_unix_s = begun_unix_s
+        self.sessions[key] = session
+        return session
 
     def _loaded(self, device: str, session: str) -> Session:
         """Session as it was saved; a new one if its files cannot be used, which are then kept in another folder."""

@@ -50,7 +50,9 @@ class Live:
             start = self._cluster.start
         self._workers = Workers(start, self.n_workers, self._shown)
         await self._workers.start()
-        self.sessions = await self.tracks()
+        without = ("path", "history", "silent_s")
+        for key, track in (await self.tracks()).items():
+            self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
 
     async def tracks(self) -> dict[str, Event]:
         """Sessions with their paths, by their names."""

@@ -41,12 +41,12 @@ class Recorder:
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
         """Write the properties of the session; sessions of one configuration share its file."""
-        _replace(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
+        replaced(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():
             shared.parent.mkdir(exist_ok=True)
-            _replace(shared, config)
-        _replace(self.folder / CONFIG, shared.name.encode())
+            replaced(shared, config)
+        replaced(self.folder / CONFIG, shared.name.encode())
 
     def config(self) -> Any:
         """Configuration that `describe` was given."""
@@ -90,7 +90,7 @@ class Recorder:
         (self.folder / new).write_bytes(lines.encode())
         sizes = {name: size for name, size in self._sizes.items() if name != old}
         content = {"state": state, "sizes": sizes, "n_saved": self._n_saved}
-        _replace(self.folder / STATE, serialise.to_bytes(content))
+        replaced(self.folder / STATE, serialise.to_bytes(content))
         (self.folder / old).unlink(missing_ok=True)
         self._sizes = {**sizes, new: len(lines)}
 
@@ -157,7 +157,7 @@ def _entry(line: str) -> tuple[str, str, str, bytes]:
     return names["device"], names["session"], names["platform"], line[end + 1 :].encode()
 
 
-def _replace(path: Path, content: bytes) -> None:
+def replaced(path: Path, content: bytes) -> None:
     """Write a file that is the old one or the new one, whenever the process ends."""
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
     unfinished.write_bytes(content)

@@ -78,6 +78,7 @@ class Session:
         self.online: OnlineFilter | None = None
         self.refused = ""  # reason why the session cannot be tracked, or takes no more messages
         self.has_ended = False
+        self.begun_unix_s: float | None = None  # when the first message came
         self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
         self._ready: list[assembly.Streams] = []  # samples that are not filtered yet
         self._received_s = math.nan  # unix time of the last message
@@ -224,6 +225,7 @@ class Session:
             "id": self.id,
             "device": self.device,
             "session": self.session,
+            "begun_unix_s": self.begun_unix_s,
             "force": "" if kind is None else f"{kind.force}, {kind.how}",
             "has_location": kind is not None and kind.has_location,
             "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
@@ -305,7 +307,8 @@ class Session:
 
     def track(self) -> Event:
         """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
-        return {**self.about(), "event": "track", "path": self.path}
+        silent_s = time.monotonic() - self.seen_at
+        return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
         """What is known of now, if the last samples came too soon after it was told."""
