@@ -81,8 +81,9 @@ function list() {
   if (listed(options) !== listed(select.options)) select.replaceChildren(...options); // an open list stays open
   if (!sessions.has(shown)) shown = [...sessions.keys()].at(-1) || "";
   select.value = shown;
-  for (const id of ["way", "numbers", "charts"]) byId(id).hidden = !shown;
+  for (const id of ["way", "numbers"]) byId(id).hidden = !shown;
   byId("empty").hidden = Boolean(shown);
+  if (!shown) byId("charts").hidden = true;
   draw();
 }
 
@@ -151,6 +152,7 @@ function draw() {
   }));
   const lost = known.about.n_lost_messages ? `, ${known.about.n_lost_messages} messages lost` : "";
   text("gaps", now ? `${now.n_gaps} gaps, ${now.lost_s.toFixed(1)} s without samples${lost}` : "");
+  byId("charts").hidden = !known.history.length;
   drawCharts(known);
 }
 
