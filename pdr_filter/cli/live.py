@@ -24,6 +24,10 @@ if TYPE_CHECKING:
     from pdr_filter.live.hub import Live
 
 
+# How often it is looked whether the server is to end.
+_LOOK_S = 0.1
+
+
 class Platform(StrEnum):
     """Whose signs the forces of a phone have."""
 
@@ -95,7 +99,7 @@ class Sources:
     ] = None
     mqtt: Annotated[
         list[str] | None,
-        typer.Option(metavar="URL", help="Topic of a broker, mqtt://USER:PASSWORD@HOST/TOPIC; ws, wss and mqtts too."),
+        typer.Option(metavar="URL", help="Topic of an MQTT broker, mqtt://USER:PASSWORD@HOST/TOPIC, or mqtts."),
     ] = None
     replay: Annotated[Path | None, typer.Option(help="A recording to be walked again.")] = None
     speed: Annotated[float, typer.Option(min=0.01, help="How many times as fast.")] = 1.0
@@ -199,9 +203,16 @@ async def _run(
     """Serve with workers that run."""
     try:
         await shared.start()
-        await _served(server, bound, tasks(shared), say)
+        await _served(server, bound, [*tasks(shared), _readers_ended(server, shared)], say)
     finally:
         await shared.stop()
+
+
+async def _readers_ended(server: Any, shared: Live) -> None:
+    """End the events of pages when the server is to end."""
+    while not server.should_exit:
+        await asyncio.sleep(_LOOK_S)
+    shared.end_readers()
 
 
 async def _served(

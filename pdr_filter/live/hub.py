@@ -31,6 +31,7 @@ class Live:
         self.rates = Rates()
         self.sessions: dict[str, Event] = {}
         self._readers: set[Reader] = set()
+        self._is_ending = False
         self._workers: Workers | None = None
         self._cluster: Cluster | None = None
 
@@ -92,6 +93,12 @@ class Live:
         for reader in self._readers:
             reader.put(text)
 
+    def end_readers(self) -> None:
+        """End the events of all readers, so that a server that is to end need not cut them off."""
+        self._is_ending = True
+        for reader in self._readers:
+            reader.put("")
+
     @property
     def is_full(self) -> bool:
         """Whether as many read as may."""
@@ -107,7 +114,10 @@ class Live:
                     reader.clear()
                     for event in await self.workers.whole():
                         yield json.dumps(event, allow_nan=False)
-                yield await reader.get()
+                text = await reader.get()
+                if self._is_ending:
+                    return
+                yield text
         finally:
             self._readers.discard(reader)
 

@@ -13,6 +13,7 @@ from urllib.parse import quote, unquote, urlsplit
 import numpy as np
 
 from pdr_filter.io.recording import Recording
+from pdr_filter.io.texts import printable
 from pdr_filter.live.access import MAX_BODY_BYTES
 from pdr_filter.live.messages import (
     ANDROID_SENSORS,
@@ -208,16 +209,20 @@ def _joined(bodies: list[bytes]) -> dict[str, Rows]:
 
 # --- MQTT -------------------------------------------------------------------------------------------------------------
 
-_MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 80, "wss": 443}
+# Not ws and wss: mosquitto 2.0 passes on some 40 kB/s over WebSocket, less than what one phone publishes.
+_MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
 class Mqtt:
-    """What is published under a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC; mqtts, ws and wss as well."""
+    """Subscription to a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC, or mqtts with encryption."""
 
     def __init__(self, address: str, take: Taker) -> None:
         self._address, self._take = urlsplit(_with_scheme(address, "mqtt")), take
         if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
-            raise MessageError(f"--mqtt takes mqtt://HOST:PORT/TOPIC, mqtts, ws or wss, got {address!r}")
+            raise MessageError(
+                f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}; over "
+                "WebSocket brokers fall behind a phone, so give the port of the broker for TCP"
+            )
 
     async def run(self) -> None:
         """Take messages until the connection breaks."""
@@ -229,8 +234,7 @@ class Mqtt:
             parts.port or _MQTT_PORTS[parts.scheme],
             username=unquote(parts.username) if parts.username else None,
             password=unquote(parts.password) if parts.password else None,
-            transport="websockets" if parts.scheme in ("ws", "wss") else "tcp",
-            tls_params=aiomqtt.TLSParameters() if parts.scheme in ("mqtts", "wss") else None,
+            tls_params=aiomqtt.TLSParameters() if parts.scheme == "mqtts" else None,
         )
         giving = set[asyncio.Task[Answer]]()  # each reaches the worker of its phone in its turn
         async with client:

@@ -270,7 +270,7 @@ def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recordi
         for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
             devices.take(body, "", "", "", 0.0)
     assert "--platform ios" in events[-1]["refused"]
-    waiting = [e["waits"] for e in events if e["event"] == "session"][0]
+    waiting = next(e["waits"] for e in events if e["event"] == "session")
     assert waiting == "2 s of samples are needed, 0.5 s are there"
 
 

@@ -25,6 +25,7 @@ from pdr_filter.values import Samples
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 SESSION = "[...live.sessions.values()][0]"
+NONE = "\u2013"
 
 
 @pytest.fixture(scope="module")
@@ -126,7 +127,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.shot(tmp_path / "walking.png")
 
         select(browser, "empty")
-        assert set(numbers(browser)) == {"–"}
+        assert set(numbers(browser)) == {NONE}
         assert browser.words("#state") == "Waiting: 2 s of samples are needed, 0.5 s are there."
         assert [browser.words(s) for s in ("#where", "#gaps", "#notes", "#rates")] == ["", "", "", ""]
         assert browser.value("document.getElementById('charts').hidden")
@@ -145,12 +146,13 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         select(browser, "phone 8b59")
         browser.until("document.getElementById('state').textContent.startsWith('Silent for ')")
         shown = numbers(browser)
-        assert (shown[2], shown[8]) == ("–", "–")  # speed and delay
+        assert (shown[2], shown[8]) == (NONE, NONE)  # speed and delay
         assert int(shown[0]) > 60
         browser.shot(tmp_path / "silent.png")
         path = f"{SESSION}.path"
         inside = browser.value(f"""{path}.every(row => {{
-            const at = live.map.leaflet.latLngToContainerPoint(live.map.at(row[1], row[2])), size = live.map.leaflet.getSize();
+            const { leaflet } = live.map, size = leaflet.getSize();
+            const at = leaflet.latLngToContainerPoint(live.map.at(row[1], row[2]));
             return at.x > 0 && at.y > 0 && at.x < size.x && at.y < size.y;
         }})""")
         assert inside
