@@ -316,8 +316,8 @@ def _own_times(time: FloatArray) -> IntArray | FloatArray:
 
 def _unit_ns(time: Any, is_seconds: bool) -> int | None:
     """Nanoseconds in the unit of times since 1970; None for other times, and for seconds unless `is_seconds`."""
-    known = np.abs(time[np.isfinite(time)].astype(np.float64))
-    usual = float(np.median(known)) if len(known) else 0.0
+    known = time[np.isfinite(time)]
+    usual = abs(float(known[len(known) // 2])) if len(known) else 0.0
     units = _SINCE_1970 if is_seconds else _SINCE_1970[:-1]
     return next((unit_ns for unit_ns, low, high in units if low <= usual <= high), None)
 

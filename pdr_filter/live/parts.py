@@ -117,7 +117,7 @@ class Part:
     def _answer(self, request: Whole | Tick | Save) -> Answer:
         devices = self._devices
         if isinstance(request, Whole):
-            return Answer(200, [event for session in devices.sessions.values() for event in session.whole()])
+            return Answer(200, devices.whole())
         if isinstance(request, Tick):
             devices.tick()
         else:

@@ -90,12 +90,13 @@ class Session:
         self._history: deque[Event] = deque(maxlen=_HISTORY)  # of what `now` said, for the charts
         self._is_untold = False  # whether there is more than the last `now` said
         self._judged: tuple[FixResult, ...] = ()  # fixes of which it is told what became of them
-        self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
+        self._now_at, self._turn_at, self._advanced_at = -math.inf, -math.inf, -math.inf
+        self.seen_at = time.monotonic()
 
     # --- what comes in ---
 
     def take(self, message: Message, received_s: float) -> list[Event]:
-        """Take a message, which `advance` filters; FixError or LateError if it cannot be used.
+        """Take and record a message, which `advance` filters; FixError or LateError if it cannot be used.
 
         A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
         session has ended.
@@ -117,14 +118,27 @@ class Session:
             return [*events, self._fixed(message.fix), *self._now(is_due=True)]
         try:
             self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
-        except SessionError as error:
+            self._record(ready)
+        except ValueError as error:
             return self._refuse(error)
-        self._ready += ready
         return self.finish() if message.is_end else []
+
+    def _record(self, ready: Sequence[assembly.Streams]) -> None:
+        """Append samples to the recording, and keep them for the filter."""
+        if ready and self.online is None:
+            self.online = OnlineFilter(self._begun(_joined(ready)))
+        for samples in ready:
+            for name, rows in samples.items():
+                self.recorder.samples(name, rows)
+        self._ready += ready
+
+    def is_due(self, wait_s: float) -> bool:
+        """Whether the last call of `advance` is so long ago that the next one may filter several messages at once."""
+        return time.monotonic() - self._advanced_at >= wait_s
 
     def advance(self) -> list[Event]:
         """Filter the samples of all messages that were taken; afterwards `refused` may hold a reason."""
-        ready, self._ready = self._ready, []
+        ready, self._ready, self._advanced_at = self._ready, [], time.monotonic()
         if self.refused:
             return []
         try:
@@ -139,16 +153,16 @@ class Session:
     def release(self) -> list[Event]:
         """Filter the messages that wait for a missing one, after a long silence of the phone."""
         self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
-        self._ready += ready
+        self._record(ready)
         return self.advance()
 
     def finish(self) -> list[Event]:
         """Filter the last steps, when no other message will come."""
         try:
             self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
-        except SessionError as error:
+            self._record(ready)
+        except ValueError as error:
             return self._refuse(error)
-        self._ready += ready
         events = self.advance()
         if self.refused:
             return events
@@ -159,12 +173,8 @@ class Session:
         return [*events, *told]
 
     def _filtered(self, samples: assembly.Streams) -> list[Event]:
-        if not samples:
+        if self.online is None or not samples:
             return []
-        if self.online is None:
-            self.online = OnlineFilter(self._begun(samples))
-        for name, rows in samples.items():
-            self.recorder.samples(name, rows)
         events = self._stepped(_pushed(self.online, samples))
         return [*events, *self._outcomes(), *self._turned(), *self._now()]
 

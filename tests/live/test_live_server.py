@@ -117,6 +117,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
     for body in own_messages(walk, "late", part_s=0.5):
         for message in parse(body):
             session.take(message, 0.0)
+            session.advance()
     track = session.whole()[0]
     times_s = [row["time_s"] for row in track["history"]]
     assert len(times_s) > 20
