@@ -169,6 +169,7 @@ def live(
             app(shared, token, tiles),
             **certified,
             log_level="warning",
+            access_log=False,
             ws_max_size=4 * 1024**2,
             timeout_graceful_shutdown=2,
             lifespan="off",

@@ -205,9 +205,12 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
     for name, time_s in times_s.items():
+        values = message.rows[name].values
         kept = time_s > (0.0 if kind.zero_ns else -np.inf) - _STALE_S
-        order = np.argsort(time_s[kept], kind="stable")
-        found[name] = Samples(time_s[kept][order], message.rows[name].values[kept][order])
+        if not kept.all() or (time_s[1:] < time_s[:-1]).any():
+            order = np.argsort(time_s[kept], kind="stable")
+            time_s, values = time_s[kept][order], values[kept][order]
+        found[name] = Samples(time_s, values)
     force = found.get(kind.force)
     if kind.force == LINEAR:
         state, force = _with_gravity(state, force, found.get(GRAVITY))

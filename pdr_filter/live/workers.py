@@ -25,9 +25,9 @@ from pdr_filter.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
-# Requests that are given at once: the way there and back costs an actor some milliseconds, and the first of them waits
-# for the answer to the last.
-_AT_ONCE = 8
+# Requests that are given at once: the way there and back costs an actor some milliseconds, and messages of one phone
+# among them are filtered in one pass. The first of them waits for the answer to the last.
+_AT_ONCE = 32
 # Tries for one request: a message that kills its worker must not do so for ever.
 _MAX_TRIES = 2
 _TICK_S = 1.0
