@@ -24,8 +24,8 @@ PRELUDE_S = 2.0
 _NO_FORCE_S = 10.0
 # Sensor Logger sends again within some seconds, or never.
 _WAIT_S = 3.0
-# Memory for messages that wait: ten minutes of four sensors at 100 Hz. A message counts as one sample more.
-_MAX_HELD_SAMPLES = 250_000
+# Memory for messages that wait: ten minutes of four sensors at 100 Hz.
+_MAX_HELD_BYTES = 25 * 1024**2
 # Smaller overlaps of two messages are sensors that are read late. A set-back within a message needs as many samples
 # after it, because a single old sample is one that the phone remembered.
 _SET_BACK_S, _SET_BACK_SAMPLES = 1.0, 10
@@ -106,7 +106,7 @@ def take(
         kind = _kind(waiting, platform)
         if isinstance(kind, str):
             if _is_too_much(waiting):
-                raise SessionError(f"still no track after {_n_samples(waiting)} samples: {kind}")
+                raise SessionError(f"still no track after {len(waiting)} messages: {kind}")
             return state, waiting, []
         state = replace(state, kind=kind)
     return _released(state, waiting)
@@ -149,15 +149,20 @@ def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tupl
             f"message {number} is too late: it was given up after {_WAIT_S:g} s of later samples, and the track went "
             "on without it"
         )
+    if number < state.next_number and _is_newer(state, message):
+        # an app that was started again counts from zero
+        return replace(state, next_number=number, hole_s=np.nan), False
     return state, number < state.next_number or any(m.number == number for m in held)
 
 
-def _n_samples(messages: Sequence[Message]) -> int:
-    return sum(1 + m.n_samples for m in messages)
+def _is_newer(state: Assembly, message: Message) -> bool:
+    """Whether all samples of a message are later than those passed on; after a set-back times do not show it."""
+    begin_s, end_s = _span_s(state, message)
+    return not state.set_backs and np.isfinite(end_s) and begin_s > state.last_s
 
 
 def _is_too_much(messages: Sequence[Message]) -> bool:
-    return _n_samples(messages) > _MAX_HELD_SAMPLES
+    return sum(len(m.source) for m in messages) > _MAX_HELD_BYTES
 
 
 def _released(

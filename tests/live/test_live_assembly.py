@@ -92,6 +92,26 @@ def test_a_message_without_number_that_comes_again_is_not_recorded_twice(walk: R
     assert state.n_repeated == 2
 
 
+def test_messages_of_an_app_that_counts_from_zero_again_are_no_repetitions(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:60]
+    _, expected = assembled(messages)
+    again = [{**m, "messageId": m["messageId"] % 30} for m in messages]
+    state, found = assembled([*again[:35], again[33], *again[35:]])
+    np.testing.assert_array_equal(found["accelerometer"], expected["accelerometer"])
+    assert (state.n_lost, state.n_repeated) == (0, 1)
+
+
+def test_messages_without_any_known_sensor_are_not_held_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assembly, "_MAX_HELD_BYTES", 10_000)
+    message = {
+        "sessionId": "s",
+        "deviceId": "d",
+        "payload": [{"name": "light", "time": EPOCH_NS, "values": {"lux": 1}}],
+    }
+    with pytest.raises(SessionError, match="no acceleration and no gyroscope"):
+        assembled({**message, "messageId": number} for number in range(200))
+
+
 @pytest.mark.parametrize("unit_ns", [1, 10**6])
 def test_times_that_cannot_be_nanoseconds_are_refused_with_the_unit(walk: Recording, unit_ns: int) -> None:
     messages = sensor_logger_messages(walk)[:40]

@@ -151,7 +151,7 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         browser.shot(tmp_path / "silent.png")
         path = f"{SESSION}.path"
         inside = browser.value(f"""{path}.every(row => {{
-            const { leaflet } = live.map, size = leaflet.getSize();
+            const {{ leaflet }} = live.map, size = leaflet.getSize();
             const at = leaflet.latLngToContainerPoint(live.map.at(row[1], row[2]));
             return at.x > 0 && at.y > 0 && at.x < size.x && at.y < size.y;
         }})""")
