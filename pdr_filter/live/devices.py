@@ -96,7 +96,7 @@ class Devices:
             try:
                 session.recorder.flush()
             except OSError as error:
-                # what was written in part is cut off when the session is loaded again, with the next message
+                # the next message loads the session again, which cuts off a half-written line
                 del self.sessions[key]
                 self._taken.discard(key)
                 failed[key] = BusyError(f"the recording cannot be written ({error}); free some space and send it again")
@@ -122,7 +122,7 @@ class Devices:
         return session
 
     def _loaded(self, device: str, session: str) -> Session:
-        """Session as it was saved; a new one if its files cannot be used, which are then kept in another folder."""
+        """Load a session; if its files cannot be used, keep them in another folder and begin a new session."""
         try:
             return Session.load(device, session, self.settings, self.folder)
         except Exception as error:  # damaged files, or those of another version, fail in many ways

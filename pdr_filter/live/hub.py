@@ -1,4 +1,4 @@
-"""What phones send goes to the workers, what the workers say goes to all who read: a server without its addresses."""
+"""Hub of the server: bodies of phones go to the workers, and events of the workers go to all readers."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Process, Starter, Workers
 
-# Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
+# Events that wait for one reader at most: some seconds of many phones. A slower reader gets the present state again.
 _MAX_WAITING = 500
 _MAX_READERS = 100
 _ALIVE_S = 15.0
 
 
 class Live:
-    """What the parts of a running server share."""
+    """Shared state of a running server."""
 
     def __init__(self, settings: Settings, folder: Path, n_workers: int = 1, scheduler: str = "") -> None:
         self.settings, self.folder, self.n_workers, self.scheduler = settings, folder, n_workers, scheduler
@@ -37,13 +37,13 @@ class Live:
 
     @property
     def workers(self) -> Workers:
-        """Of the server while it runs."""
+        """Workers of the running server; RuntimeError before it runs."""
         if self._workers is None:
             raise RuntimeError("the server does not run")
         return self._workers
 
     async def start(self) -> None:
-        """Start the workers, which go on with the sessions that they find; ValueError if that cannot be."""
+        """Start the workers, which load recent sessions; ValueError if one cannot start."""
         start: Starter = partial(Process.start, self.settings, self.folder)
         if self.scheduler:
             self._cluster = Cluster(self.scheduler, self.settings, self.folder)
@@ -56,7 +56,7 @@ class Live:
             self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
 
     async def tracks(self) -> dict[str, Event]:
-        """Sessions with their paths, by their names."""
+        """`track` events of all sessions, by the id of the session."""
         return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
 
     async def stop(self) -> None:
@@ -82,7 +82,7 @@ class Live:
         return await self.workers.take(Take(body, name, session, platform, time.time()))
 
     def _shown(self, text: str) -> None:
-        """An event of a worker, to all who read."""
+        """Pass an event of a worker on to all readers."""
         head = json.loads(text[: text.index(",")] + "}")["event"]
         if head in ("session", "gone"):
             event = json.loads(text)
@@ -101,11 +101,11 @@ class Live:
 
     @property
     def is_full(self) -> bool:
-        """Whether as many read as may."""
+        """Whether there are as many readers as allowed."""
         return len(self._readers) >= _MAX_READERS
 
     async def events(self) -> AsyncIterator[str]:
-        """Everything there is to show, from the whole as it is now; "" now and then while there is nothing."""
+        """Yield the present state of all sessions, then each event; "" now and then while there is none."""
         reader = Reader()
         self._readers.add(reader)
         try:
@@ -123,7 +123,7 @@ class Live:
 
 
 class Reader:
-    """What waits for one who reads events; it is bounded, and who is too slow is told so by `is_stale`."""
+    """Bounded queue of events for one reader; `is_stale` when the reader was too slow and needs the present state."""
 
     def __init__(self) -> None:
         self.is_stale = True
@@ -134,7 +134,7 @@ class Reader:
         return len(self._waiting)
 
     def put(self, text: str) -> None:
-        """Add an event, or forget them all."""
+        """Add an event; a full queue is emptied first."""
         if len(self._waiting) >= _MAX_WAITING:
             self.is_stale = True
             self._waiting.clear()
@@ -142,12 +142,12 @@ class Reader:
         self._filled.set()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Empty the queue before the present state is sent."""
         self.is_stale = False
         self._waiting.clear()
 
     async def get(self) -> str:
-        """The next event; "" after some time without one, or where there is a new beginning."""
+        """Return the next event; "" after some time without one, or if the reader needs the present state."""
         if not self._waiting:
             self._filled.clear()
             try:

@@ -32,14 +32,14 @@ N_VALUES: Mapping[str, int] = {
     "location": 4,  # latitude and longitude in degrees, altitude and horizontal accuracy in m
     "attitude": 4,  # quaternion wxyz, sensor to world
 }
-# No phone measures more in any of these units; what is beyond is no measurement.
+# No phone measures more in any of these units; larger values are errors.
 _LARGEST = 1e6
 _MAX_MESSAGES = 1000  # in one body
 _MAX_NUMBER = 2**53
 
 
 class MessageError(ValueError):
-    """A message that cannot be understood; the words say why."""
+    """A message that cannot be understood, with the reason."""
 
 
 class Rows(NamedTuple):
@@ -56,25 +56,25 @@ class Rows(NamedTuple):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """What one message holds."""
+    """Content of one message."""
 
     device: str
     session: str
-    number: int | None = None  # of the message in its session, from an app that counts
-    platform: str = ""  # "ios" or "android", from a sender that knows; which sign its forces have
+    number: int | None = None  # place in the session, from an app that counts its messages
+    platform: str = ""  # "ios" or "android", which decides the sign of forces; empty if unknown
     rows: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
-    fix: Mapping[str, Any] | None = None  # what somebody said of where the phone is
-    is_end: bool = False  # nothing else of this session will come
+    fix: Mapping[str, Any] | None = None  # position that a user has marked
+    is_end: bool = False  # whether it is the last one of its session
     source: bytes = b""  # one line of JSON from which `parse` makes the same message again
 
     @property
     def n_samples(self) -> int:
-        """Of all sensors."""
+        """Number of samples of all sensors."""
         return sum(len(rows.time) for rows in self.rows.values())
 
 
 def parse(body: bytes, device: str = "", session: str = "", platform: str = "") -> list[Message]:
-    """The messages of a body, in its order; MessageError if it is not of a known kind.
+    """Messages of a body, in its order; MessageError if it is not of a known kind.
 
     `device`, `session` and `platform` are for a message that does not say them. An object with nothing to read, such
     as the test that Sensor Logger's settings send, has no messages.
@@ -122,7 +122,7 @@ def _items(body: bytes) -> list[Any]:
 
 
 def to_json(message: Message) -> bytes:
-    """A message in our own layout, with times in seconds; `parse` gives the same one back."""
+    """Body of a message in our own layout, with times in seconds, for `parse`."""
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -130,7 +130,7 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """The message of one object; None if there is nothing to read in it."""
+    """Message of one object; None if it holds no known content."""
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -152,7 +152,7 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
 
 # --- Sensor Logger ----------------------------------------------------------------------------------------------------
 
-# Its sensors, with our names and the keys of their values. `accelerometer` has gravity removed.
+# Sensors of the app, with our names and the keys of their values. `accelerometer` has gravity removed.
 _XYZ = ("x", "y", "z")
 _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "totalacceleration": (FORCE, _XYZ),
@@ -198,7 +198,7 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
-    """The one sample of an event of Android, which SensorServer passes on as it is."""
+    """Sample of an Android sensor event, which SensorServer passes on unchanged."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}

@@ -36,7 +36,7 @@ class Whole:
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Request to save what has grown, and to forget silent phones."""
+    """Request to save changed sessions and to forget silent phones."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -77,7 +77,7 @@ class Part:
     """
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-        from pdr_filter.live.devices import Devices  # so that the server does not load the filter
+        from pdr_filter.live.devices import Devices  # here, because the server must not load the filter
 
         if not folder.is_dir():
             raise ValueError(f"no folder {folder} here: the server and all workers need the same one")
@@ -142,7 +142,7 @@ def _refusal(error: Exception) -> Answer:
 
 def serve(connection: Connection, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
     """Answer requests from a connection until its other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal; the server closes the connection
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes, and the server ends this one
     devices = Part(settings, folder, part, n_parts)
     try:
         connection.send([])  # ready

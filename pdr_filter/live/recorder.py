@@ -104,7 +104,7 @@ class Recorder:
             self._cut(name, self._sizes.get(name, 0))
         journal = self.folder / _journal(self._n_saved)
         for other in self.folder.glob("journal_*"):
-            if other != journal:  # of a process that died between two writes of `saved`
+            if other != journal:  # left by a process that died between two writes of `saved`
                 other.unlink()
         whole, _, _ = (journal.read_bytes() if journal.exists() else b"").rpartition(b"\n")
         if journal.exists():  # a broken-off line was not acknowledged, and the next one must not follow it

@@ -32,14 +32,14 @@ from pdr_filter.placing import live_config
 from pdr_filter.sensing.clock import moved
 from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
 
-# Positions on the page, from the newest back: three hours of walking.
+# Newest positions that the page shows: three hours of walking.
 _MAX_PATH = 20_000
-# What is known of now is told this often at most, and a path that turns while its north is sought.
-# Turning a step costs some 50 us: of a path of hours that is a share of one in a hundred.
+# Shortest times between two `now` events, and between two `track` events of a path whose north is not settled. Turning
+# a step costs some 50 us, so a path of hours is sent less often.
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
-# Of the charts a page that comes late is told five minutes.
+# Entries of the charts for a page that is opened late: five minutes.
 _HISTORY, _HISTORY_STEP_S = 300, 1.0
-# Much less than what a sensor may be behind the others, `sensing.merging`.
+# Much less than the delay between sensors that `sensing.merging` allows.
 _PART_S = 1.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
@@ -50,19 +50,19 @@ _ENDED = "this session has ended; begin a new one"
 
 @cache
 def plain_config(settings: Settings) -> Config:
-    """The configuration of a session, before its first samples are seen."""
+    """Configuration of a session before its first samples are known."""
     meta = {"subject": {"height_m": settings.height_m}}
     return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
 
 
 @cache
 def plain_config_bytes(settings: Settings) -> bytes:
-    """The same as it is saved: sixty milliseconds of work that a crowd of phones shares."""
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones."""
     return serialise.to_bytes(plain_config(settings))
 
 
 def session_id(device: str, session: str) -> str:
-    """A name for addresses and folders: letters of the device's, and a checksum, so that two never are one."""
+    """Name for addresses and folders: letters of the device and a checksum, so that no two sessions share one."""
     letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
     return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
 
@@ -84,16 +84,16 @@ class Session:
         self._received_s = math.nan  # unix time of the last message
         self._told: Event = {}  # by the last `session` event
         self.path: list[list[float]] = []
-        # Of each of these steps where it is in the frame of the start, if its place turns while north is sought.
+        # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
         self._starts: list[Place | None] = []
-        self._unsaved_at = math.inf  # since when something is not saved
-        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of what `now` said, for the charts
-        self._is_untold = False  # whether there is more than the last `now` said
-        self._judged: tuple[FixResult, ...] = ()  # fixes of which it is told what became of them
+        self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
+        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
+        self._is_untold = False  # whether samples came after the last `now` event
+        self._judged: tuple[FixResult, ...] = ()  # fixes whose outcome was already sent
         self._now_at, self._turn_at, self._advanced_at = -math.inf, -math.inf, -math.inf
         self.seen_at = time.monotonic()
 
-    # --- what comes in ---
+    # --- messages ---
 
     def take(self, message: Message, received_s: float) -> list[Event]:
         """Take and record a message, which `advance` filters; FixError or LateError if it cannot be used.
@@ -198,14 +198,14 @@ class Session:
         return config
 
     def _fixed(self, content: Any) -> Event:
-        """A fix that somebody gave: east and north in the track's frame, or latitude and longitude. It waits now."""
+        """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event."""
         online = self.online
         if online is None:
             raise FixError("no samples yet: give a fix when the track has begun")
         now = online.now()
         try:
             std_m = float(content.get("std_m", 1.0))
-            # on the phone's clock, as samples are: `now` is on the track's, which goes on where that is set back
+            # samples are on the clock of the phone, and `now` on that of the track, which is never set back
             time_s = float(content.get("time_s", now.time_s - online.state.clock_offset_s))
             if "latitude_deg" in content:
                 if online.origin is None:
@@ -224,7 +224,7 @@ class Session:
         result = FixResult.of(moved(fix, online.state.clock_offset_s), math.nan, "waiting")
         return {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
 
-    # --- what goes out ---
+    # --- events ---
 
     def about(self) -> Event:
         """Properties of the session, with the reason why it waits or is not tracked."""
@@ -267,7 +267,7 @@ class Session:
         return events
 
     def _outcomes(self) -> list[Event]:
-        """What became of fixes, and of the phone's locations, since the last time."""
+        """Events of fixes, and of locations of the phone, whose outcome is new."""
         results = () if self.online is None else self.online.state.last_fixes
         new = [self._outcome(result) for result in results if result not in self._judged]
         self._judged = results
@@ -298,7 +298,7 @@ class Session:
         return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
-        """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
+        """`track` event now and then while north is not settled, because the whole path turns with it."""
         online = self.online
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
@@ -316,21 +316,21 @@ class Session:
         return [self.track()]
 
     def track(self) -> Event:
-        """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
+        """Event with the session and its path: time, east, north and covariance (ee, en, nn) after each step."""
         silent_s = time.monotonic() - self.seen_at
         return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """What is known of now, if the last samples came too soon after it was told."""
+        """`now` event for the last samples, if they came too soon after the previous one."""
         return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def whole(self) -> list[Event]:
-        """All there is to show to somebody who has seen nothing yet."""
+        """Events for a page that was just opened."""
         return [{**self.track(), "history": list(self._history)}, *self._now(is_due=True, is_live=False)]
 
     @property
     def unsaved_s(self) -> float:
-        """For how long something has only been in the journal."""
+        """Time since the first change that is not in the saved state."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
     def save(self) -> None:
@@ -343,7 +343,7 @@ class Session:
 
     @classmethod
     def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
-        """Return the session as it was when the last message was acknowledged, after any end of the process."""
+        """Return the session with all acknowledged messages, however the last process ended."""
         self = cls(device, session, settings, folder)
         silent_s = time.time() - max(file.stat().st_mtime for file in (folder / self.id).iterdir())
         saved, entries = self.recorder.load()
@@ -372,10 +372,10 @@ class Session:
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Updates after the samples of one message.
+    """Updates after samples of all sensors.
 
-    Of a long one, such as after a minute without network, the sensors go in second by second: one that is seconds
-    behind the others is taken for silent.
+    Long stretches, such as after a minute without network, are pushed second by second. Otherwise the merger would
+    take the sensors that are pushed last for silent ones.
     """
     begin_s = min(float(stream.time_s[0]) for stream in samples.values())
     seconds = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
@@ -389,7 +389,7 @@ def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]
 
 
 def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: FloatArray) -> list[StepUpdate]:
-    """The same of one sensor."""
+    """Updates after samples of one sensor."""
     of_three = {
         FORCE: online.push_accelerometer,
         "gyroscope": online.push_gyroscope,
@@ -399,7 +399,7 @@ def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: Flo
         return of_three[name](time_s, values)
     if name == "barometer":
         return online.push_pressure(time_s, values[:, 0])
-    if online.config.model.frame.is_joined:  # locations that began later than the track are on record only
+    if online.config.model.frame.is_joined:  # locations that began later than the track are only recorded
         return []
     latitude_deg, longitude_deg, altitude_m, accuracy_m = values.T
     return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
@@ -424,7 +424,7 @@ def _set_back_words(set_back: tuple[float, float]) -> str:
 
 
 def _place(content: Mapping[str, Any]) -> Place:
-    """A place as `StepUpdate.to_dict` writes it."""
+    """Place from the form that `StepUpdate.to_dict` writes."""
     position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
     return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
 

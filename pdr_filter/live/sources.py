@@ -35,9 +35,9 @@ _PART_S = 0.2
 # Between two tries to reach a phone or a broker.
 _AGAIN_S = 2.0
 _ANSWER_S = 5.0
-# Of phyphox, which has kept all since its start: some two hours of two sensors at 100 Hz.
+# Largest answer of phyphox, which keeps all samples: some two hours of two sensors at 100 Hz.
 _MAX_ANSWER_BYTES = 64 * 1024**2
-# Of such a backlog as one message, some 0.2 MB.
+# Samples of such an answer that become one message, some 0.2 MB.
 _LONG_S = 10.0
 # Messages of a broker that are under way to the workers.
 _AT_ONCE = 64
@@ -85,12 +85,12 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """A source for as long as the server runs: one that breaks off is begun again; each new reason is said once."""
+    """Run a source again whenever it breaks off; each new reason is shown once."""
     said = ""
     while True:
         try:
             await source()
-        except Exception as error:  # whatever clients of networks raise; or the wrong experiment is open
+        except Exception as error:  # network clients raise many kinds, and the wrong experiment may be open
             reason = str(error) if isinstance(error, MessageError) else f"{type(error).__name__}: {error}"
             if reason != said:
                 say(f"{reason}; trying again")
@@ -129,7 +129,7 @@ class Phyphox:
             await asyncio.sleep(_PART_S)
 
     async def _give(self, rows: Mapping[str, Rows]) -> None:
-        """New samples as messages, of which none is too long; their times say what came before."""
+        """Send new samples as messages of bounded length; their times show which samples were sent before."""
         for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
             message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
             await self._take(to_json(message))
@@ -148,7 +148,7 @@ def _parts(rows: Mapping[str, Rows]) -> Iterator[dict[str, Rows]]:
 
 
 def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, float]) -> str:
-    """Of each sensor what is later than what was seen: the buffer of times, and the others where that is later."""
+    """Query for the samples of each sensor after the last one received."""
     asked: list[str] = []
     for name, (time, *values) in buffers.items():
         after = f"{seen_s.get(name, 0.0)!r}"
@@ -162,7 +162,7 @@ def _later(rows: Rows, seen_s: float) -> Rows:
 
 
 def _got(address: str) -> bytes:
-    """What is at an address; a connection for each, because phyphox keeps none open."""
+    """Content of an address; each request opens a connection, because phyphox keeps none open."""
     with urllib.request.urlopen(address, timeout=_ANSWER_S) as answer:
         content = answer.read(_MAX_ANSWER_BYTES + 1)
     if len(content) > _MAX_ANSWER_BYTES:
@@ -174,7 +174,7 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Listen to an Android phone with SensorServer: its WebSocket gives one sample a message."""
+    """Listen to an Android phone with SensorServer, whose WebSocket sends one sample in each message."""
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")
@@ -193,7 +193,7 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
 
 
 def _joined(bodies: list[bytes]) -> dict[str, Rows]:
-    """Messages of one sample each as one, with seconds since the phone was switched on."""
+    """Samples of many messages by sensor, in seconds since the phone was switched on."""
     found: dict[str, list[Rows]] = {}
     for message in (message for body in bodies for message in parse(body)):
         for name, rows in message.rows.items():

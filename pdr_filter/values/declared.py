@@ -1,4 +1,4 @@
-"""Whether what comes from a file is what the fields of a dataclass are declared as: one schema, the declarations."""
+"""Checks of values from files against the declared types of dataclass fields."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
 
 
 def check_whole(value: Any) -> None:
-    """The same of a dataclass that was made of a file, and of those in its fields."""
+    """ValueError if a field of a dataclass, or of a dataclass in it, is not of its declared type."""
     content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     check_declared(type(value), content)
     for part in content.values():
