@@ -58,10 +58,13 @@ def test_the_track_is_that_of_what_was_sent_and_of_what_was_recorded(walk: Recor
     np.testing.assert_array_equal(shown, again.position_m)
 
 
+@pytest.mark.parametrize("is_real", [False, True])
 @pytest.mark.parametrize("n_saved", [3, 40])
-def test_a_process_that_dies_loses_nothing_that_it_took(walk: Recording, tmp_path: Path, n_saved: int) -> None:
-    """Saved after some messages, the first while it is not known yet what the session is, and gone after others."""
-    bodies = own_messages(walk)
+def test_a_process_that_dies_loses_nothing_that_it_took(
+    walk: Recording, tmp_path: Path, n_saved: int, is_real: bool
+) -> None:
+    """Saved after some messages, first before the session is known, and killed after others; with real times, too."""
+    bodies = encoded(sensor_logger_messages(walk)) if is_real else own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path / "broken", events.append)
