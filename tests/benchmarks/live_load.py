@@ -97,7 +97,7 @@ async def watch(address: tuple[str, int], seen: Seen) -> None:
 async def crowd(
     n: int, rate_hz: int, server: Server, bodies: list[bytes], seconds: float, seen: Seen
 ) -> tuple[float, float]:
-    """Processor time of server and workers in a second, and the measured time."""
+    """Cores used by server and workers, and processor time in ms for a second of samples of one phone."""
     host, port = server.address.removeprefix("http://").split(":")
     address = host, int(port)
     end = time.monotonic() + _WARM_UP_S + seconds
@@ -106,12 +106,13 @@ async def crowd(
     await asyncio.sleep(_WARM_UP_S)
     seen.shown_s.clear()
     pids = [server.pid, *server.children]
-    before, begun = cpu_s(pids), time.monotonic()
+    before, begun, n_before = cpu_s(pids), time.monotonic(), len(seen.answer_s)
     await asyncio.sleep(seconds)
     used_s, measured_s = cpu_s(pids) - before, time.monotonic() - begun
+    phone_s = (len(seen.answer_s) - n_before) / rate_hz  # of answered messages, in real time or not
     await asyncio.gather(*phones)
     watching.cancel()
-    return used_s / measured_s, measured_s
+    return used_s / measured_s, 1e3 * used_s / max(phone_s, 1e-9)
 
 
 # When what was shown last was received, each time that it is drawn.
@@ -152,7 +153,7 @@ def load(phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: 
             options_ = ("--record", folder, "--workers", str(workers), "--max-devices", str(n))
             with Server(*options_) as server:
                 idle_mb = memory_mb(server.children)
-                cores, _ = asyncio.run(crowd(n, rate_hz, server, bodies, seconds, seen))
+                cores, phone_ms = asyncio.run(crowd(n, rate_hz, server, bodies, seconds, seen))
                 phone_mb = (memory_mb(server.children) - idle_mb) / n
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
@@ -162,7 +163,7 @@ def load(phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: 
                 str(rate_hz),
                 "yes" if keeps_up else "no",
                 f"{cores:.2f}",
-                f"{1e3 * cores / n:.1f}",
+                f"{phone_ms:.1f}",
                 f"{answer[0]:.0f} / {answer[1]:.0f}",
                 f"{shown[0]:.0f} / {shown[1]:.0f}",
                 f"{phone_mb:.1f}",
