@@ -133,8 +133,9 @@ class Session:
         self._ready += ready
 
     def is_due(self, wait_s: float) -> bool:
-        """Whether the last call of `advance` is so long ago that the next one may filter several messages at once."""
-        return time.monotonic() - self._advanced_at >= wait_s
+        """Whether so much time has passed since the last call of `advance`, or samples of so much time wait."""
+        spans_s = (float(np.ptp(s[FORCE].time_s)) for s in self._ready if FORCE in s)
+        return time.monotonic() - self._advanced_at >= wait_s or sum(spans_s) >= wait_s
 
     def advance(self) -> list[Event]:
         """Filter the samples of all messages that were taken; afterwards `refused` may hold a reason."""
