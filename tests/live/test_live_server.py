@@ -13,6 +13,7 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -170,6 +171,9 @@ def test_the_path_and_the_recording_can_be_downloaded(server: Server, walk: Reco
     path = tmp_path / "kept.zip"
     path.write_bytes(server.http.get(f"/sessions/{track['id']}/recording.zip").content)
     assert len(pdr.read(path).accelerometer) == len(walk.accelerometer)
+    with zipfile.ZipFile(path) as archive:
+        assert {"meta.json", "steps.jsonl"} <= set(archive.namelist())
+        assert len(archive.read("steps.jsonl").splitlines()) == len(track["path"])
 
 
 @pytest.mark.parametrize(
