@@ -34,7 +34,7 @@ def to_bytes(value: object) -> bytes:
     """Bytes of a value made of dataclasses of this package, arrays, numbers, strings, None, tuples and dicts."""
     content = json.dumps({"format": _FORMAT, "value": _encode(value)}).encode()
     _check_size(content)
-    return zlib.compress(content)
+    return zlib.compress(content, 1)
 
 
 def from_bytes(blob: object) -> Any:

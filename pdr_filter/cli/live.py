@@ -1,4 +1,4 @@
-"""`pdr-filter live`: phones that send while somebody walks."""
+"""Command `pdr-filter live`: a server that tracks phones which send their samples."""
 
 from __future__ import annotations
 
@@ -24,8 +24,12 @@ if TYPE_CHECKING:
     from pdr_filter.live.hub import Live
 
 
+# How often it is looked whether the server is to end.
+_LOOK_S = 0.1
+
+
 class Platform(StrEnum):
-    """Whose signs the forces of a phone have."""
+    """Platform of a phone, which decides the sign of the acceleration."""
 
     IOS = "ios"
     ANDROID = "android"
@@ -33,7 +37,7 @@ class Platform(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Address:
-    """Where the server is, and who may use it."""
+    """Address of the server, and the token for access."""
 
     host: Annotated[
         str, typer.Option(help="Address to listen at; 0.0.0.0 for phones in the same network, with a token then.")
@@ -46,23 +50,27 @@ class Address:
 
     @property
     def name(self) -> str:
-        """By which a phone finds this machine."""
+        """Name or address by which phones reach this machine."""
         from pdr_filter.live.access import lan_address
 
         return lan_address() if self.host in ("0.0.0.0", "::") else self.host
 
     def address(self, port: int) -> str:
-        """Up to the path."""
+        """URL of the server without a path."""
         host = f"[{self.name}]" if ":" in self.name else self.name
         return f"http{'s' * self.https}://{host}:{port}"
 
 
 @dataclass(frozen=True, slots=True)
 class Phones:
-    """What is known of phones and people."""
+    """Options about phones and pedestrians."""
 
     platform: Annotated[
-        Platform | None, typer.Option(help="Of the phones, where neither the app nor the samples say it.")
+        Platform | None,
+        typer.Option(
+            help="Platform of the phones, which decides the sign of the acceleration. Needed only when it cannot be "
+            "detected."
+        ),
     ] = None
     height_m: Annotated[float | None, typer.Option("--height", min=0.5, max=2.6, help="Height of the person in m.")] = (
         None
@@ -85,7 +93,7 @@ class Phones:
 
 @dataclass(frozen=True, slots=True)
 class Sources:
-    """What the server fetches itself."""
+    """Sources from which the server fetches samples."""
 
     phyphox: Annotated[
         list[str] | None, typer.Option(metavar="HOST:PORT", help="A phone with phyphox, its remote access on.")
@@ -95,31 +103,34 @@ class Sources:
     ] = None
     mqtt: Annotated[
         list[str] | None,
-        typer.Option(metavar="URL", help="Topic of a broker, mqtt://USER:PASSWORD@HOST/TOPIC; ws, wss and mqtts too."),
+        typer.Option(metavar="URL", help="Topic of an MQTT broker, mqtt://USER:PASSWORD@HOST/TOPIC, or mqtts."),
     ] = None
-    replay: Annotated[Path | None, typer.Option(help="A recording to be walked again.")] = None
-    speed: Annotated[float, typer.Option(min=0.01, help="How many times as fast.")] = 1.0
+    replay: Annotated[Path | None, typer.Option(help="Replay this recording instead of listening to a phone.")] = None
+    speed: Annotated[float, typer.Option(min=0.01, help="Playback speed relative to real time.")] = 1.0
 
     def walk(self) -> Recording | None:
-        """The recording to be walked again."""
+        """Recording that is replayed, or None."""
         from pdr_filter.io.formats import read
 
         return None if self.replay is None else read(self.replay)
 
     def tasks(self, walk: Recording | None, shared: Live) -> list[Coroutine[Any, Any, None]]:
-        """What fetches samples."""
+        """Coroutines that fetch samples while the server runs."""
         from pdr_filter.live import sources
 
         def say(words: str) -> None:
             console.say_error(words)
 
+        def take(name: str) -> sources.Taker:
+            return sources.told(shared.take, name, say)
+
         session = uuid.uuid4().hex[:8]
         made: list[Callable[[], Coroutine[Any, Any, None]]] = [
-            *(sources.Phyphox(address, shared.take).run for address in self.phyphox or ()),
-            *(partial(sources.sensor_server, address, session, shared.take) for address in self.sensorserver or ()),
-            *(sources.Mqtt(address, shared.take).run for address in self.mqtt or ()),
+            *(sources.Phyphox(address, take(address)).run for address in self.phyphox or ()),
+            *(partial(sources.sensor_server, address, session, take(address)) for address in self.sensorserver or ()),
+            *(sources.Mqtt(address, take("--mqtt")).run for address in self.mqtt or ()),
         ]
-        replay = [] if walk is None else [sources.replay(walk, self.speed, shared.take)]
+        replay = [] if walk is None else [sources.replay(walk, self.speed, take(f"--replay {walk.name}"))]
         return [*(sources.again(source, say) for source in made), *replay]
 
 
@@ -147,7 +158,7 @@ def live(
         from pdr_filter.live.settings import Settings
 
         phones.check()
-        walk = sources.walk()  # one that cannot be read is no reason to serve
+        walk = sources.walk()  # before the server starts, because a bad file must end the command
         is_open = not is_loopback(address.host)
         token = (address.token or made_token(record)) if is_open or address.token else ""
         platform = "" if phones.platform is None else phones.platform.value
@@ -162,6 +173,7 @@ def live(
             app(shared, token, tiles),
             **certified,
             log_level="warning",
+            access_log=False,
             ws_max_size=4 * 1024**2,
             timeout_graceful_shutdown=2,
             lifespan="off",
@@ -175,7 +187,7 @@ def live(
 
 
 def _bound(host: str, port: int) -> socket.socket:
-    """A socket at this address; ValueError if it cannot be had."""
+    """Bound socket; ValueError if the address is taken or not allowed."""
     made = socket.socket(socket.AF_INET6 if ":" in host else socket.AF_INET)
     made.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -196,15 +208,22 @@ async def _run(
     """Serve with workers that run."""
     try:
         await shared.start()
-        await _served(server, bound, tasks(shared), say)
+        await _served(server, bound, [*tasks(shared), _readers_ended(server, shared)], say)
     finally:
         await shared.stop()
+
+
+async def _readers_ended(server: Any, shared: Live) -> None:
+    """End the events of pages when the server is to end."""
+    while not server.should_exit:
+        await asyncio.sleep(_LOOK_S)
+    shared.end_readers()
 
 
 async def _served(
     server: Any, bound: socket.socket, sources: list[Coroutine[Any, Any, None]], say: Callable[[int], None]
 ) -> None:
-    """Serve until somebody ends it; sources begin when phones are answered."""
+    """Serve until Ctrl+C; sources begin when the server answers."""
     serving = asyncio.create_task(server.serve([bound]))
     while not (server.started or serving.done()):
         await asyncio.sleep(0.02)
@@ -218,7 +237,7 @@ async def _served(
 
 
 async def _told(source: Coroutine[Any, Any, None]) -> None:
-    """A source; what ends it is said, and the others go on."""
+    """Run a source; show the error that ends it, so that the others go on."""
     try:
         await source
     except (ValueError, OSError) as error:
@@ -226,7 +245,7 @@ async def _told(source: Coroutine[Any, Any, None]) -> None:
 
 
 def _say(address: Address, port: int, token: str) -> None:
-    """The addresses, and a code that a phone's camera reads."""
+    """Print the addresses, and a code for the camera of a phone."""
     import segno
 
     root, query = address.address(port), f"?token={token}" if token else ""

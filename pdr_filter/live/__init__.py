@@ -1,1 +1,1 @@
-"""Phones that send while somebody walks: a server with a page, and what it needs of each phone."""
+"""Live server: phones send samples while they are carried, and a page shows their tracks."""

@@ -1,4 +1,4 @@
-"""Who may send what, and how much of it."""
+"""Tokens, and limits on how much each sender may send."""
 
 from __future__ import annotations
 
@@ -45,12 +45,12 @@ def made_token(folder: Path | None) -> str:
 
 
 def is_token(token: str, given: Iterable[str | None]) -> bool:
-    """Whether one of what was given is the token."""
+    """Whether one of the given texts is the token."""
     return any(hmac.compare_digest(token.encode(), value.encode("utf-8", "replace")) for value in given if value)
 
 
 def lan_address() -> str:
-    """The address of this machine in its local network, as far as it is known; nothing is sent."""
+    """Address of this machine in its local network, or 127.0.0.1 if unknown; nothing is sent."""
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as probe:
         try:
             probe.connect(("192.0.2.1", 9))  # an address of documentation; for UDP it only chooses the interface

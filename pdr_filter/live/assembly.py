@@ -1,12 +1,14 @@
-"""From messages of one session to samples as the filter takes them: in order, each once, specific force whole.
+"""Conversion of the messages of one session to samples for the filter: in order, each once, with gravity added.
 
-The first two seconds say what a session is: which sensors there are, whose sign the forces have, whether there are
-locations. Until then its messages wait. An app that counts its messages has them put in order; one that is missing is
-waited for until three seconds of later samples are there.
+Messages wait until two seconds of samples show the sensors, the sign of the specific force and whether there are
+locations. Messages with a number are put in order. A missing number is waited for until three seconds of later samples
+have come without any message of the hole. A numbered message whose samples all lie before those of the message before
+it shows that the clock of the phone was set back: times go on from there.
 """
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -22,7 +24,11 @@ PRELUDE_S = 2.0
 _NO_FORCE_S = 10.0
 # Sensor Logger sends again within some seconds, or never.
 _WAIT_S = 3.0
-_MAX_HELD = 64
+# Memory for messages that wait: ten minutes of four sensors at 100 Hz.
+_MAX_HELD_BYTES = 25 * 1024**2
+# Smaller overlaps of two messages are sensors that are read late. A set-back within a message needs as many samples
+# after it, because a single old sample is one that the phone remembered.
+_SET_BACK_S, _SET_BACK_SAMPLES = 1.0, 10
 # Gravity is interpolated to the times of the accelerometer as in the files of the same app, `io.sensor_logger`.
 _GRAVITY_GAP_S = 0.3
 _GRAVITY_WAIT_S = 1.0
@@ -34,12 +40,16 @@ _NO_ROWS = np.empty((0, 3))
 
 
 class SessionError(ValueError):
-    """A session that cannot be tracked; the words say why and what to change on the phone."""
+    """A session that cannot be tracked, with the reason and the remedy on the phone."""
+
+
+class LateError(ValueError):
+    """A message that came after its number was given up, so that its samples are not in the track."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Kind:
-    """What the first seconds say of a session."""
+    """Properties of a session that its first seconds show."""
 
     force: str  # the sensor that specific force comes from
     scale: float  # its unit and sign
@@ -50,18 +60,32 @@ class Kind:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Assembly:
-    """What is kept of a session between its messages, without those that wait."""
+    """State of a session between its messages, without the messages that wait."""
 
     kind: Kind | None = None
-    next_number: int = -1  # of the message that comes next, from an app that counts; -1 before the first
+    next_number: int = -1  # of the next message, from an app that counts; -1 before the first
+    given_up: tuple[tuple[int, int], ...] = ()  # first and last number of each hole that was given up
+    hole_s: float = np.nan  # time from which a hole is waited for; NaN without a hole
+    recent: tuple[str, ...] = ()  # digests of the last messages without a number
     last_s: float = -np.inf  # of the samples that were passed on
+    ahead_s: float = 0.0  # added to times of the phone's clock, which was set back by so much
+    set_backs: tuple[tuple[float, float], ...] = ()  # time and size in s of each set-back
     linear_s: FloatArray = field(default_factory=lambda: _NONE)  # linear acceleration that waits for gravity
     linear: FloatArray = field(default_factory=lambda: _NO_ROWS)
     gravity_s: FloatArray = field(default_factory=lambda: _NONE)  # the last of gravity
     gravity: FloatArray = field(default_factory=lambda: _NO_ROWS)
-    n_repeated: int = 0  # messages that came again, or after they had been given up
-    n_lost: int = 0  # messages that never came
+    n_repeated: int = 0  # messages that came again
+    n_lost: int = 0  # messages that did not come in time
 
+
+# Messages without a number that are recognised when they come again: more than a worker is given at once.
+_N_RECENT = 64
+# Holes and set-backs that are remembered.
+_N_HOLES = 1000
+# Samples from which a wrong unit of times is recognised.
+_RATE_SAMPLES = 400
+
+_MOVING = (FORCE, LINEAR, RAW, "gyroscope")
 
 # Samples of one message by sensor, in seconds; specific force is whole.
 Streams = dict[str, Samples]
@@ -70,47 +94,108 @@ Streams = dict[str, Samples]
 def take(
     state: Assembly, held: Sequence[Message], message: Message, platform: str
 ) -> tuple[Assembly, list[Message], list[Streams]]:
-    """State, the messages that wait, and what became ready; SessionError if the session cannot be tracked."""
-    numbers = {m.number for m in held if m.number is not None}
-    if message.number is not None and (message.number < state.next_number or message.number in numbers):
+    """Return the state, the messages that wait, and the samples that became ready.
+
+    SessionError if the session cannot be tracked, LateError if the number of the message was given up.
+    """
+    state, is_repeated = _counted(state, held, message)
+    if is_repeated:
         return replace(state, n_repeated=state.n_repeated + 1), list(held), []
     waiting = [*held, message]
     if state.kind is None:
         kind = _kind(waiting, platform)
-        if kind is None:
+        if isinstance(kind, str):
+            if _is_too_much(waiting):
+                raise SessionError(f"still no track after {len(waiting)} messages: {kind}")
             return state, waiting, []
         state = replace(state, kind=kind)
-    return _released(state, waiting, is_last=False)
+    return _released(state, waiting)
 
 
 def finish(state: Assembly, held: Sequence[Message], platform: str) -> tuple[Assembly, list[Message], list[Streams]]:
-    """The same when nothing else will come."""
+    """Return the same as `take`, when no other message will come."""
     if state.kind is None:
         kind = _kind(held, platform, is_last=True)
-        if kind is None:
+        if isinstance(kind, str):
             return state, [], []
         state = replace(state, kind=kind)
-    return _released(state, list(held), is_last=True)
+    return release(state, held)
 
 
-def _released(state: Assembly, waiting: list[Message], is_last: bool) -> tuple[Assembly, list[Message], list[Streams]]:
+def release(state: Assembly, held: Sequence[Message]) -> tuple[Assembly, list[Message], list[Streams]]:
+    """Return the same as `take`, without waiting for missing messages and for gravity any longer."""
+    return (state, list(held), []) if state.kind is None else _released(state, list(held), is_last=True)
+
+
+def reason_to_wait(state: Assembly, held: Sequence[Message], platform: str) -> str:
+    """Reason why messages wait, for the user; empty if none does."""
+    if not held:
+        return ""
+    if state.kind is None:
+        kind = _kind(held, platform)
+        return kind if isinstance(kind, str) else ""
+    return f"message {state.next_number} is missing: {len(held)} later ones wait for it"
+
+
+def _counted(state: Assembly, held: Sequence[Message], message: Message) -> tuple[Assembly, bool]:
+    """State that knows the message, and whether it came before; LateError if its number was given up."""
+    number = message.number
+    if number is None:
+        digest = hashlib.sha256(message.source).hexdigest()[:16]
+        is_repeated = bool(message.source) and digest in state.recent
+        return replace(state, recent=(*state.recent, digest)[-_N_RECENT:]), is_repeated
+    if any(first <= number <= last for first, last in state.given_up):
+        raise LateError(
+            f"message {number} is too late: it was given up after {_WAIT_S:g} s of later samples, and the track went "
+            "on without it"
+        )
+    if number < state.next_number and _is_newer(state, message):
+        # an app that was started again counts from zero
+        return replace(state, next_number=number, hole_s=np.nan), False
+    return state, number < state.next_number or any(m.number == number for m in held)
+
+
+def _is_newer(state: Assembly, message: Message) -> bool:
+    """Whether all samples of a message are later than those passed on; after a set-back times do not show it."""
+    begin_s, end_s = _span_s(state, message)
+    return not state.set_backs and np.isfinite(end_s) and begin_s > state.last_s
+
+
+def _is_too_much(messages: Sequence[Message]) -> bool:
+    return sum(len(m.source) for m in messages) > _MAX_HELD_BYTES
+
+
+def _released(
+    state: Assembly, waiting: list[Message], is_last: bool = False
+) -> tuple[Assembly, list[Message], list[Streams]]:
     """Messages whose turn it is, as samples."""
     uncounted = [m for m in waiting if m.number is None]
     counted = sorted((m for m in waiting if m.number is not None), key=_number)
     ready: list[Streams] = []
     for message in uncounted:
-        state, samples = _samples(state, message, is_last)
+        state, samples = _samples(state, message)
         ready.append(samples)
+    has_moved = False
     while counted:
-        missing = 0 if state.next_number < 0 else _number(counted[0]) - state.next_number
-        newest_s = max(_last_s(state, m) for m in counted)
-        given_up = is_last or len(counted) > _MAX_HELD or newest_s - state.last_s > _WAIT_S
-        if missing and not given_up:
-            break
-        message = counted.pop(0)
-        state = replace(state, next_number=_number(message) + 1, n_lost=state.n_lost + missing)
-        state, samples = _samples(state, message, is_last and not counted)
+        first = _number(counted[0])
+        n_missing = 0 if state.next_number < 0 else first - state.next_number
+        if n_missing:
+            # a backlog that is coming in makes the hole smaller, and the wait begins again
+            newest_s = max(_span_s(state, m)[1] for m in counted)
+            if has_moved or np.isnan(state.hole_s):
+                state = replace(state, hole_s=newest_s if has_moved else _span_s(state, counted[0])[0])
+            is_due = newest_s - state.hole_s > _WAIT_S
+            if not (is_last or is_due or _is_too_much(counted)):
+                break
+            hole = (state.next_number, first - 1)
+            state = replace(state, n_lost=state.n_lost + n_missing, given_up=(*state.given_up, hole)[-_N_HOLES:])
+        message, has_moved = counted.pop(0), True
+        state = replace(state, next_number=_number(message) + 1, hole_s=np.nan)
+        state, samples = _samples(state, message)
         ready.append(samples)
+    if is_last and len(state.linear_s):
+        state, force = _with_gravity(state, None, None, is_last=True)
+        ready.append(_whole(state, force))
     return state, counted, [samples for samples in ready if samples]
 
 
@@ -118,32 +203,78 @@ def _number(message: Message) -> int:
     return -1 if message.number is None else message.number
 
 
-def _samples(state: Assembly, message: Message, is_last: bool) -> tuple[Assembly, Streams]:
-    """The samples of one message, each sensor in order of time."""
+def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
+    """Samples of one message, each sensor in order of time."""
     kind = state.kind
     assert kind is not None
+    state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
-    for name, rows in message.rows.items():
-        time_s = seconds(rows, kind.zero_ns)
+    for name, time_s in times_s.items():
+        values = message.rows[name].values
         kept = time_s > (0.0 if kind.zero_ns else -np.inf) - _STALE_S
-        order = np.argsort(time_s[kept], kind="stable")
-        found[name] = Samples(time_s[kept][order], rows.values[kept][order])
+        if not kept.all() or (time_s[1:] < time_s[:-1]).any():
+            order = np.argsort(time_s[kept], kind="stable")
+            time_s, values = time_s[kept][order], values[kept][order]
+        found[name] = Samples(time_s, values)
+    force = found.get(kind.force)
     if kind.force == LINEAR:
-        state, force = _with_gravity(state, found.get(LINEAR), found.get(GRAVITY), is_last)
-    else:
-        force = found.get(kind.force)
-    ready: Streams = {} if force is None else {FORCE: Samples(force.time_s, kind.scale * force.values)}
+        state, force = _with_gravity(state, force, found.get(GRAVITY))
+    ready = {} if force is None else _whole(state, force)
     ready |= {name: found[name] for name in ("gyroscope", "magnetometer", "barometer", "location") if name in found}
-    ready = {name: rows for name, rows in ready.items() if len(rows)}
-    if FORCE in ready:
-        state = replace(state, last_s=max(state.last_s, float(ready[FORCE].time_s[-1])))
-    return state, ready
+    moving_s = times_s.get(kind.force, _NONE)
+    if len(moving_s):
+        state = replace(state, last_s=max(state.last_s, _latest_s(moving_s)))
+    return state, {name: rows for name, rows in ready.items() if len(rows)}
+
+
+def _whole(state: Assembly, force: Samples) -> Streams:
+    """Specific force in m/s2 with the sign of Android; empty without samples."""
+    assert state.kind is not None
+    return {FORCE: Samples(force.time_s, state.kind.scale * force.values)} if len(force) else {}
+
+
+def _latest_s(time_s: FloatArray) -> float:
+    """Latest time, without a few that are far ahead of all others, which no clock that is set back explains."""
+    latest_s = np.sort(time_s)[-_SET_BACK_SAMPLES:]
+    far = np.flatnonzero(np.diff(latest_s) > _STALE_S)
+    return float(latest_s[far[0]] if len(far) else latest_s[-1])
+
+
+def _on_one_clock(state: Assembly, message: Message, kind: Kind) -> tuple[Assembly, dict[str, FloatArray]]:
+    """Times of a message in seconds by sensor, on a clock that is never set back.
+
+    Only the order of numbered messages tells a clock that was set back from samples that are sent again.
+    """
+    times_s = {name: seconds(rows, kind.zero_ns) + state.ahead_s for name, rows in message.rows.items()}
+    force_s = times_s.get(kind.force, _NONE)
+    if message.number is None or len(force_s) == 0 or not np.isfinite(state.last_s):
+        return state, times_s
+    i, back_s = _set_back(state.last_s, force_s, _SET_BACK_S)
+    is_whole = i == 0 or len(force_s) - i >= _SET_BACK_SAMPLES
+    if i == len(force_s) or not is_whole or force_s[i:].max() >= force_s[i] + back_s:
+        return state, times_s
+    intervals_s = np.diff(force_s)
+    usual_s = float(np.median(intervals_s[intervals_s > 0])) if (intervals_s > 0).any() else 0.0
+    back_s += usual_s
+    for name, time_s in times_s.items():
+        after = _set_back(state.last_s, time_s, 0.5 * back_s)[0]
+        times_s[name] = np.concatenate([time_s[:after], time_s[after:] + back_s])
+    at_s = float(force_s[i] + back_s)
+    set_backs = (*state.set_backs, (at_s, back_s))[-_N_HOLES:]
+    return replace(state, ahead_s=state.ahead_s + back_s, set_backs=set_backs), times_s
+
+
+def _set_back(last_s: float, time_s: FloatArray, least_s: float) -> tuple[int, float]:
+    """Index of the first time that is so far behind the latest one before it, and how far; (N, 0) if none is."""
+    behind_s = np.maximum.accumulate(np.concatenate([[last_s], time_s]))[:-1] - time_s
+    (back,) = (behind_s > least_s).nonzero()
+    return (int(back[0]), float(behind_s[back[0]])) if len(back) else (len(time_s), 0.0)
 
 
 def _with_gravity(
-    state: Assembly, linear: Samples | None, gravity: Samples | None, is_last: bool
+    state: Assembly, linear: Samples | None, gravity: Samples | None, is_last: bool = False
 ) -> tuple[Assembly, Samples]:
-    """Specific force without its scale where gravity is known on both sides, or will not be."""
+    """Sum of linear acceleration and gravity, up to the time until which gravity is known or cannot come."""
     linear_s, values = _appended(state.linear_s, state.linear, linear)
     gravity_s, known = _appended(state.gravity_s, state.gravity, gravity)
     order = np.argsort(gravity_s, kind="stable")
@@ -186,14 +317,16 @@ def seconds(rows: Rows, zero_ns: int) -> FloatArray:
     return (rows.time - zero_ns).astype(np.float64) * 1e-9  # the difference is exact in int64
 
 
-def _last_s(state: Assembly, message: Message) -> float:
+def _span_s(state: Assembly, message: Message) -> tuple[float, float]:
+    """First and last time of the samples of a message on the phone's clock; infinite without samples."""
     zero_ns = 0 if state.kind is None else state.kind.zero_ns
-    return max([-np.inf, *(float(seconds(r, zero_ns).max()) for r in _moving(message) if len(r.time))])
+    times_s = [seconds(rows, zero_ns) for rows in _moving(message) if len(rows.time)]
+    return min([np.inf, *(float(t.min()) for t in times_s)]), max([-np.inf, *(float(t.max()) for t in times_s)])
 
 
 def _moving(message: Message) -> Iterator[Rows]:
-    """Sensors whose times are those of the walk: a location may be from long before."""
-    for name in (FORCE, LINEAR, RAW, "gyroscope"):
+    """Rows of the sensors whose times are those of the walk; a location may be from long before."""
+    for name in _MOVING:
         if name in message.rows:
             yield message.rows[name]
 
@@ -201,33 +334,47 @@ def _moving(message: Message) -> Iterator[Rows]:
 # --- what the first seconds say ---------------------------------------------------------------------------------------
 
 
-def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> Kind | None:
-    """What a session is; None while too little of it is there."""
-    times = [rows.time for m in messages for rows in _moving(m) if len(rows.time)]
-    if not times:
-        return None
-    unit_s = 1.0 if times[0].dtype.kind == "f" else 1e-9
-    every: Any = np.concatenate(times)
-    recent = every[every > every.max() - _STALE_S / unit_s]
+def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> Kind | str:
+    """Properties of a session, or the reason why they are not known yet; SessionError if they cannot be known."""
+    moving = [rows for m in messages for rows in _moving(m) if len(rows.time)]
+    sensors = ", ".join(sorted({name for m in messages for name in m.rows})) or "no sensor"
+    if not moving:
+        return f"no acceleration and no gyroscope yet (sent: {sensors}); switch on Accelerometer and Gravity in the app"
+    unit_s = moving[0].unit_s
+    every: Any = np.concatenate([rows.time for rows in moving])
+    recent = every[every >= every.max() - _STALE_S / unit_s]
     span_s = float(recent.max() - recent.min()) * unit_s
     if span_s < PRELUDE_S and not is_last:
-        return None
+        _check_rate(recent, unit_s)
+        return f"{PRELUDE_S:g} s of samples are needed, {span_s:.1f} s are there"
     first = {name: _together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
     force = next((name for name in (FORCE, LINEAR, RAW) if _is_usable(name, first)), None)
     if force is None:
-        if span_s < _NO_FORCE_S and not is_last:
-            return None
-        sensors = sorted({name for m in messages for name in m.rows})
-        raise SessionError(
-            f"no acceleration with gravity in it (sent: {', '.join(sensors)}); switch on Accelerometer and Gravity, or "
-            "Total Acceleration, in the app"
+        words = (
+            f"no acceleration with gravity in it (sent: {sensors}); switch on Accelerometer and Gravity, or Total "
+            "Acceleration, in the app"
         )
+        if span_s < _NO_FORCE_S and not is_last:
+            return words
+        raise SessionError(words)
     rows = first[force]
     assert rows is not None
     platform = next((m.platform for m in messages if m.platform), platform)
     scale, how = _scale(force, first, platform)
     zero_ns = 0 if rows.time.dtype.kind == "f" else int(rows.time[rows.time >= recent.min()].min())
     return Kind(force, scale, how, zero_ns, any("location" in m.rows for m in messages))
+
+
+def _check_rate(time: Any, unit_s: float) -> None:
+    """SessionError for times of the first samples that are so close to each other that their unit must be another."""
+    span_s = float(time.max() - time.min()) * unit_s
+    if len(time) < _RATE_SAMPLES or 2 * span_s * len(_MOVING) * limits.RATE_RANGE_HZ[1] > len(time):
+        return
+    unit = "nanoseconds since 1970" if unit_s < 1.0 else "seconds"
+    raise SessionError(
+        f"times must be {unit}, got {len(time)} samples within {span_s:.3g} s: the unit is another one, or the clock "
+        f"of the phone stands still; send {unit}"
+    )
 
 
 def _is_usable(name: str, first: Mapping[str, Rows | None]) -> bool:

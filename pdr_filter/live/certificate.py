@@ -12,7 +12,7 @@ NAMES = ("authority.pem", "server.pem")
 
 
 def certificate(folder: Path, host: str) -> Path:
-    """Key and certificate for a host name or address in one file, made once; beside it who says so, authority.pem."""
+    """File with key and certificate for a host name or address, made once, and the certificate of its authority."""
     import trustme
 
     authority, server = (folder / name for name in NAMES)

@@ -1,8 +1,8 @@
 """Shares of the devices on other machines: actors of a Dask cluster.
 
-Dask keeps no copy of an actor. One whose worker dies is made anew at another worker, from the folder of the sessions,
-which is why all machines need to see the same one. Nothing but the server's requests moves an actor, so that one that
-was given up and still lives somewhere writes nothing more.
+Dask keeps no copy of an actor. When its worker dies, an actor is created again at another worker, from the folder of
+the sessions, so all machines need to see the same folder. Only requests of the server make an actor write, so an actor
+that was given up and still lives writes nothing more.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ _LOOK_S = 0.5
 
 
 class Cluster:
-    """A Dask cluster, which the caller trusts: its workers run what the server sends."""
+    """Dask cluster, which the caller trusts: its workers run code that the server sends."""
 
     def __init__(self, scheduler: str, settings: Settings, folder: Path) -> None:
         self._scheduler, self._settings, self._folder = scheduler, settings, folder.resolve()
@@ -45,7 +45,7 @@ class Cluster:
             raise ValueError(f"no Dask scheduler at {self._scheduler}: {error}") from error
 
     async def start(self, part: int, n_parts: int) -> Actor:
-        """A share at one of the workers; they take turns."""
+        """Start a share at one of the workers, in turn."""
         addresses = sorted(await self._client.nthreads())
         if not addresses:
             raise LostError(f"no worker at {self._scheduler}")
@@ -59,13 +59,13 @@ class Cluster:
             actor=True,
             pure=False,
             workers=[address],
-            allow_other_workers=True,  # one that has just died may still be listed
+            allow_other_workers=True,  # a worker that has just died may still be listed
         )
         try:
             return Actor(future, await future, address)
         except ValueError:
             raise
-        except Exception as error:  # whatever became of the worker meanwhile
+        except Exception as error:  # the worker may have died meanwhile, which raises many kinds
             raise LostError(f"{address}: {error}") from error
 
     async def close(self) -> None:
@@ -75,14 +75,14 @@ class Cluster:
 
 
 class Actor:
-    """A share in a worker of the cluster."""
+    """Share in a worker of the cluster."""
 
     def __init__(self, future: Any, actor: Any, address: str) -> None:
-        self._future = future  # the actor lives as long as it is wanted
+        self._future = future  # the actor lives as long as this reference
         self._actor, self.place = actor, address
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """What is said to each; LostError."""
+        """Return an answer to each request; LostError if the worker is gone."""
         asked = asyncio.create_task(self._asked(requests))
         until = time.monotonic() + _ANSWER_S
         while not asked.done():
@@ -98,10 +98,10 @@ class Actor:
     async def _asked(self, requests: Sequence[Request]) -> list[Said]:
         try:
             return await self._actor.answer(list(requests))
-        except Exception as error:  # it is said in many ways that a worker is gone
+        except Exception as error:  # a lost worker raises many kinds
             raise LostError(f"{self.place} is gone: {error}") from error
 
     async def close(self) -> None:
-        """Save everything, and end."""
+        """Save everything and end the actor."""
         await self.ask([Save()])
         self._future.release()

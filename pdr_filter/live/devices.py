@@ -1,30 +1,37 @@
-"""Phones while they walk: each session of each device has its own filter, its own recording and its own saved state.
+"""Sessions of the phones of one worker: each has its own filter, its own recording and its own saved state.
 
-No web here: `Devices.take` gets the body of a message and says what came of it; what there is to show goes to `emit`.
+No web here: `Devices.take` gets the body of a message and returns what it held; events for pages go to `emit`.
 """
 
 from __future__ import annotations
 
 import json
+import logging
 import time
 from collections.abc import Callable
 from pathlib import Path
 
+from pdr_filter.io.texts import printable
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.messages import Message, MessageError, parse
+from pdr_filter.live.recorder import replaced
 from pdr_filter.live.session import Session, session_id
 from pdr_filter.live.settings import BusyError, Event, Settings, part_of
 
-# A state is saved when this much has come since the last time; the journal has what is newer.
-_SAVE_S = 10.0
+# A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
+_SAVE_S = 30.0
+# A pass of the filter over 0.2 s of samples costs two thirds of one over a second. So passes of a worker take turns:
+# each session has one in this time, and none waits longer than this.
+_PASS_S, _LONGEST_WAIT_S = 0.2, 0.9
 # A phone that sends nothing for so long is forgotten until it sends again.
 _IDLE_S = 600.0
-# Which device and session a folder is of.
-ABOUT = "session.json"
+# Folder with a file for each session, which holds the names of its device and session.
+NAMES = "sessions"
+_LOG = logging.getLogger(__name__)
 
 
 class Devices:
-    """The sessions of one worker. What there is to show is given to `emit`, as JSON objects."""
+    """Sessions of one worker. Events for pages are given to `emit`, as JSON objects."""
 
     def __init__(
         self, settings: Settings, folder: Path, emit: Callable[[Event], None], part: int = 0, n_parts: int = 1
@@ -32,61 +39,129 @@ class Devices:
         self.settings, self.folder, self.emit = settings, folder, emit
         self.part, self.n_parts = part, n_parts
         self.sessions: dict[str, Session] = {}
-        for path in sorted(folder.glob("*/" + ABOUT)):
-            device, session = json.loads(path.read_text())
-            is_recent = time.time() - max(f.stat().st_mtime for f in path.parent.iterdir()) < _IDLE_S
-            if is_recent and part_of(device, n_parts) == part:
-                loaded = Session.load(device, session, settings, folder)
-                self.sessions[loaded.id] = loaded
+        self._taken: set[str] = set()  # sessions with messages that are not filtered yet
+        for path in sorted((folder / NAMES).glob("*.json")):
+            try:
+                device, session, begun_unix_s = json.loads(path.read_text())
+                files = list((folder / path.stem).iterdir())
+                is_recent = time.time() - max(file.stat().st_mtime for file in files) < _IDLE_S
+                if is_recent and part_of(device, n_parts) == part:
+                    self.sessions[path.stem] = self._loaded(device, session)
+                    self.sessions[path.stem].begun_unix_s = begun_unix_s
+            except (OSError, ValueError) as error:  # one folder must not stop the others
+                _LOG.warning("%s: not loaded: %s", path, error)
 
     def take(self, body: bytes, device: str, session: str, platform: str, received_s: float) -> Event:
-        """How many samples a body held, all of which are taken.
+        """Number of samples of a body, all of which are filtered and on the disk.
 
-        MessageError, SessionError, FixError or BusyError if one of its messages cannot be used; those before it are.
+        MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
+        messages before it are taken.
         """
-        n = 0
+        content, keys = self.accept(body, device, session, platform, received_s)
+        failed = self.settle(is_all=True)
+        for key in keys & failed.keys():
+            raise failed[key]
+        return content
+
+    def accept(
+        self, body: bytes, device: str, session: str, platform: str, received_s: float
+    ) -> tuple[Event, set[str]]:
+        """Number of samples of a body, and the sessions that it is of; `settle` filters and writes them."""
+        n, keys = 0, set[str]()
         for message in parse(body, device, session, platform):
             if not message.device:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
             if part_of(message.device, self.n_parts) != self.part:
                 raise MessageError("one body is of one device; send messages of different devices apart")
-            taken_by = self._session(message)
-            try:
-                events = taken_by.take(message, received_s)
-            except SessionError:
-                self.emit(taken_by.about())  # the page says why, too
-                raise
-            for event in events:
+            taken_by = self._session(message, received_s)
+            self._taken.add(taken_by.id)
+            for event in taken_by.take(message, received_s):
                 self.emit(event)
+            keys.add(taken_by.id)
             n += message.n_samples
-        return {"samples": n}
+        return {"samples": n}, keys
 
-    def _session(self, message: Message) -> Session:
+    def settle(self, is_all: bool = False) -> dict[str, Exception]:
+        """Write all messages since the last call, and filter those of sessions that are due; return what failed."""
+        failed: dict[str, Exception] = {}
+        wait_s = 0.0 if is_all else min(len(self.sessions) * _PASS_S, _LONGEST_WAIT_S)
+        for key in list(self._taken):
+            session = self.sessions[key]
+            if session.is_due(wait_s):
+                for event in session.advance():
+                    self.emit(event)
+                self._taken.discard(key)
+            if session.refused and not session.has_ended:
+                failed[key] = SessionError(session.refused)
+            try:
+                session.recorder.flush()
+            except OSError as error:
+                # the next message loads the session again, which cuts off a half-written line
+                del self.sessions[key]
+                self._taken.discard(key)
+                failed[key] = BusyError(f"the recording cannot be written ({error}); free some space and send it again")
+        return failed
+
+    def _session(self, message: Message, received_s: float) -> Session:
         key = session_id(message.device, message.session)
-        if key not in self.sessions:
-            if len(self.sessions) >= self.settings.max_devices:
-                raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
-            kept = self.folder / key / ABOUT
-            make = Session.load if kept.exists() else Session
-            self.sessions[key] = make(message.device, message.session, self.settings, self.folder)
-            if not kept.exists():
-                kept.write_text(json.dumps([message.device, message.session]))
-        return self.sessions[key]
+        if key in self.sessions:
+            return self.sessions[key]
+        if len(self.sessions) >= self.settings.max_devices:
+            raise BusyError(f"{len(self.sessions)} sessions already; start the server with more --max-devices")
+        names = self.folder / NAMES / f"{key}.json"
+        if names.exists():
+            _, _, begun_unix_s = json.loads(names.read_text())
+            session = self._loaded(message.device, message.session)
+        else:
+            session = Session(message.device, message.session, self.settings, self.folder)
+            begun_unix_s = received_s
+            names.parent.mkdir(exist_ok=True)
+            replaced(names, json.dumps([message.device, message.session, begun_unix_s]).encode())
+        session.begun_unix_s = begun_unix_s
+        self.sessions[key] = session
+        return session
+
+    def _loaded(self, device: str, session: str) -> Session:
+        """Load a session; if its files cannot be used, keep them in another folder and begin a new session."""
+        try:
+            return Session.load(device, session, self.settings, self.folder)
+        except Exception as error:  # damaged files, or those of another version, fail in many ways
+            reason = printable(error)[:200]
+        kept = self.folder / session_id(device, session)
+        n = sum(1 for _ in self.folder.glob(f"{kept.name}.damaged*")) + 1
+        aside = kept.rename(kept.with_name(f"{kept.name}.damaged{n}"))
+        _LOG.warning("%s cannot be loaded (%s): kept as %s", kept, reason, aside.name)
+        made = Session(device, session, self.settings, self.folder)
+        made.notes = (
+            f"the recording until now cannot be continued ({reason}): it is kept in the folder {aside.name}, and the "
+            "track begins again",
+        )
+        self.emit(made.about())
+        return made
+
+    def whole(self) -> list[Event]:
+        """Events that show all sessions to a page that has seen nothing yet."""
+        self.settle(is_all=True)
+        return [event for session in self.sessions.values() for event in session.whole()]
 
     def tick(self) -> None:
-        """Tell and save what is left, and forget phones that are silent; to be called about once a second."""
+        """Filter, tell and save the rest, and forget silent phones; to be called about once a second."""
+        self.settle()
         for key, session in list(self.sessions.items()):
             for event in session.rest():
                 self.emit(event)
             silent_s = time.monotonic() - session.seen_at
             if silent_s > _IDLE_S:
+                for event in session.release():
+                    self.emit(event)
                 session.save()
                 del self.sessions[key]
                 self.emit({"event": "gone", "id": key})
-            elif session.unsaved_s > _SAVE_S or (session.unsaved_s and silent_s > 1.0):
+            elif session.unsaved_s > _SAVE_S:
                 session.save()
 
     def close(self) -> None:
         """Save everything."""
+        self.settle(is_all=True)
         for session in self.sessions.values():
             session.save()

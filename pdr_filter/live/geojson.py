@@ -1,4 +1,4 @@
-"""The path of a session as GeoJSON, as it is now."""
+"""Path of a session as GeoJSON."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 from pdr_filter.live.settings import Event
 from pdr_filter.values import Origin
 
-# As in the files of tracks that lie nowhere (`io.writers`): drawn where nobody walks.
+# Origin of tracks with unknown place, in the Atlantic, like in the files of `io.writers`.
 _NOWHERE = (0.0, 0.0)
 
 
 def geojson(track: Event) -> dict[str, Any]:
-    """A FeatureCollection with the path as a LineString; at latitude and longitude 0 if it lies nowhere on Earth."""
+    """FeatureCollection with the path as a LineString; at latitude and longitude 0 if its place is unknown."""
     path = np.array(track["path"] or [[0.0] * 6])
     origin = Origin(*(track["origin"] or _NOWHERE))
     latitude_deg, longitude_deg = origin.latitude_longitude_deg(path[:, 1:3])

@@ -1,10 +1,9 @@
-"""What phones send goes to the workers, what the workers say goes to all who read: a server without its addresses."""
+"""Hub of the server: bodies of phones go to the workers, and events of the workers go to all readers."""
 
 from __future__ import annotations
 
 import asyncio
 import json
-import re
 import time
 from collections import deque
 from collections.abc import AsyncIterator
@@ -13,37 +12,38 @@ from pathlib import Path
 
 from pdr_filter.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.live.cluster import Cluster
+from pdr_filter.live.messages import MessageError, devices_of
 from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Process, Starter, Workers
 
-# Events that wait for one reader at most: some seconds of many phones. Who reads slower gets the whole anew.
+# Events that wait for one reader at most: some seconds of many phones. A slower reader gets the present state again.
 _MAX_WAITING = 500
 _MAX_READERS = 100
-_DEVICE = re.compile(rb'"device(?:Id)?"\s*:\s*"([^"\\]{1,200})"')
 _ALIVE_S = 15.0
 
 
 class Live:
-    """What the parts of a running server share."""
+    """Shared state of a running server."""
 
     def __init__(self, settings: Settings, folder: Path, n_workers: int = 1, scheduler: str = "") -> None:
         self.settings, self.folder, self.n_workers, self.scheduler = settings, folder, n_workers, scheduler
         self.rates = Rates()
         self.sessions: dict[str, Event] = {}
         self._readers: set[Reader] = set()
+        self._is_ending = False
         self._workers: Workers | None = None
         self._cluster: Cluster | None = None
 
     @property
     def workers(self) -> Workers:
-        """Of the server while it runs."""
+        """Workers of the running server; RuntimeError before it runs."""
         if self._workers is None:
             raise RuntimeError("the server does not run")
         return self._workers
 
     async def start(self) -> None:
-        """Start the workers, which go on with the sessions that they find; ValueError if that cannot be."""
+        """Start the workers, which load recent sessions; ValueError if one cannot start."""
         start: Starter = partial(Process.start, self.settings, self.folder)
         if self.scheduler:
             self._cluster = Cluster(self.scheduler, self.settings, self.folder)
@@ -51,10 +51,12 @@ class Live:
             start = self._cluster.start
         self._workers = Workers(start, self.n_workers, self._shown)
         await self._workers.start()
-        self.sessions = await self.tracks()
+        without = ("path", "history", "silent_s")
+        for key, track in (await self.tracks()).items():
+            self.sessions[key] = {n: v for n, v in track.items() if n not in without} | {"event": "session"}
 
     async def tracks(self) -> dict[str, Event]:
-        """Sessions with their paths, by their names."""
+        """`track` events of all sessions, by the id of the session."""
         return {event["id"]: event for event in await self.workers.whole() if event["event"] == "track"}
 
     async def stop(self) -> None:
@@ -65,17 +67,22 @@ class Live:
             await self._cluster.close()
 
     async def take(self, body: bytes, device: str = "", session: str = "", platform: str = "") -> Answer:
-        """What became of the body of a message; `device` and the others are for messages that do not say them."""
+        """Answer to the body of a message; `device` and the others are for messages that do not hold them."""
         if len(body) > MAX_BODY_BYTES:
             return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
-        found = _DEVICE.search(body)
-        name = found[1].decode("utf-8", "replace") if found else device
+        try:
+            names = devices_of(body, device)
+        except MessageError as error:
+            return Answer(400, {"error": str(error)})
+        if len(names) > 1:
+            return Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
+        name = next(iter(names), device)
         if not self.rates.allows(name, len(body)):
             return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
         return await self.workers.take(Take(body, name, session, platform, time.time()))
 
     def _shown(self, text: str) -> None:
-        """An event of a worker, to all who read."""
+        """Pass an event of a worker on to all readers."""
         head = json.loads(text[: text.index(",")] + "}")["event"]
         if head in ("session", "gone"):
             event = json.loads(text)
@@ -86,13 +93,19 @@ class Live:
         for reader in self._readers:
             reader.put(text)
 
+    def end_readers(self) -> None:
+        """End the events of all readers, so that a server that is to end need not cut them off."""
+        self._is_ending = True
+        for reader in self._readers:
+            reader.put("")
+
     @property
     def is_full(self) -> bool:
-        """Whether as many read as may."""
+        """Whether there are as many readers as allowed."""
         return len(self._readers) >= _MAX_READERS
 
     async def events(self) -> AsyncIterator[str]:
-        """Everything there is to show, from the whole as it is now; "" now and then while there is nothing."""
+        """Yield the present state of all sessions, then each event; "" now and then while there is none."""
         reader = Reader()
         self._readers.add(reader)
         try:
@@ -101,13 +114,16 @@ class Live:
                     reader.clear()
                     for event in await self.workers.whole():
                         yield json.dumps(event, allow_nan=False)
-                yield await reader.get()
+                text = await reader.get()
+                if self._is_ending:
+                    return
+                yield text
         finally:
             self._readers.discard(reader)
 
 
 class Reader:
-    """What waits for one who reads events; it is bounded, and who is too slow is told so by `is_stale`."""
+    """Bounded queue of events for one reader; `is_stale` when the reader was too slow and needs the present state."""
 
     def __init__(self) -> None:
         self.is_stale = True
@@ -118,7 +134,7 @@ class Reader:
         return len(self._waiting)
 
     def put(self, text: str) -> None:
-        """Add an event, or forget them all."""
+        """Add an event; a full queue is emptied first."""
         if len(self._waiting) >= _MAX_WAITING:
             self.is_stale = True
             self._waiting.clear()
@@ -126,12 +142,12 @@ class Reader:
         self._filled.set()
 
     def clear(self) -> None:
-        """Begin anew."""
+        """Empty the queue before the present state is sent."""
         self.is_stale = False
         self._waiting.clear()
 
     async def get(self) -> str:
-        """The next event; "" after some time without one, or where there is a new beginning."""
+        """Return the next event; "" after some time without one, or if the reader needs the present state."""
         if not self._waiting:
             self._filled.clear()
             try:

@@ -1,8 +1,8 @@
-"""What phones send, as values: each app's JSON to rows of sensors. Pure functions, nothing of a message is trusted.
+"""Messages of phones as values: the JSON of each app becomes rows of sensors. No content of a message is trusted.
 
 Layouts: Sensor Logger (github.com/tszheichoi/awesome-sensor-logger: PUSHING.md, UNITS.md), SensorServer
 (github.com/umer0586/SensorServer), phyphox (phyphox.org/wiki, "Remote-interface communication"), and one of our own
-for everybody else (docs/live.md).
+for all other senders (docs/live.md).
 """
 
 from __future__ import annotations
@@ -32,55 +32,54 @@ N_VALUES: Mapping[str, int] = {
     "location": 4,  # latitude and longitude in degrees, altitude and horizontal accuracy in m
     "attitude": 4,  # quaternion wxyz, sensor to world
 }
-# No phone measures more in any of these units; what is beyond is no measurement.
+# No phone measures more in any of these units; larger values are errors.
 _LARGEST = 1e6
 _MAX_MESSAGES = 1000  # in one body
 _MAX_NUMBER = 2**53
 
 
 class MessageError(ValueError):
-    """A message that cannot be understood; the words say why."""
+    """A message that cannot be understood, with the reason."""
 
 
 class Rows(NamedTuple):
-    """Samples of one sensor: whole nanoseconds on the phone's clock, or seconds as they are, and values (N, d)."""
+    """Samples of one sensor in sent order: times (N,) in whole nanoseconds or float seconds, and values (N, d)."""
 
     time: IntArray | FloatArray
     values: FloatArray
 
+    @property
+    def unit_s(self) -> float:
+        """Seconds in one unit of `time`."""
+        return 1.0 if self.time.dtype.kind == "f" else 1e-9
+
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Message:
-    """What one message holds."""
+    """Content of one message."""
 
     device: str
     session: str
-    number: int | None = None  # of the message in its session, from an app that counts
-    platform: str = ""  # "ios" or "android", from a sender that knows; which sign its forces have
+    number: int | None = None  # place in the session, from an app that counts its messages
+    platform: str = ""  # "ios" or "android", which decides the sign of forces; empty if unknown
     rows: Mapping[str, Rows] = field(default_factory=dict[str, Rows])
-    fix: Mapping[str, Any] | None = None  # what somebody said of where the phone is
-    is_end: bool = False  # nothing else of this session will come
-    source: bytes = b""  # JSON from which the same message is parsed again
+    fix: Mapping[str, Any] | None = None  # position that a user has marked
+    is_end: bool = False  # whether it is the last one of its session
+    source: bytes = b""  # one line of JSON from which `parse` makes the same message again
 
     @property
     def n_samples(self) -> int:
-        """Of all sensors."""
+        """Number of samples of all sensors."""
         return sum(len(rows.time) for rows in self.rows.values())
 
 
 def parse(body: bytes, device: str = "", session: str = "", platform: str = "") -> list[Message]:
-    """The messages of a body, in its order; MessageError if it is not of a known kind.
+    """Messages of a body, in its order; MessageError if it is not of a known kind.
 
     `device`, `session` and `platform` are for a message that does not say them. An object with nothing to read, such
     as the test that Sensor Logger's settings send, has no messages.
     """
-    try:
-        content: Any = json.loads(body)
-    except (ValueError, RecursionError) as error:
-        raise MessageError(f"not JSON ({printable(error)[:80]}); send what docs/live.md describes") from None
-    items: list[Any] = cast("list[Any]", content) if isinstance(content, list) else [content]
-    if len(items) > _MAX_MESSAGES:
-        raise MessageError(f"{len(items)} messages in one body, more than {_MAX_MESSAGES}; send them as they come")
+    items = _items(body)
     known = {"device": device, "session": session, "platform": platform}
     messages: list[Message] = []
     for item in items:
@@ -88,13 +87,42 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
             raise MessageError(f"a message is a JSON object, got {printable(item)[:40]!r}")
         message = _message(cast("dict[str, Any]", item), known)
         if message is not None:
-            source = body if len(items) == 1 else json.dumps(item).encode()
+            # line ends in JSON are white space, and the journal needs a line for each message
+            is_alone = len(items) == 1 and json.detect_encoding(body) == "utf-8"
+            source = body.translate(_ONE_LINE) if is_alone else json.dumps(item).encode()
             messages.append(replace(message, source=source))
     return messages
 
 
+_ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
+
+
+def devices_of(body: bytes, device: str = "") -> set[str]:
+    """Names of the devices of a body, as `parse` gives them; MessageError if the body is not JSON.
+
+    `device` is the name for a message that holds none.
+    """
+    names: set[str] = set()
+    for item in _items(body):
+        key = "deviceId" if isinstance(item, dict) and "payload" in item else "device"
+        names.add(_text(cast("dict[str, Any]", item), key, device) if isinstance(item, dict) else printable(device))
+    return names
+
+
+def _items(body: bytes) -> list[Any]:
+    """JSON values of a body, which may be an array of them."""
+    try:
+        content: Any = json.loads(body)
+    except (ValueError, RecursionError) as error:
+        raise MessageError(f"not JSON ({printable(error)[:80]}); send what docs/live.md describes") from None
+    items: list[Any] = cast("list[Any]", content) if isinstance(content, list) else [content]
+    if len(items) > _MAX_MESSAGES:
+        raise MessageError(f"{len(items)} messages in one body, more than {_MAX_MESSAGES}; send them as they come")
+    return items
+
+
 def to_json(message: Message) -> bytes:
-    """A message in our own layout, with times in seconds; `parse` gives the same one back."""
+    """Body of a message in our own layout, with times in seconds, for `parse`."""
     samples = {name: np.column_stack([rows.time, rows.values]).tolist() for name, rows in message.rows.items()}
     content = {"device": message.device, "session": message.session, "platform": message.platform, "samples": samples}
     numbered = {} if message.number is None else {"number": message.number}
@@ -102,7 +130,7 @@ def to_json(message: Message) -> bytes:
 
 
 def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | None:
-    """The message of one object; None if there is nothing to read in it."""
+    """Message of one object; None if it holds no known content."""
     if "payload" in item:
         device, session = _text(item, "deviceId", known["device"]), _text(item, "sessionId", known["session"])
         rows = _sensor_logger_rows(item["payload"])
@@ -124,7 +152,7 @@ def _message(item: Mapping[str, Any], known: Mapping[str, str]) -> Message | Non
 
 # --- Sensor Logger ----------------------------------------------------------------------------------------------------
 
-# Its sensors, with our names and the keys of their values. `accelerometer` has gravity removed.
+# Sensors of the app, with our names and the keys of their values. `accelerometer` has gravity removed.
 _XYZ = ("x", "y", "z")
 _SENSOR_LOGGER: Mapping[str, tuple[str, tuple[str, ...]]] = {
     "totalacceleration": (FORCE, _XYZ),
@@ -154,7 +182,7 @@ def _sensor_logger_rows(payload: Any) -> dict[str, Rows]:
                 values.setdefault(name, []).append([held.get(key) for key in _SENSOR_LOGGER[name][1]])
     except (KeyError, TypeError, AttributeError) as error:
         raise MessageError(f"payload holds a sample without name, time and values ({printable(error)[:60]})") from None
-    return {_SENSOR_LOGGER[name][0]: _nanoseconds(times[name], values[name]) for name in times}
+    return {_SENSOR_LOGGER[name][0]: _plausible(_payload_times(times[name]), _floats(values[name])) for name in times}
 
 
 # --- SensorServer -----------------------------------------------------------------------------------------------------
@@ -170,14 +198,18 @@ ANDROID_SENSORS: Mapping[str, str] = {
 
 
 def _sensor_server_rows(item: Mapping[str, Any]) -> dict[str, Rows]:
-    """The one sample of an event of Android, which SensorServer passes on as it is."""
+    """Sample of an Android sensor event, which SensorServer passes on unchanged."""
     sensor = ANDROID_SENSORS.get(str(item["type"]))
     if sensor is None:
         return {}
     values: Any = item["values"]
     if not isinstance(values, list) or len(cast("list[Any]", values)) < N_VALUES[sensor]:
         raise MessageError(f"{item['type']}: values are {printable(values)[:40]!r}, not {N_VALUES[sensor]} numbers")
-    return {sensor: _nanoseconds([item["timestamp"]], [cast("list[Any]", values)[: N_VALUES[sensor]]])}
+    try:
+        time_ns = np.array([int(item["timestamp"])], dtype=np.int64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise MessageError(f"timestamp is not whole nanoseconds ({printable(error)[:60]})") from None
+    return {sensor: _plausible(time_ns, _floats([cast("list[Any]", values)[: N_VALUES[sensor]]]))}
 
 
 # --- our own ----------------------------------------------------------------------------------------------------------
@@ -195,7 +227,7 @@ def _own_rows(samples: Any) -> dict[str, Rows]:
         if table.size and (table.ndim != 2 or table.shape[1] != 1 + N_VALUES[name]):
             raise MessageError(f"{name}: a sample is [time_s and {N_VALUES[name]} numbers], got shape {table.shape}")
         if table.size:
-            found[name] = _plausible(table[:, 0], table[:, 1:])
+            found[name] = _plausible(_own_times(table[:, 0]), table[:, 1:])
     return found
 
 
@@ -257,12 +289,46 @@ def phyphox_rows(answer: bytes, buffers: Mapping[str, tuple[str, ...]]) -> dict[
 # --- numbers ----------------------------------------------------------------------------------------------------------
 
 
-def _nanoseconds(times: Sequence[Any], values: Sequence[Sequence[Any]]) -> Rows:
+# Nanoseconds in each unit of times since 1970, with the range of such times from 2001 to 2100.
+_SINCE_1970 = tuple((10**k, 1e18 / 10**k, 4.1e18 / 10**k) for k in (0, 3, 6, 9))
+
+
+def _payload_times(times: Sequence[Any]) -> IntArray:
+    """Whole nanoseconds of times since 1970, which may be in seconds, milliseconds or microseconds.
+
+    Sensor Logger sends whole nanoseconds. Programs that imitate it send milliseconds or floats. Only floats can be
+    seconds, because whole seconds are too coarse for samples.
+    """
     try:
-        time = np.array([int(t) for t in times], dtype=np.int64)
+        found = np.array(times)
+        if found.dtype.kind != "f" or not np.isfinite(found).all():
+            found = np.array([int(t) for t in times], dtype=np.int64)
+        return _nanoseconds(found, _unit_ns(found, is_seconds=found.dtype.kind == "f") or 1)
     except (ValueError, TypeError, OverflowError) as error:
-        raise MessageError(f"a time is not whole nanoseconds ({printable(error)[:60]})") from None
-    return _plausible(time, _floats(values))
+        raise MessageError(f"a time is not whole nanoseconds since 1970 ({printable(error)[:60]})") from None
+
+
+def _own_times(time: FloatArray) -> IntArray | FloatArray:
+    """Seconds as they are; times since 1970 in a smaller unit as whole nanoseconds."""
+    unit_ns = _unit_ns(time, is_seconds=False)
+    return time if unit_ns is None else _nanoseconds(time, unit_ns)
+
+
+def _unit_ns(time: Any, is_seconds: bool) -> int | None:
+    """Nanoseconds in the unit of times since 1970; None for other times, and for seconds unless `is_seconds`."""
+    known = time[np.isfinite(time)]
+    usual = abs(float(known[len(known) // 2])) if len(known) else 0.0
+    units = _SINCE_1970 if is_seconds else _SINCE_1970[:-1]
+    return next((unit_ns for unit_ns, low, high in units if low <= usual <= high), None)
+
+
+def _nanoseconds(time: Any, unit_ns: int) -> IntArray:
+    """Times in whole nanoseconds; those that are too large for an int64 become a time that `_plausible` drops."""
+    far = limits.MAX_WHOLE_TIME
+    is_near = (time > -far / unit_ns) & (time < far / unit_ns)
+    near = np.where(is_near, time, 0)
+    whole = np.rint(near * float(unit_ns)).astype(np.int64) if time.dtype.kind == "f" else near * unit_ns
+    return np.where(is_near, whole, far)
 
 
 def _floats(values: Any) -> FloatArray:
@@ -273,9 +339,9 @@ def _floats(values: Any) -> FloatArray:
 
 
 def _plausible(time: Any, values: FloatArray) -> Rows:
-    """Rows with a time; values that no sensor gives are unknown."""
+    """Rows with a usable time; values that no sensor gives become NaN."""
     with np.errstate(invalid="ignore"):
-        good = np.abs(time) < limits.MAX_WHOLE_TIME
+        good = (time > -limits.MAX_WHOLE_TIME) & (time < limits.MAX_WHOLE_TIME)
         values = np.where(np.abs(values) < _LARGEST, values, np.nan)
     return Rows(time[good], values[good])
 

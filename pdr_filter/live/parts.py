@@ -1,6 +1,6 @@
-"""One share of the devices, where it filters: in a process of this machine or in an actor of a cluster.
+"""Share of the devices that one process of this machine or one actor of a cluster filters.
 
-It answers requests in their order, and says with each answer what there is to show.
+It answers requests in their order, and returns events for pages with the answers.
 """
 
 from __future__ import annotations
@@ -13,13 +13,14 @@ from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any
 
+from pdr_filter.live.assembly import LateError
 from pdr_filter.live.messages import MessageError
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings
 
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """A body of a device, as it was received."""
+    """Body of a message as received, with the names of its address."""
 
     body: bytes
     device: str
@@ -30,17 +31,17 @@ class Take:
 
 @dataclass(frozen=True, slots=True)
 class Whole:
-    """The question for all sessions, with their paths and what is known of now."""
+    """Request for all sessions, with their paths and present estimates."""
 
 
 @dataclass(frozen=True, slots=True)
 class Tick:
-    """Time to save what has grown, and to forget who is silent."""
+    """Request to save changed sessions and to forget silent phones."""
 
 
 @dataclass(frozen=True, slots=True)
 class Save:
-    """The last request: save everything."""
+    """Last request: save everything."""
 
 
 Request = Take | Whole | Tick | Save
@@ -48,7 +49,7 @@ Request = Take | Whole | Tick | Save
 
 @dataclass(frozen=True, slots=True)
 class Answer:
-    """Status as of HTTP, and what is said."""
+    """Answer to a request, with a status of HTTP."""
 
     status: int
     content: Any
@@ -56,27 +57,27 @@ class Answer:
 
 @dataclass(frozen=True, slots=True)
 class Said:
-    """An answer, and the events that go with it, as JSON."""
+    """Answer, and events for pages as JSON."""
 
     answer: Answer
     events: list[str]
 
 
 class Part:
-    """The devices of one share.
+    """Devices of one share.
 
     Parameters
     ----------
     settings : Settings
         How phones are tracked.
     folder : Path
-        Of all sessions, of every part.
+        Recordings of all sessions, of every part.
     part, n_parts : int
-        Which of so many.
+        Number of this part, and how many there are.
     """
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-        from pdr_filter.live.devices import Devices  # the filter is loaded here, and not where phones are answered
+        from pdr_filter.live.devices import Devices  # here, because the server must not load the filter
 
         if not folder.is_dir():
             raise ValueError(f"no folder {folder} here: the server and all workers need the same one")
@@ -87,45 +88,61 @@ class Part:
         self._events.append(json.dumps(event, allow_nan=False))
 
     def answer(self, requests: Sequence[Request]) -> list[Said]:
-        """What is said to each request."""
+        """Answer requests in their order; messages that follow each other are filtered and written together."""
         said: list[Said] = []
+        taken: list[tuple[Answer, set[str]]] = []
         for request in requests:
-            answer = self._answer(request)
-            said.append(Said(answer, self._events))
-            self._events = []
-        return said
+            if isinstance(request, Take):
+                taken.append(self._taken(request))
+            else:
+                said += self._settled(taken)
+                taken = []
+                said.append(Said(self._answer(request), self._shown()))
+        return [*said, *self._settled(taken)]
 
-    def _answer(self, request: Request) -> Answer:
+    def _settled(self, taken: Sequence[tuple[Answer, set[str]]]) -> list[Said]:
+        """Answers to messages after their sessions were filtered and written."""
+        failed = self._devices.settle()
+        answers: list[Answer] = []
+        for answer, keys in taken:
+            errors = [failed[key] for key in keys if key in failed]
+            answers.append(_refusal(errors[0]) if errors and answer.status == 200 else answer)
+        events = self._shown()
+        return [Said(answer, events if i == 0 else []) for i, answer in enumerate(answers)]
+
+    def _shown(self) -> list[str]:
+        events, self._events = self._events, []
+        return events
+
+    def _answer(self, request: Whole | Tick | Save) -> Answer:
         devices = self._devices
-        if isinstance(request, Take):
-            return self._taken(request)
         if isinstance(request, Whole):
-            return Answer(200, [event for session in devices.sessions.values() for event in session.whole()])
+            return Answer(200, devices.whole())
         if isinstance(request, Tick):
             devices.tick()
         else:
             devices.close()
         return Answer(200, None)
 
-    def _taken(self, request: Take) -> Answer:
+    def _taken(self, request: Take) -> tuple[Answer, set[str]]:
         try:
-            taken = self._devices.take(
+            content, keys = self._devices.accept(
                 request.body, request.device, request.session, request.platform, request.received_s
             )
-        except MessageError as error:
-            return Answer(400, {"error": str(error)})
-        except FixError as error:
-            return Answer(409, {"error": str(error)})
-        except BusyError as error:
-            return Answer(503, {"error": str(error)})
-        except ValueError as error:
-            return Answer(422, {"error": str(error)})
-        return Answer(200, taken)
+        except (ValueError, BusyError, OSError) as error:
+            return _refusal(error), set()
+        return Answer(200, content), keys
+
+
+def _refusal(error: Exception) -> Answer:
+    statuses = {MessageError: 400, FixError: 409, LateError: 410, BusyError: 503, OSError: 503}
+    status = next((status for kind, status in statuses.items() if isinstance(error, kind)), 422)
+    return Answer(status, {"error": str(error)})
 
 
 def serve(connection: Connection, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
-    """The loop of a process: requests in, what is said out, until the other end is closed."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # of the terminal; the server says when to end
+    """Answer requests from a connection until its other end is closed."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # the terminal sends it to all processes, and the server ends this one
     devices = Part(settings, folder, part, n_parts)
     try:
         connection.send([])  # ready

@@ -1,10 +1,11 @@
-"""The folder of one session: a recording in the project's own format that grows, and what a killed server goes on from.
+"""Folder of one session: a growing recording in the project's own format, and the state from which a server goes on.
 
-Samples, steps and fixes are appended to text files that other programs read (`pdr_filter.read` takes the folder). What
-came since the last time that all was saved is in a journal, message by message as received, so that nothing that was
-acknowledged is lost: `Recorder.saved` writes samples and state and begins a new journal; the state says how long each
-file was, and a file that is longer is cut when the state is loaded again, because the journal has the rest. All this
-is for a process that dies; after a power failure the last seconds may be missing, because nothing waits for the disk.
+Samples, steps and fixes are appended to text files that other programs read (`pdr_filter.read` takes the folder). The
+journal holds the messages since the last saved state, one on a line as received. `Recorder.flush` writes both before a
+message is acknowledged. `Recorder.saved` writes the state and begins a new journal. The state holds the length of each
+file: a longer file is cut when the state is loaded, because the journal has the rest. A session that is not tracked
+(yet) has the journal alone, which `pdr_filter.read` takes if Sensor Logger sent it. All this is for a process that
+dies. After a power failure the last seconds may be missing, because nothing waits for the disk.
 """
 
 from __future__ import annotations
@@ -12,26 +13,24 @@ from __future__ import annotations
 import hashlib
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from pdr_filter import serialise
-from pdr_filter.io.own_writer import STREAM_COLUMNS
+from pdr_filter.io.own_writer import FILES, STREAM_COLUMNS
 from pdr_filter.live.messages import Message
 from pdr_filter.values import Samples
 
 STATE, CONFIG, META, STEPS, FIXES = "state.bin", "config.txt", "meta.json", "steps.jsonl", "fixes.csv"
 CONFIGS = "configurations"
 _FIX_COLUMNS = "time_s,east_m,north_m,std_m\n"
-# Of the state and of the length of a message in a journal.
-_LENGTH_BYTES = 8
 
 
 class Recorder:
-    """Files of one session. What is given to `samples`, `step` and `fix` is on the disk after `saved`."""
+    """Files of one session. Everything given to `samples`, `step`, `fix` and `journal` is in them after `flush`."""
 
     def __init__(self, folder: Path) -> None:
         self.folder = folder
@@ -41,21 +40,21 @@ class Recorder:
         folder.mkdir(parents=True, exist_ok=True)
 
     def describe(self, meta: Mapping[str, Any], config: bytes) -> None:
-        """Write what is known of the session once and for all; sessions of one configuration share its file."""
-        _replace(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
+        """Write the properties of the session; sessions of one configuration share its file."""
+        replaced(self.folder / META, (json.dumps(dict(meta), indent=1) + "\n").encode())
         shared = self.folder.parent / CONFIGS / f"{hashlib.sha256(config).hexdigest()}.bin"
         if not shared.exists():
             shared.parent.mkdir(exist_ok=True)
-            _replace(shared, config)
-        _replace(self.folder / CONFIG, shared.name.encode())
+            replaced(shared, config)
+        replaced(self.folder / CONFIG, shared.name.encode())
 
     def config(self) -> Any:
-        """The configuration that `describe` was given."""
+        """Configuration that `describe` was given."""
         name = (self.folder / CONFIG).read_text()
         return serialise.from_bytes((self.folder.parent / CONFIGS / name).read_bytes())
 
     def samples(self, name: str, rows: Samples) -> None:
-        """Append samples of a sensor: every digit, so that the recording is what the filter had."""
+        """Append samples of a sensor with every digit, so that the recording holds what the filter was given."""
         table = np.column_stack([rows.time_s, rows.values]).tolist()
         lines = "".join([",".join(map(repr, row)) + "\n" for row in table]).replace("nan", "")
         self._append(f"{name}.csv", ",".join(("time_s", *STREAM_COLUMNS[name])) + "\n", lines)
@@ -65,52 +64,56 @@ class Recorder:
         self._append(STEPS, "", line + "\n")
 
     def fix(self, time_s: float, east_m: float, north_m: float, std_m: float) -> None:
-        """Append a fix, as `pdr-filter smooth --fixes` reads it."""
+        """Append a fix in the columns that `pdr-filter smooth --fixes` reads."""
         self._append(FIXES, _FIX_COLUMNS, f"{time_s!r},{east_m!r},{north_m!r},{std_m!r}\n")
 
     def journal(self, message: Message) -> None:
-        """Keep a message until the next `saved`; it is out of this process when this returns."""
-        content = json.dumps([message.device, message.session, message.platform]).encode() + b"\n" + message.source
-        with self._journal(self._n_saved).open("ab") as file:
-            file.write(len(content).to_bytes(_LENGTH_BYTES) + content)
+        """Append a message, which stays until the next `saved`."""
+        self._append(_journal(self._n_saved), "", _line(message))
 
-    def saved(self, state: object) -> None:
-        """Write what waits, and a state from which `load` goes on; the journal begins anew."""
+    def flush(self) -> None:
+        """Write everything that was appended; it is out of this process when this returns."""
         for name, lines in self._waiting.items():
-            path = self.folder / name
-            with path.open("ab") as file:
+            with (self.folder / name).open("ab", buffering=0) as file:
                 file.write("".join(lines).encode())
                 self._sizes[name] = file.tell()
         self._waiting = {}
-        content = {"state": state, "sizes": self._sizes, "n_saved": self._n_saved + 1}
-        _replace(self.folder / STATE, serialise.to_bytes(content))
-        self._journal(self._n_saved).unlink(missing_ok=True)
+
+    def saved(self, state: object, held: Iterable[Message]) -> None:
+        """Write a state from which `load` goes on; a new journal begins with the messages that wait."""
+        self.flush()
+        old = _journal(self._n_saved)
         self._n_saved += 1
+        # before the state that names it, so that no message is without a journal
+        lines = "".join(map(_line, held))
+        new = _journal(self._n_saved)
+        (self.folder / new).write_bytes(lines.encode())
+        sizes = {name: size for name, size in self._sizes.items() if name != old}
+        content = {"state": state, "sizes": sizes, "n_saved": self._n_saved}
+        replaced(self.folder / STATE, serialise.to_bytes(content))
+        (self.folder / old).unlink(missing_ok=True)
+        self._sizes = {**sizes, new: len(lines)}
 
     def load(self) -> tuple[Any, list[tuple[str, str, str, bytes]]]:
-        """The state that was saved last, None if none was, and what has come since: device, session, platform, JSON."""
+        """Return the state saved last, or None, and the messages since: device, session, platform and JSON."""
         path, state = self.folder / STATE, None
         if path.exists():
             content = serialise.from_bytes(path.read_bytes())
             state, self._sizes, self._n_saved = content["state"], dict(content["sizes"]), int(content["n_saved"])
         for name in (STEPS, FIXES, *(f"{name}.csv" for name in STREAM_COLUMNS)):
             self._cut(name, self._sizes.get(name, 0))
-        entries: list[tuple[str, str, str, bytes]] = []
-        journal = self._journal(self._n_saved)
-        content = journal.read_bytes() if journal.exists() else b""
-        at = 0
-        while at + _LENGTH_BYTES <= len(content):
-            end = at + _LENGTH_BYTES + int.from_bytes(content[at : at + _LENGTH_BYTES])
-            if end > len(content):
-                break  # the write that was broken off: it was not acknowledged
-            head, _, body = content[at + _LENGTH_BYTES : end].partition(b"\n")
-            device, session, platform = json.loads(head)
-            entries.append((device, session, platform, body))
-            at = end
-        return state, entries
+        journal = self.folder / _journal(self._n_saved)
+        for other in self.folder.glob("journal_*"):
+            if other != journal:  # left by a process that died between two writes of `saved`
+                other.unlink()
+        whole, _, _ = (journal.read_bytes() if journal.exists() else b"").rpartition(b"\n")
+        if journal.exists():  # a broken-off line was not acknowledged, and the next one must not follow it
+            self._cut(journal.name, len(whole) + bool(whole))
+            self._sizes[journal.name] = len(whole) + bool(whole)
+        return state, [_entry(line.decode()) for line in whole.split(b"\n") if line]
 
     def steps(self) -> list[dict[str, Any]]:
-        """The steps that are on the disk."""
+        """Steps that are on the disk."""
         path = self.folder / STEPS
         return [json.loads(line) for line in path.read_text().splitlines()] if path.exists() else []
 
@@ -129,12 +132,33 @@ class Recorder:
                 with path.open("r+b") as file:
                     file.truncate(size)
 
-    def _journal(self, number: int) -> Path:
-        return self.folder / f"journal_{number}.bin"
+
+def exported(folder: Path) -> dict[str, Path]:
+    """Files of a recording for users, by their names: samples, steps and fixes, or the messages of an untracked one."""
+    names = [name for name in (*FILES, STEPS, FIXES) if (folder / name).exists()]
+    journal = next(folder.glob("journal_*"), None)
+    if not names and journal is not None:
+        return {"messages.json": journal}
+    return {name: folder / name for name in names}
 
 
-def _replace(path: Path, content: bytes) -> None:
-    """A file is the old one or the new one, whenever the process ends."""
+def _journal(number: int) -> str:
+    return f"journal_{number}.json"
+
+
+def _line(message: Message) -> str:
+    """A message with the names that its JSON may lack, which the address held."""
+    names = {"device": message.device, "session": message.session, "platform": message.platform}
+    return f"{json.dumps(names)} {message.source.decode('utf-8', 'replace')}\n"
+
+
+def _entry(line: str) -> tuple[str, str, str, bytes]:
+    names, end = json.JSONDecoder().raw_decode(line)
+    return names["device"], names["session"], names["platform"], line[end + 1 :].encode()
+
+
+def replaced(path: Path, content: bytes) -> None:
+    """Write a file that is the old one or the new one, whenever the process ends."""
     unfinished = path.with_name(f"{path.name}.{os.getpid()}.part")  # two workers may write one configuration
     unfinished.write_bytes(content)
     unfinished.replace(path)

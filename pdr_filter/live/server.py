@@ -1,4 +1,4 @@
-"""The addresses of the server: pages and programs ask, phones send."""
+"""HTTP and WebSocket routes of the server, for pages, programs and phones."""
 
 from __future__ import annotations
 
@@ -21,12 +21,12 @@ from starlette.routing import Route, WebSocketRoute
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from starlette.websockets import WebSocket, WebSocketDisconnect
 
-from pdr_filter.io.own_writer import FILES
 from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE, is_token
 from pdr_filter.live.certificate import NAMES
 from pdr_filter.live.geojson import geojson
 from pdr_filter.live.hub import Live
 from pdr_filter.live.parts import Answer, Take
+from pdr_filter.live.recorder import exported
 
 PAGE = Path(__file__).parent / "page"
 # uPlot and the map, which reports hold, too.
@@ -34,13 +34,13 @@ _SHARED = [Path(__file__).parents[1] / "report" / name for name in ("assets", "p
 
 
 class Site:
-    """What is at each address. `tiles` is the address of a map's tiles."""
+    """Handlers of all routes. `tiles` is the address of map tiles."""
 
     def __init__(self, live: Live, tiles: str) -> None:
         self.live, self.tiles = live, tiles
 
     def routes(self) -> list[Route | WebSocketRoute]:
-        """All of them."""
+        """Routes of the application."""
         return [
             Route("/", self.page),
             Route("/phone", self.page),
@@ -59,12 +59,12 @@ class Site:
     # --- the page ---
 
     async def page(self, request: Request) -> Response:
-        """For people, and for the browser of a phone."""
+        """Serve the page of the tracks, or that for the browser of a phone."""
         name = {"/": "index.html", "/phone": "phone.html"}[request.url.path]
         return FileResponse(PAGE / name, headers=_policy(self.tiles))
 
     async def asset(self, request: Request) -> Response:
-        """What the page loads."""
+        """Serve scripts and styles of the pages."""
         name = request.path_params["name"]
         path = next((p for folder in (PAGE, *_SHARED) if (p := folder / name).is_file()), None)
         if path is None or path.suffix not in (".js", ".css", ".txt"):
@@ -72,20 +72,20 @@ class Site:
         return FileResponse(path, headers=_policy(self.tiles))
 
     async def authority(self, _: Request) -> Response:
-        """Who says that the certificate is right."""
+        """Serve the certificate of the authority."""
         path = self.live.folder / "certificate" / NAMES[0]
         kind = "application/x-x509-ca-cert"
         return FileResponse(path, media_type=kind) if path.exists() else PlainTextResponse("not with --https", 404)
 
-    # --- what comes in ---
+    # --- messages ---
 
     async def data(self, request: Request) -> Response:
-        """Messages of phones."""
+        """Take the messages of a phone."""
         body = await _body(request)
         return _TOO_LONG if body is None else _json(await self.live.take(body, **_named(request)))
 
     async def stream(self, socket: WebSocket) -> None:
-        """The same over WebSocket; each has its answer."""
+        """Take messages over WebSocket; each gets an answer."""
         await socket.accept()
         named = _named(socket)
         named["session"] = named["session"] or uuid.uuid4().hex
@@ -97,7 +97,7 @@ class Site:
                 await socket.send_text(json.dumps({"status": answer.status, **answer.content}))
 
     async def fix(self, request: Request) -> Response:
-        """Somebody says where a phone is."""
+        """Handle a position that a user has marked on the page."""
         about = self.live.sessions.get(request.path_params["id"])
         if about is None:
             return JSONResponse({"error": "no such session"}, 404)
@@ -108,14 +108,14 @@ class Site:
         body = json.dumps({"device": about["device"], "session": about["session"], "fix": content}).encode()
         return _json(await self.live.workers.take(Take(body, about["device"], received_s=time.time())))
 
-    # --- what goes out ---
+    # --- results ---
 
     async def sessions(self, _: Request) -> Response:
-        """Sessions, without their paths."""
+        """Return all sessions, without their paths."""
         return JSONResponse({"sessions": list(self.live.sessions.values()), "tiles": self.tiles})
 
     async def track(self, request: Request) -> Response:
-        """The path as GeoJSON."""
+        """Return the path as GeoJSON."""
         key = request.path_params["id"]
         tracks = await self.live.tracks()
         if key not in tracks:
@@ -124,15 +124,15 @@ class Site:
         return Response(content, media_type="application/geo+json", headers=_attachment(f"{key}.geojson"))
 
     async def recording(self, request: Request) -> Response:
-        """What is on the disk."""
+        """Return the recording as a zip file."""
         key = request.path_params["id"]
-        if key not in self.live.sessions:  # a name from outside is no path
+        if key not in self.live.sessions:  # otherwise a name from outside would become a path
             return JSONResponse({"error": "no such session"}, 404)
         content = await asyncio.to_thread(_zipped, self.live.folder / key)
         return Response(content, media_type="application/zip", headers=_attachment(f"{key}.zip"))
 
     async def events(self, _: Request) -> Response:
-        """Server-sent events."""
+        """Send events as server-sent events."""
         if self.live.is_full:
             return JSONResponse({"error": "too many read already"}, 503)
 
@@ -143,7 +143,7 @@ class Site:
         return StreamingResponse(lines(), media_type="text/event-stream", headers={"Cache-Control": "no-store"})
 
     async def events_socket(self, socket: WebSocket) -> None:
-        """The same over WebSocket."""
+        """Send events over WebSocket."""
         if self.live.is_full:
             await socket.close(1013)
             return
@@ -154,14 +154,14 @@ class Site:
 
 
 def app(live: Live, token: str = "", tiles: str = "") -> Starlette:
-    """The application of a server that runs. Without a token it answers this machine only."""
+    """Application of a running server. Without a token it answers this machine only."""
     made = Starlette(routes=Site(live, tiles).routes())
-    made.add_middleware(Door, token=token)
+    made.add_middleware(AccessMiddleware, token=token)
     return made
 
 
-class Door:
-    """Lets in who has the token, or, without one, who is on this machine and is not sent by another site."""
+class AccessMiddleware:
+    """Refuses requests without the token; without a token, those from other machines or from pages of other sites."""
 
     def __init__(self, inner: ASGIApp, token: str) -> None:
         self.inner, self.token = inner, token
@@ -193,7 +193,7 @@ class Door:
         return 401, "wrong token, or none; use the whole address that the server printed"
 
     def _with_cookie(self, asked: HTTPConnection, send: Send) -> Send:
-        """So that a page that was opened with the token can load the rest without it."""
+        """Set a cookie, so that a page that was opened with the token can load the rest without it."""
         if not self.token or "token" not in asked.query_params or asked.scope["type"] != "http":
             return send
         secure = "; Secure" if asked.url.scheme == "https" else ""
@@ -211,7 +211,7 @@ _TOO_LONG = JSONResponse({"error": f"more than {MAX_BODY_BYTES} bytes in one mes
 
 
 async def _body(request: Request) -> bytes | None:
-    """The body of a request; None of one that is too long, which is not read to its end."""
+    """Body of a request; None if it is too long, and then it is not read to its end."""
     body = bytearray()
     async for part in request.stream():
         body += part
@@ -226,7 +226,7 @@ def _json(answer: Answer) -> Response:
 
 
 def _named(asked: HTTPConnection) -> dict[str, str]:
-    """What the address says of who sends."""
+    """Names of device, session and platform in the address."""
     return {name: asked.query_params.get(name, "")[:200] for name in ("device", "session", "platform")}
 
 
@@ -235,7 +235,7 @@ def _attachment(name: str) -> dict[str, str]:
 
 
 def _policy(tiles: str) -> dict[str, str]:
-    """The page loads nothing from elsewhere, but for the tiles that the user named."""
+    """Headers that let the page load nothing from other servers, except the tiles that the user named."""
     where = urlsplit(tiles)
     images = f"'self' data: {where.scheme}://{where.netloc}" if tiles else "'self' data:"
     policy = f"default-src 'self'; img-src {images}; style-src 'self' 'unsafe-inline'; frame-ancestors 'none'"
@@ -243,10 +243,9 @@ def _policy(tiles: str) -> dict[str, str]:
 
 
 def _zipped(folder: Path) -> bytes:
-    """The files of a recording that are on the disk."""
+    """Zip file of the files of a recording that are on the disk."""
     content = io.BytesIO()
     with zipfile.ZipFile(content, "w", compression=zipfile.ZIP_DEFLATED) as archive:
-        for name in FILES:
-            if (folder / name).exists():
-                archive.write(folder / name, name)
+        for name, path in exported(folder).items():
+            archive.write(path, name)
     return content.getvalue()

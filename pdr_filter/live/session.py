@@ -1,4 +1,4 @@
-"""One walk of one phone: its filter, its recording, its saved state. Messages come in, events go out."""
+"""Session of one phone: its filter, recording and saved state. Messages come in, events go out."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from functools import cache
 from pathlib import Path
-from typing import Any
+from typing import Any, cast
 
 import numpy as np
 
@@ -23,7 +23,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.texts import file_name
 from pdr_filter.live import assembly
-from pdr_filter.live.assembly import Assembly, SessionError
+from pdr_filter.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.live.messages import FORCE, Message, parse
 from pdr_filter.live.recorder import Recorder
 from pdr_filter.live.settings import Event, FixError, Settings
@@ -32,15 +32,17 @@ from pdr_filter.placing import live_config
 from pdr_filter.sensing.clock import moved
 from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
 
-# Positions on the page, from the newest back: three hours of walking.
+# Newest positions that the page shows: three hours of walking.
 _MAX_PATH = 20_000
-# What is known of now is told this often at most, and a path that turns while its north is sought.
-# Turning a step costs some 50 us: of a path of hours that is a share of one in a hundred.
+# Shortest times between two `now` events, and between two `track` events of a path whose north is not settled. Turning
+# a step costs some 50 us, so a path of hours is sent less often.
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
-# Of the charts a page that comes late is told five minutes.
+# Entries of the charts for a page that is opened late: five minutes.
 _HISTORY, _HISTORY_STEP_S = 300, 1.0
-# Much less than what a sensor may be behind the others, `sensing.merging`.
+# Much less than the delay between sensors that `sensing.merging` allows.
 _PART_S = 1.0
+# Messages of a journal that are filtered at once, so that their samples need little memory.
+_LOAD_MESSAGES = 100
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 
 _ENDED = "this session has ended; begin a new one"
@@ -48,19 +50,19 @@ _ENDED = "this session has ended; begin a new one"
 
 @cache
 def plain_config(settings: Settings) -> Config:
-    """The configuration of a session, before its first samples are seen."""
+    """Configuration of a session before its first samples are known."""
     meta = {"subject": {"height_m": settings.height_m}}
     return recipes.for_recording(settings.recipe, Recording("live", Samples(np.empty(0), np.empty((0, 3))), meta=meta))
 
 
 @cache
 def plain_config_bytes(settings: Settings) -> bytes:
-    """The same as it is saved: sixty milliseconds of work that a crowd of phones shares."""
+    """Saved form of `plain_config`, which takes 60 ms and is shared by all phones."""
     return serialise.to_bytes(plain_config(settings))
 
 
 def session_id(device: str, session: str) -> str:
-    """A name for addresses and folders: letters of the device's, and a checksum, so that two never are one."""
+    """Name for addresses and folders: letters of the device and a checksum, so that no two sessions share one."""
     letters = "".join(c if c.isascii() and (c.isalnum() or c in "-_") else "_" for c in file_name(device))[:40]
     return f"{letters}-{hashlib.sha256(json.dumps([device, session]).encode()).hexdigest()[:12]}"
 
@@ -74,67 +76,111 @@ class Session:
         self.recorder = Recorder(folder / self.id)
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
-        self.refused = ""  # why it cannot be tracked
+        self.refused = ""  # reason why the session cannot be tracked, or takes no more messages
+        self.has_ended = False
+        self.begun_unix_s: float | None = None  # when the first message came
+        self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
+        self._ready: list[assembly.Streams] = []  # samples that are not filtered yet
+        self._received_s = math.nan  # unix time of the last message
+        self._told: Event = {}  # by the last `session` event
         self.path: list[list[float]] = []
-        # Of each of these steps where it is in the frame of the start, if its place turns while north is sought.
+        # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
         self._starts: list[Place | None] = []
-        self._unsaved_at = math.inf  # since when something is not saved
-        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of what `now` said, for the charts
-        self._is_untold = False  # whether there is more than the last `now` said
-        self._judged: tuple[FixResult, ...] = ()  # fixes of which it is told what became of them
-        self._now_at, self._turn_at, self.seen_at = -math.inf, -math.inf, time.monotonic()
+        self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
+        self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
+        self._is_untold = False  # whether samples came after the last `now` event
+        self._judged: tuple[FixResult, ...] = ()  # fixes whose outcome was already sent
+        self._now_at, self._turn_at, self._advanced_at = -math.inf, -math.inf, -math.inf
+        self.seen_at = time.monotonic()
 
-    # --- what comes in ---
+    # --- messages ---
 
     def take(self, message: Message, received_s: float) -> list[Event]:
-        """What a message brings; SessionError if this session cannot be tracked."""
-        if self.refused:
-            raise SessionError(self.refused)
-        self.recorder.journal(message)
-        return self._took(message, received_s)
+        """Take and record a message, which `advance` filters; FixError or LateError if it cannot be used.
 
-    def _took(self, message: Message, received_s: float) -> list[Event]:
+        A message of a session that cannot be tracked is recorded, and `refused` holds the reason. SessionError if the
+        session has ended.
+        """
+        if self.has_ended:
+            raise SessionError(self.refused)
+        self._received_s = received_s
+        events = self._took(message)
+        self.recorder.journal(message)
+        return events
+
+    def _took(self, message: Message) -> list[Event]:
         self.seen_at = time.monotonic()
         self._unsaved_at = min(self._unsaved_at, self.seen_at)
+        if self.refused:
+            return []
+        if message.fix is not None:
+            events = self.advance()
+            return [*events, self._fixed(message.fix), *self._now(is_due=True)]
         try:
-            if message.fix is not None:
-                return [self._fixed(message.fix), *self._now(received_s, is_due=True)]
-            platform = self.settings.platform
-            self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, platform)
-            events = self._filtered(ready, received_s)
-            return [*events, *self.finish()] if message.is_end else events
-        except FixError as error:
-            raise error from None
-        except (SessionError, ValueError) as error:
-            self.refused = str(error)
-            raise SessionError(self.refused) from None
+            self.assembly, self.held, ready = assembly.take(self.assembly, self.held, message, self.settings.platform)
+            self._record(ready)
+        except ValueError as error:
+            return self._refuse(error)
+        return self.finish() if message.is_end else []
 
-    def finish(self) -> list[Event]:
-        """The last steps, when nothing else will come."""
-        self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
-        events = self._filtered(ready, math.nan)
-        if self.online is not None:
-            events += self._stepped(self.online.finish())
-        self.refused = _ENDED
-        told = [*self._outcomes(), self.about(), *self._turned(is_due=True), *self._now(math.nan, is_due=True)]
-        return [*events, *told]
-
-    def _filtered(self, ready: Sequence[assembly.Streams], received_s: float) -> list[Event]:
-        events: list[Event] = []
+    def _record(self, ready: Sequence[assembly.Streams]) -> None:
+        """Append samples to the recording, and keep them for the filter."""
         if ready and self.online is None:
-            self.online = OnlineFilter(self._begun(ready))
-            events.append(self.about())
-        online = self.online
-        if online is None:
-            return events
+            self.online = OnlineFilter(self._begun(_joined(ready)))
         for samples in ready:
             for name, rows in samples.items():
                 self.recorder.samples(name, rows)
-            events += self._stepped(_pushed(online, samples))
-        return [*events, *self._outcomes(), *self._turned(), *self._now(received_s)]
+        self._ready += ready
 
-    def _begun(self, ready: Sequence[assembly.Streams]) -> Config:
-        """The configuration, by what the first seconds hold."""
+    def is_due(self, wait_s: float) -> bool:
+        """Whether so much time has passed since the last call of `advance`, or samples of so much time wait."""
+        spans_s = (float(np.ptp(s[FORCE].time_s)) for s in self._ready if FORCE in s)
+        return time.monotonic() - self._advanced_at >= wait_s or sum(spans_s) >= wait_s
+
+    def advance(self) -> list[Event]:
+        """Filter the samples of all messages that were taken; afterwards `refused` may hold a reason."""
+        ready, self._ready, self._advanced_at = self._ready, [], time.monotonic()
+        if self.refused:
+            return []
+        try:
+            return [*self._filtered(_joined(ready)), *self._about_changed()]
+        except ValueError as error:
+            return self._refuse(error)
+
+    def _refuse(self, error: ValueError) -> list[Event]:
+        self.refused, self.held = str(error), []
+        return self._about_changed()
+
+    def release(self) -> list[Event]:
+        """Filter the messages that wait for a missing one, after a long silence of the phone."""
+        self.assembly, self.held, ready = assembly.release(self.assembly, self.held)
+        self._record(ready)
+        return self.advance()
+
+    def finish(self) -> list[Event]:
+        """Filter the last steps, when no other message will come."""
+        try:
+            self.assembly, self.held, ready = assembly.finish(self.assembly, self.held, self.settings.platform)
+            self._record(ready)
+        except ValueError as error:
+            return self._refuse(error)
+        events = self.advance()
+        if self.refused:
+            return events
+        if self.online is not None:
+            events += self._stepped(self.online.finish())
+        self.refused, self.has_ended = _ENDED, True
+        told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._now(is_due=True)]
+        return [*events, *told]
+
+    def _filtered(self, samples: assembly.Streams) -> list[Event]:
+        if self.online is None or not samples:
+            return []
+        events = self._stepped(_pushed(self.online, samples))
+        return [*events, *self._outcomes(), *self._turned(), *self._now()]
+
+    def _begun(self, samples: assembly.Streams) -> Config:
+        """Configuration for the sensors of the first seconds."""
         kind = self.assembly.kind
         assert kind is not None
         meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
@@ -144,7 +190,7 @@ class Session:
             meta["epoch_ns"] = kind.zero_ns
         if self.settings.height_m is not None:
             meta["subject"] = {"height_m": self.settings.height_m}
-        first = Recording(meta["name"], **_streams(ready), meta=meta)
+        first = Recording(meta["name"], **cast(Any, samples), meta=meta)
         plain = plain_config(self.settings)
         config = live_config(first, plain)
         self.recorder.describe(
@@ -153,14 +199,14 @@ class Session:
         return config
 
     def _fixed(self, content: Any) -> Event:
-        """A fix that somebody gave: east and north in the track's frame, or latitude and longitude. It waits now."""
+        """Add a fix of a user, in the frame of the track or as latitude and longitude; return its `fix` event."""
         online = self.online
         if online is None:
             raise FixError("no samples yet: give a fix when the track has begun")
         now = online.now()
         try:
             std_m = float(content.get("std_m", 1.0))
-            # on the phone's clock, as samples are: `now` is on the track's, which goes on where that is set back
+            # samples are on the clock of the phone, and `now` on that of the track, which is never set back
             time_s = float(content.get("time_s", now.time_s - online.state.clock_offset_s))
             if "latitude_deg" in content:
                 if online.origin is None:
@@ -179,23 +225,37 @@ class Session:
         result = FixResult.of(moved(fix, online.state.clock_offset_s), math.nan, "waiting")
         return {**self._outcome(result), "east_m": east_m, "north_m": north_m, "std_m": std_m}
 
-    # --- what goes out ---
+    # --- events ---
 
     def about(self) -> Event:
-        """What the session is."""
+        """Properties of the session, with the reason why it waits or is not tracked."""
         kind, origin = self.assembly.kind, None if self.online is None else self.online.origin
+        waits = "" if self.refused else assembly.reason_to_wait(self.assembly, self.held, self.settings.platform)
         return {
             "event": "session",
             "id": self.id,
             "device": self.device,
             "session": self.session,
+            "begun_unix_s": self.begun_unix_s,
             "force": "" if kind is None else f"{kind.force}, {kind.how}",
             "has_location": kind is not None and kind.has_location,
             "origin": None if origin is None else [origin.latitude_deg, origin.longitude_deg],
+            "frame": "" if self.online is None else self.online.state.tracker.pedestrian.frame.name,
+            "waits": waits,
             "refused": self.refused,
+            "has_ended": self.has_ended,
+            "notes": [*self.notes, *map(_set_back_words, self.assembly.set_backs)],
             "n_lost_messages": self.assembly.n_lost,
             "n_repeated_messages": self.assembly.n_repeated,
         }
+
+    def _about_changed(self) -> list[Event]:
+        """The `session` event, if it is another than the last one."""
+        about = self.about()
+        if about == self._told:
+            return []
+        self._told = about
+        return [about]
 
     def _stepped(self, updates: Iterable[StepUpdate]) -> list[Event]:
         events: list[Event] = []
@@ -208,7 +268,7 @@ class Session:
         return events
 
     def _outcomes(self) -> list[Event]:
-        """What became of fixes, and of the phone's locations, since the last time."""
+        """Events of fixes, and of locations of the phone, whose outcome is new."""
         results = () if self.online is None else self.online.state.last_fixes
         new = [self._outcome(result) for result in results if result not in self._judged]
         self._judged = results
@@ -224,21 +284,22 @@ class Session:
             if len(kept) > _MAX_PATH:
                 del kept[: _MAX_PATH // 10]
 
-    def _now(self, received_s: float, is_due: bool = False) -> list[Event]:
+    def _now(self, is_due: bool = False, is_live: bool = True) -> list[Event]:
         online = self.online
         self._is_untold = online is not None and time.monotonic() - self._now_at < _NOW_S and not is_due
         if online is None or self._is_untold:
             return []
         self._now_at = time.monotonic()
-        sent = None if math.isnan(received_s) else received_s
+        sent = self._received_s if is_live and not math.isnan(self._received_s) else None
         now = online.now().to_dict()
         last_s = self._history[-1]["time_s"] if self._history else -math.inf
         if now["time_s"] is not None and not 0 <= now["time_s"] - last_s < _HISTORY_STEP_S:
             self._history.append({name: now[name] for name in ("time_s", "context_prob", "walking_speed_mps")})
-        return [{"event": "now", "id": self.id, "received_unix_s": sent, **now}]
+        silent_s = time.monotonic() - self.seen_at
+        return [{"event": "now", "id": self.id, "received_unix_s": sent, "silent_s": silent_s, **now}]
 
     def _turned(self, is_due: bool = False) -> list[Event]:
-        """While the turn to north is sought the whole path turns with it: it is told anew now and then."""
+        """`track` event now and then while north is not settled, because the whole path turns with it."""
         online = self.online
         wait_s = _TURN_S + len(self.path) * _TURN_STEP_S
         if online is None or (time.monotonic() - self._turn_at < wait_s and not is_due):
@@ -256,61 +317,66 @@ class Session:
         return [self.track()]
 
     def track(self) -> Event:
-        """The session and its path as it is known now: time, east, north, covariance (ee, en, nn) after each step."""
-        return {**self.about(), "event": "track", "path": self.path}
+        """Event with the session and its path: time, east, north and covariance (ee, en, nn) after each step."""
+        silent_s = time.monotonic() - self.seen_at
+        return {**self.about(), "event": "track", "silent_s": silent_s, "path": self.path}
 
     def rest(self) -> list[Event]:
-        """What is known of now, if the last samples came too soon after it was told."""
-        return self._now(math.nan, is_due=True) if self._is_untold else []
+        """`now` event for the last samples, if they came too soon after the previous one."""
+        return self._now(is_due=True, is_live=False) if self._is_untold else []
 
     def whole(self) -> list[Event]:
-        """All there is to show to somebody who has seen nothing yet."""
-        return [{**self.track(), "history": list(self._history)}, *self._now(math.nan, is_due=True)]
+        """Events for a page that was just opened."""
+        return [{**self.track(), "history": list(self._history)}, *self._now(is_due=True, is_live=False)]
 
     @property
     def unsaved_s(self) -> float:
-        """For how long something has only been in the journal."""
+        """Time since the first change that is not in the saved state."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
     def save(self) -> None:
-        """Write all there is; messages that wait for their turn are the new journal."""
-        state = None if self.online is None else self.online.state
-        self.recorder.saved({"assembly": self.assembly, "state": state})
-        for message in self.held:
-            self.recorder.journal(message)
+        """Write the state of a session that is tracked; any other one goes on from its journal."""
+        if self.online is None or (self.refused and not self.has_ended):
+            self.recorder.flush()
+        else:
+            self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
         self._unsaved_at = math.inf
 
     @classmethod
     def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
-        """The session as it was when the last message was acknowledged, whatever became of the process since."""
+        """Return the session with all acknowledged messages, however the last process ended."""
         self = cls(device, session, settings, folder)
+        silent_s = time.time() - max(file.stat().st_mtime for file in (folder / self.id).iterdir())
         saved, entries = self.recorder.load()
         if saved is not None:
             self.assembly = saved["assembly"]
-            if saved["state"] is not None:
-                self.online = OnlineFilter(self.recorder.config())
-                self.online.state = saved["state"]
-                self.refused = _ENDED if self.online.state.finished else ""
-                self._judged = self.online.state.last_fixes
+            self.online = OnlineFilter(self.recorder.config())
+            self.online.state = saved["state"]
+            if self.online.state.finished:
+                self.refused, self.has_ended = _ENDED, True
+            self._judged = self.online.state.last_fixes
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
                 start = step["of_start"]
                 self._starts.append(None if start is None else _place(start))
-        for _, _, platform, body in entries:
+        for number, (_, _, platform, body) in enumerate(entries, start=1):
             for message in parse(body, device, session, platform):
-                # what was refused then is refused again
-                with suppress(SessionError, FixError):
-                    self._took(message, math.nan)
+                with suppress(FixError, LateError):
+                    self._took(message)
+            if number % _LOAD_MESSAGES == 0:
+                self.advance()
+        self.advance()
         self._turned(is_due=True)
         self.save()
+        self.seen_at = time.monotonic() - max(silent_s, 0.0)
         return self
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Updates after the samples of one message.
+    """Updates after samples of all sensors.
 
-    Of a long one, such as after a minute without network, the sensors go in second by second: one that is seconds
-    behind the others is taken for silent.
+    Long stretches, such as after a minute without network, are pushed second by second. Otherwise the merger would
+    take the sensors that are pushed last for silent ones.
     """
     begin_s = min(float(stream.time_s[0]) for stream in samples.values())
     seconds = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
@@ -324,7 +390,7 @@ def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]
 
 
 def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: FloatArray) -> list[StepUpdate]:
-    """The same of one sensor."""
+    """Updates after samples of one sensor."""
     of_three = {
         FORCE: online.push_accelerometer,
         "gyroscope": online.push_gyroscope,
@@ -334,24 +400,32 @@ def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: Flo
         return of_three[name](time_s, values)
     if name == "barometer":
         return online.push_pressure(time_s, values[:, 0])
-    if online.config.model.frame.is_joined:  # locations that began later than the track are on record only
+    if online.config.model.frame.is_joined:  # locations that began later than the track are only recorded
         return []
     latitude_deg, longitude_deg, altitude_m, accuracy_m = values.T
     return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
 
 
-def _streams(ready: Sequence[assembly.Streams]) -> dict[str, Any]:
-    """Streams of a recording from samples of messages."""
-    names = {name for samples in ready for name in samples}
-    found = {name: [samples[name] for samples in ready if name in samples] for name in names}
-    return {
-        name: Samples(np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows]))
-        for name, rows in found.items()
-    }
+def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:
+    """Samples of several messages as those of one, each sensor in order of time."""
+    if len(ready) == 1:
+        return ready[0]
+    found: assembly.Streams = {}
+    for name in dict.fromkeys(name for samples in ready for name in samples):
+        rows = [samples[name] for samples in ready if name in samples]
+        time_s, values = np.concatenate([r.time_s for r in rows]), np.concatenate([r.values for r in rows])
+        order = np.argsort(time_s, kind="stable")
+        found[name] = Samples(time_s[order], values[order])
+    return found
+
+
+def _set_back_words(set_back: tuple[float, float]) -> str:
+    at_s, size_s = set_back
+    return f"the clock of the phone was set back by {size_s:.1f} s at {at_s:.1f} s: times go on from there"
 
 
 def _place(content: Mapping[str, Any]) -> Place:
-    """A place as `StepUpdate.to_dict` writes it."""
+    """Place from the form that `StepUpdate.to_dict` writes."""
     position_m, cov_m2 = np.array(content["position_m"]), np.array(content["cov_m2"])
     return Place(position_m, cov_m2, content["heading_rad"], content["n_steps"])
 

@@ -1,4 +1,4 @@
-"""What the server and its workers agree on."""
+"""Settings, errors and types that the server and its workers share."""
 
 from __future__ import annotations
 
@@ -6,21 +6,21 @@ import hashlib
 from dataclasses import dataclass
 from typing import Any
 
-# What there is to show, as JSON has it: docs/live.md lists them.
+# Event for pages and programs in the types of JSON; docs/live.md lists the kinds.
 Event = dict[str, Any]
 
 
 class FixError(ValueError):
-    """A fix that cannot be used; the words say why."""
+    """A fix that cannot be used, with the reason."""
 
 
 class BusyError(RuntimeError):
-    """No room for another phone."""
+    """No room or no time for a message at present."""
 
 
 @dataclass(frozen=True, slots=True)
 class Settings:
-    """How phones are tracked."""
+    """Options for tracking, which all phones share."""
 
     recipe: str = "default"
     height_m: float | None = None
@@ -29,5 +29,5 @@ class Settings:
 
 
 def part_of(device: str, n_parts: int) -> int:
-    """Which of so many workers a device belongs to."""
+    """Number of the worker that serves a device."""
     return int.from_bytes(hashlib.sha256(device.encode()).digest()[:4]) % n_parts

@@ -1,4 +1,4 @@
-"""What the server fetches itself, given to `take` as if a phone had sent it."""
+"""Sources from which the server fetches samples; `take` gets them like messages of a phone."""
 
 from __future__ import annotations
 
@@ -6,13 +6,14 @@ import asyncio
 import json
 import urllib.request
 import uuid
-from collections.abc import Awaitable, Callable, Iterator, Mapping
+from collections.abc import Awaitable, Callable, Coroutine, Iterator, Mapping
 from typing import Any
 from urllib.parse import quote, unquote, urlsplit
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
+from pdr_filter.io.texts import printable
 from pdr_filter.live.access import MAX_BODY_BYTES
 from pdr_filter.live.messages import (
     ANDROID_SENSORS,
@@ -28,28 +29,38 @@ from pdr_filter.live.messages import (
 from pdr_filter.live.parts import Answer
 
 # Takes a body, and the names of device and session and the platform for messages that do not say them.
-Taker = Callable[..., Awaitable[Answer]]
+Taker = Callable[..., Coroutine[Any, Any, Answer]]
 # Samples of so long are one message, as with phones that send several times a second.
 _PART_S = 0.2
 # Between two tries to reach a phone or a broker.
 _AGAIN_S = 2.0
 _ANSWER_S = 5.0
-# Of phyphox, which has kept all since its start: some two hours of two sensors at 100 Hz.
+# Largest answer of phyphox, which keeps all samples: some two hours of two sensors at 100 Hz.
 _MAX_ANSWER_BYTES = 64 * 1024**2
-# Of such a backlog as one message, some 0.2 MB.
+# Samples of such an answer that become one message, some 0.2 MB.
 _LONG_S = 10.0
 # Messages of a broker that are under way to the workers.
 _AT_ONCE = 64
 
 
-async def _given(take: Taker, body: bytes, **named: str) -> None:
-    """Give a message to the server, again where it has no time for it."""
-    while (await take(body, **named)).status in (429, 503):
-        await asyncio.sleep(_PART_S)
+def told(take: Taker, name: str, say: Callable[[str], None]) -> Taker:
+    """Return a taker that waits for a busy server, and tells the user each new reason of a refusal."""
+    reason = ""
+
+    async def taken(body: bytes, **named: str) -> Answer:
+        nonlocal reason
+        while (answer := await take(body, **named)).status in (429, 503):
+            await asyncio.sleep(_PART_S)
+        if answer.status != 200 and answer.content["error"] != reason:
+            reason = answer.content["error"]
+            say(f"{name}: {reason}")
+        return answer
+
+    return taken
 
 
 async def replay(recording: Recording, speed: float, take: Taker) -> None:
-    """Send a recording as if it were walked now, or `speed` times as fast."""
+    """Send a recording as if it were walked now, or `speed` times as fast, until it ends or is refused."""
     streams = {name: samples for name, samples in recording.streams.items() if name in N_VALUES and name != "attitude"}
     time_s = recording.accelerometer.time_s
     # In recorded order: what a recording's clock did is replayed too. Other sensors go with the samples of their time.
@@ -69,16 +80,17 @@ async def replay(recording: Recording, speed: float, take: Taker) -> None:
         is_end = number == len(cuts) - 1
         message = Message(f"replay {recording.name}", session, number, "android", rows, is_end=is_end)
         await asyncio.sleep(max(begun + (number + 1) * part_s / speed - loop.time(), 0.0))
-        await _given(take, to_json(message))
+        if (await take(to_json(message))).status != 200:
+            return
 
 
 async def again(source: Callable[[], Awaitable[None]], say: Callable[[str], None]) -> None:
-    """A source for as long as the server runs: one that breaks off is begun again; each new reason is said once."""
+    """Run a source again whenever it breaks off; each new reason is shown once."""
     said = ""
     while True:
         try:
             await source()
-        except Exception as error:  # whatever clients of networks raise; or the wrong experiment is open
+        except Exception as error:  # network clients raise many kinds, and the wrong experiment may be open
             reason = str(error) if isinstance(error, MessageError) else f"{type(error).__name__}: {error}"
             if reason != said:
                 say(f"{reason}; trying again")
@@ -117,10 +129,10 @@ class Phyphox:
             await asyncio.sleep(_PART_S)
 
     async def _give(self, rows: Mapping[str, Rows]) -> None:
-        """New samples as messages, of which none is too long; their times say what came before."""
+        """Send new samples as messages of bounded length; their times show which samples were sent before."""
         for part in _parts({name: r for name, r in rows.items() if len(r.time)}):
             message = Message(f"phyphox {urlsplit(self._address).netloc}", self._session, None, "android", part)
-            await _given(self._take, to_json(message))
+            await self._take(to_json(message))
             self._seen_s |= {name: float(r.time.max()) for name, r in part.items()}
 
     async def _got(self, path: str) -> bytes:
@@ -136,7 +148,7 @@ def _parts(rows: Mapping[str, Rows]) -> Iterator[dict[str, Rows]]:
 
 
 def _phyphox_query(buffers: Mapping[str, tuple[str, ...]], seen_s: Mapping[str, float]) -> str:
-    """Of each sensor what is later than what was seen: the buffer of times, and the others where that is later."""
+    """Query for the samples of each sensor after the last one received."""
     asked: list[str] = []
     for name, (time, *values) in buffers.items():
         after = f"{seen_s.get(name, 0.0)!r}"
@@ -150,7 +162,7 @@ def _later(rows: Rows, seen_s: float) -> Rows:
 
 
 def _got(address: str) -> bytes:
-    """What is at an address; a connection for each, because phyphox keeps none open."""
+    """Content of an address; each request opens a connection, because phyphox keeps none open."""
     with urllib.request.urlopen(address, timeout=_ANSWER_S) as answer:
         content = answer.read(_MAX_ANSWER_BYTES + 1)
     if len(content) > _MAX_ANSWER_BYTES:
@@ -162,7 +174,7 @@ def _got(address: str) -> bytes:
 
 
 async def sensor_server(address: str, session: str, take: Taker) -> None:
-    """Listen to an Android phone with SensorServer: its WebSocket gives one sample a message."""
+    """Listen to an Android phone with SensorServer, whose WebSocket sends one sample in each message."""
     from websockets.asyncio.client import connect
 
     address = _with_scheme(address, "ws").rstrip("/")
@@ -177,11 +189,11 @@ async def sensor_server(address: str, session: str, take: Taker) -> None:
                 except TimeoutError:
                     break
             device = f"SensorServer {urlsplit(address).netloc}"
-            await _given(take, to_json(Message(device, session, None, "android", _joined(parts))))
+            await take(to_json(Message(device, session, None, "android", _joined(parts))))
 
 
 def _joined(bodies: list[bytes]) -> dict[str, Rows]:
-    """Messages of one sample each as one, with seconds since the phone was switched on."""
+    """Samples of many messages by sensor, in seconds since the phone was switched on."""
     found: dict[str, list[Rows]] = {}
     for message in (message for body in bodies for message in parse(body)):
         for name, rows in message.rows.items():
@@ -197,16 +209,20 @@ def _joined(bodies: list[bytes]) -> dict[str, Rows]:
 
 # --- MQTT -------------------------------------------------------------------------------------------------------------
 
-_MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883, "ws": 80, "wss": 443}
+# Not ws and wss: mosquitto 2.0 passes on some 40 kB/s over WebSocket, less than what one phone publishes.
+_MQTT_PORTS = {"mqtt": 1883, "mqtts": 8883}
 
 
 class Mqtt:
-    """What is published under a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC; mqtts, ws and wss as well."""
+    """Subscription to a topic, mqtt://USER:PASSWORD@HOST:PORT/TOPIC, or mqtts with encryption."""
 
     def __init__(self, address: str, take: Taker) -> None:
         self._address, self._take = urlsplit(_with_scheme(address, "mqtt")), take
         if self._address.scheme not in _MQTT_PORTS or not self._address.hostname:
-            raise MessageError(f"--mqtt takes mqtt://HOST:PORT/TOPIC, mqtts, ws or wss, got {address!r}")
+            raise MessageError(
+                f"--mqtt takes mqtt://HOST:PORT/TOPIC or mqtts://HOST:PORT/TOPIC, got {printable(address)!r}; over "
+                "WebSocket brokers fall behind a phone, so give the port of the broker for TCP"
+            )
 
     async def run(self) -> None:
         """Take messages until the connection breaks."""
@@ -218,14 +234,13 @@ class Mqtt:
             parts.port or _MQTT_PORTS[parts.scheme],
             username=unquote(parts.username) if parts.username else None,
             password=unquote(parts.password) if parts.password else None,
-            transport="websockets" if parts.scheme in ("ws", "wss") else "tcp",
-            tls_params=aiomqtt.TLSParameters() if parts.scheme in ("mqtts", "wss") else None,
+            tls_params=aiomqtt.TLSParameters() if parts.scheme == "mqtts" else None,
         )
-        giving = set[asyncio.Task[None]]()  # each reaches the worker of its phone in its turn
+        giving = set[asyncio.Task[Answer]]()  # each reaches the worker of its phone in its turn
         async with client:
             await client.subscribe(unquote(parts.path.lstrip("/")) or "sensor-logger", qos=1)
             async for message in client.messages:
-                task = asyncio.create_task(_given(self._take, message.payload))
+                task = asyncio.create_task(self._take(message.payload))
                 giving.add(task)
                 task.add_done_callback(giving.discard)
                 while len(giving) >= _AT_ONCE:

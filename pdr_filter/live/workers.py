@@ -1,8 +1,8 @@
-"""Who filters, so that the one that answers phones and pages never waits: each worker has its share of the devices.
+"""Worker processes that run the filters, so that the web server never blocks. Each serves a fixed share of the devices.
 
-A share is in a process of this machine, or in an actor of a Dask cluster (`live.cluster`). One that dies is started
-again and goes on from what its devices saved; what it had not answered is given to it again, and what it had taken
-already is recognised by the number or the time of the messages.
+A share is in a process of this machine, or in an actor of a Dask cluster (`live.cluster`). A share that dies is started
+again and goes on from the files of its devices. Requests without an answer are given to it again; messages that it had
+already taken are recognised by their number or content.
 """
 
 from __future__ import annotations
@@ -25,13 +25,17 @@ from pdr_filter.live.settings import Event, Settings, part_of
 
 # Requests that wait for one worker at most: a second of 200 phones that send five times a second.
 _MAX_WAITING = 1000
-# Requests that are given at once: the way there and back costs an actor some milliseconds, and the first of them waits
-# for the answer to the last.
-_AT_ONCE = 8
+# Requests that are given at once: the way there and back costs an actor some milliseconds, and messages of one phone
+# among them are filtered in one pass. The first of them waits for the answer to the last.
+_AT_ONCE = 32
 # Tries for one request: a message that kills its worker must not do so for ever.
 _MAX_TRIES = 2
 _TICK_S = 1.0
 _START_S, _CLOSE_S = 60.0, 20.0
+# Between two tries to start a share: the reason may last, and each try loads the filter.
+_LONGEST_WAIT_S = 30.0
+# Phones wait for an answer as long as a worker takes to start; most apps give up after half a minute.
+_PATIENCE_S = 10.0
 
 
 T = TypeVar("T")
@@ -39,28 +43,28 @@ _LOG = logging.getLogger(__name__)
 
 
 class LostError(ConnectionError):
-    """The process or the actor is gone, or answers no more."""
+    """Process or actor that has died, or does not answer."""
 
 
 class Share(Protocol):
-    """One share of the devices, wherever it is."""
+    """Share of the devices, in a process or an actor."""
 
     @property
     def place(self) -> str:
-        """The process, or the machine."""
+        """Name of the process or the machine."""
         ...
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """What is said to each; LostError. One call at a time."""
+        """Return an answer to each request; LostError if the share is gone. One call at a time."""
         ...
 
     async def close(self) -> None:
-        """Save everything, and end."""
+        """Save everything and end the share."""
         ...
 
 
 class Process:
-    """A share in a process of this machine."""
+    """Share in a process of this machine."""
 
     def __init__(self, settings: Settings, folder: Path, part: int, n_parts: int) -> None:
         context = multiprocessing.get_context("spawn")
@@ -68,22 +72,22 @@ class Process:
         self._process = context.Process(target=serve, args=(theirs, settings, folder, part, n_parts), daemon=True)
         self._process.start()
         theirs.close()
-        self._thread = ThreadPoolExecutor(1)  # of its own, so that nobody else's waiting holds it up
+        self._thread = ThreadPoolExecutor(1)  # not the shared pool, in which other calls may block
 
     @classmethod
     async def start(cls, settings: Settings, folder: Path, part: int, n_parts: int) -> Process:
-        """A new process, when it takes requests."""
+        """Return a new process that is ready for requests."""
         made = cls(settings, folder, part, n_parts)
         await made._done(made._connection.recv)
         return made
 
     @property
     def place(self) -> str:
-        """The process."""
+        """Name of the process."""
         return f"process {self._process.pid}"
 
     async def ask(self, requests: Sequence[Request]) -> list[Said]:
-        """What is said to each; LostError."""
+        """Return an answer to each request; LostError if the process is gone."""
 
         def exchanged() -> list[Said]:
             self._connection.send(requests)
@@ -92,7 +96,7 @@ class Process:
         return await self._done(exchanged)
 
     async def close(self) -> None:
-        """Let it save everything, and end."""
+        """Let the process save everything and end."""
         self._connection.close()
         await asyncio.get_running_loop().run_in_executor(self._thread, self._process.join, _START_S)
 
@@ -105,7 +109,7 @@ class Process:
 
 @dataclass(slots=True, eq=False)
 class _Waiting:
-    """A request that has no answer yet."""
+    """Request without an answer."""
 
     request: Request
     answered: asyncio.Future[Answer]
@@ -113,7 +117,7 @@ class _Waiting:
 
 
 class _Worker:
-    """One share after the other, and the requests that wait for it."""
+    """Queue of requests for a share, which is replaced when it dies."""
 
     def __init__(self, start: Callable[[], Awaitable[Share]], show: Callable[[str], None]) -> None:
         self._start, self._show = start, show
@@ -124,12 +128,12 @@ class _Worker:
         self._running: asyncio.Task[None] | None = None
 
     async def start(self) -> None:
-        """Return when requests are taken."""
+        """Start the share; return when it is ready for requests."""
         share = await asyncio.wait_for(self._start(), _START_S)
         self._running = asyncio.create_task(self._run(share))
 
     async def ask(self, request: Request) -> Answer:
-        """The answer to a request, from the share that has it or from the next one."""
+        """Return the answer to a request, from the present share or from its successor."""
         if len(self._waiting) >= _MAX_WAITING or self._closed:
             return Answer(503, {"error": "too much at once; send it again later"})
         waiting = _Waiting(request, asyncio.get_running_loop().create_future())
@@ -138,15 +142,15 @@ class _Worker:
         return await waiting.answered
 
     async def close(self) -> None:
-        """End the share, which saves everything."""
+        """End the share after all requests are answered."""
         self._closed = True
         self._filled.set()
         if self._running is not None:
-            with suppress(TimeoutError):  # of one that is lost and finds no place
+            with suppress(TimeoutError):  # a lost share may find no place to start
                 await asyncio.wait_for(self._running, _CLOSE_S)
 
     async def _run(self, share: Share) -> None:
-        """Give requests to the share, and to the next one where it is lost, until all are answered and it is closed."""
+        """Give requests to the share or its successor, until all are answered and the worker is closed."""
         ticked_at = time.monotonic()
         while self._waiting or not self._closed:
             batch = list(islice(self._waiting, 1 if self._n_alone else _AT_ONCE))
@@ -170,18 +174,18 @@ class _Worker:
             for one in said:
                 for event in one.events:
                     self._show(event)
-            for waiting, one in zip(batch, said, strict=False):  # nobody waits for the answer to a tick
+            for waiting, one in zip(batch, said, strict=False):  # a tick has no caller
                 self._answered(waiting, one.answer)
         with suppress(LostError):
             await share.close()
 
     def _answered(self, waiting: _Waiting, answer: Answer) -> None:
         self._waiting.remove(waiting)
-        if not waiting.answered.done():  # who asked may have gone
+        if not waiting.answered.done():  # the caller may have been cancelled
             waiting.answered.set_result(answer)
 
     def _lost(self, batch: Sequence[_Waiting]) -> None:
-        """A share ended while it had these."""
+        """Count a try of each request that a share had when it died."""
         self._n_alone = len(batch)
         for waiting in batch:
             waiting.n_tries += 1
@@ -189,13 +193,18 @@ class _Worker:
             self._answered(batch[0], Answer(500, {"error": "this message ended the process that took it, twice"}))
 
     async def _restart(self) -> Share:
-        """The next share, however long it takes."""
+        """Next share, however long it takes; after a while requests are refused, so that phones do not hang."""
+        wait_s, begun = _TICK_S, time.monotonic()
         while True:
             try:
                 return await asyncio.wait_for(self._start(), _START_S)
             except (LostError, TimeoutError, ValueError) as error:
                 _LOG.warning("no worker yet: %s", error)
-                await asyncio.sleep(_TICK_S)
+            is_long = time.monotonic() - begun > _PATIENCE_S
+            for waiting in list(self._waiting) if is_long else ():
+                self._answered(waiting, Answer(503, {"error": "no worker at present; send it again later"}))
+            await asyncio.sleep(wait_s)
+            wait_s = min(2 * wait_s, _LONGEST_WAIT_S)
 
 
 # Starts the share with this number, of so many.
@@ -203,7 +212,7 @@ Starter = Callable[[int, int], Awaitable[Share]]
 
 
 class Workers:
-    """All of them."""
+    """All workers of the server."""
 
     def __init__(self, start: Starter, n: int, show: Callable[[str], None]) -> None:
         def starter(part: int) -> Callable[[], Awaitable[Share]]:
@@ -212,18 +221,18 @@ class Workers:
         self._workers = [_Worker(starter(part), show) for part in range(n)]
 
     async def start(self) -> None:
-        """Return when all of them take messages."""
+        """Start all workers; return when they are ready."""
         await asyncio.gather(*(worker.start() for worker in self._workers))
 
     async def take(self, request: Take) -> Answer:
-        """What the worker of a device says to its message."""
+        """Return the answer of the worker of a device to its message."""
         return await self._workers[part_of(request.device, len(self._workers))].ask(request)
 
     async def whole(self) -> list[Event]:
-        """All there is to show: of each session its path, and what is known of now."""
+        """Events with the path and the present estimate of each session."""
         answers = await asyncio.gather(*(worker.ask(Whole()) for worker in self._workers))
         return [event for answer in answers if answer.status == 200 for event in answer.content]
 
     async def close(self) -> None:
-        """End all of them."""
+        """End all workers."""
         await asyncio.gather(*(worker.close() for worker in self._workers))

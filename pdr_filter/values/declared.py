@@ -1,4 +1,4 @@
-"""Whether what comes from a file is what the fields of a dataclass are declared as: one schema, the declarations."""
+"""Checks of values from files against the declared types of dataclass fields."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from typing import Any, Literal, TypeVar, Union, cast, get_args, get_origin, get
 
 import numpy as np
 
-# Beyond this lies nothing that is measured or counted: squares of numbers are numbers, whole ones exact as floats.
-_LARGEST, _LARGEST_WHOLE = 1e30, 2**53
+# Squares of measured values must stay finite. Times in nanoseconds since 1970 need all of an int64. Whole numbers in
+# place of a float must be exact as one.
+_LARGEST, _LARGEST_WHOLE, _LARGEST_EXACT = 1e30, 2**63 - 1, 2**53
 
 
 def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
@@ -33,7 +34,7 @@ def check_declared(cls: type[Any], content: Mapping[str, Any]) -> None:
 
 
 def check_whole(value: Any) -> None:
-    """The same of a dataclass that was made of a file, and of those in its fields."""
+    """ValueError if a field of a dataclass, or of a dataclass in it, is not of its declared type."""
     content = {f.name: getattr(value, f.name) for f in fields(value) if f.init}
     check_declared(type(value), content)
     for part in content.values():
@@ -60,7 +61,7 @@ def _is_a(value: Any, declared: Any) -> bool:
     if kind is int:
         return type(value) is int and abs(value) <= _LARGEST_WHOLE
     if kind is float:
-        whole = type(value) is int and abs(value) <= _LARGEST_WHOLE
+        whole = type(value) is int and abs(value) <= _LARGEST_EXACT
         return whole or (type(value) is float and (not isfinite(value) or abs(value) <= _LARGEST))
     if kind is tuple:
         values = cast(tuple[Any, ...], value)

@@ -1,12 +1,13 @@
-"""How many phones one machine tracks as they walk: real messages over real HTTP to `pdr-filter live` on this machine.
+"""Phones that one machine tracks in real time: messages over HTTP to `pdr-filter live` on this machine.
 
-usage: python -m tests.benchmarks.live_load [load] [page] [--phones 10 50 100 200] [--seconds 20] [--workers 2]
+usage: python -m tests.benchmarks.live_load [load] [page] [--phones 10 50 100 200] [--rates 1 5] [--seconds 20]
+           [--workers 2]
 
-Each phone posts what Sensor Logger would: a message a second with accelerometer and gyroscope at 100 Hz and the
-magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. What sends runs on the
-same cores, and nothing is sent to any other machine. "Told" is when a program that reads the events has the first one
-after a message came. `page` is the same until it is drawn by a page in Chromium, whose picture changes ten times a
-second at most; it needs Chromium.
+Each phone posts messages like Sensor Logger, one or five a second, with accelerometer and gyroscope at 100 Hz and the
+magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. The sender runs on the
+same cores, and nothing is sent to any other machine. "Told" is the delay from a message to the first event that a
+program reads after it. `page` measures the delay until a page in Chromium has drawn it. The page is drawn ten times a
+second at most.
 """
 
 from __future__ import annotations
@@ -59,13 +60,15 @@ def memory_mb(pids: list[int]) -> float:
     return sum(int(Path(f"/proc/{pid}/statm").read_text().split()[1]) for pid in pids) * resource.getpagesize() / 2**20
 
 
-async def phone(number: int, n: int, address: tuple[str, int], bodies: list[bytes], end: float, seen: Seen) -> None:
-    """Post a message each second until the end."""
+async def phone(
+    number: int, n: int, rate_hz: int, address: tuple[str, int], bodies: list[bytes], end: float, seen: Seen
+) -> None:
+    """Post so many messages a second until the end."""
     name = f"phone-{number:06d}".encode()
     begin = time.monotonic() + number / n
     reader, writer = await asyncio.open_connection(*address)
     for i, body in enumerate(bodies):
-        await asyncio.sleep(max(begin + i - time.monotonic(), 0.0))
+        await asyncio.sleep(max(begin + i / rate_hz - time.monotonic(), 0.0))
         sent = time.monotonic()
         if sent > end:
             break
@@ -77,7 +80,7 @@ async def phone(number: int, n: int, address: tuple[str, int], bodies: list[byte
         await reader.readexactly(length)
         if end - sent < end - begin - _WARM_UP_S:
             seen.answer_s.append(time.monotonic() - sent)
-            seen.late_s.append(sent - (begin + i))
+            seen.late_s.append(sent - (begin + i / rate_hz))
             seen.refused += b" 200 " not in answer[:20]
     writer.close()
 
@@ -91,22 +94,25 @@ async def watch(address: tuple[str, int], seen: Seen) -> None:
                 seen.shown_s.append(time.time() - event["received_unix_s"])
 
 
-async def crowd(n: int, server: Server, bodies: list[bytes], seconds: float, seen: Seen) -> tuple[float, float]:
-    """Processor time of server and workers in a second, and how long was measured."""
+async def crowd(
+    n: int, rate_hz: int, server: Server, bodies: list[bytes], seconds: float, seen: Seen
+) -> tuple[float, float]:
+    """Cores used by server and workers, and processor time in ms for a second of samples of one phone."""
     host, port = server.address.removeprefix("http://").split(":")
     address = host, int(port)
     end = time.monotonic() + _WARM_UP_S + seconds
     watching = asyncio.create_task(watch(address, seen))
-    phones = [asyncio.create_task(phone(i, n, address, bodies, end, seen)) for i in range(n)]
+    phones = [asyncio.create_task(phone(i, n, rate_hz, address, bodies, end, seen)) for i in range(n)]
     await asyncio.sleep(_WARM_UP_S)
     seen.shown_s.clear()
     pids = [server.pid, *server.children]
-    before, begun = cpu_s(pids), time.monotonic()
+    before, begun, n_before = cpu_s(pids), time.monotonic(), len(seen.answer_s)
     await asyncio.sleep(seconds)
     used_s, measured_s = cpu_s(pids) - before, time.monotonic() - begun
+    phone_s = (len(seen.answer_s) - n_before) / rate_hz  # of answered messages, in real time or not
     await asyncio.gather(*phones)
     watching.cancel()
-    return used_s / measured_s, measured_s
+    return used_s / measured_s, 1e3 * used_s / max(phone_s, 1e-9)
 
 
 # When what was shown last was received, each time that it is drawn.
@@ -134,11 +140,11 @@ def in_chromium(n: int, seconds: float, workers: int, bodies: list[bytes]) -> Fl
         browser.open(server.address)
         browser.ask("Network.disable")  # each event of the page would be told
         browser.value(_TIMED)
-        asyncio.run(crowd(n, server, bodies, seconds, Seen()))
+        asyncio.run(crowd(n, 1, server, bodies, seconds, Seen()))
         return np.array(browser.value("drawn"))
 
 
-def load(phones: list[int], seconds: float, workers: int, bodies: list[bytes]) -> list[list[str]]:
+def load(phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: list[bytes]) -> list[list[str]]:
     """A row for each number of phones."""
     rows: list[list[str]] = []
     for n in phones:
@@ -147,16 +153,17 @@ def load(phones: list[int], seconds: float, workers: int, bodies: list[bytes]) -
             options_ = ("--record", folder, "--workers", str(workers), "--max-devices", str(n))
             with Server(*options_) as server:
                 idle_mb = memory_mb(server.children)
-                cores, _ = asyncio.run(crowd(n, server, bodies, seconds, seen))
+                cores, phone_ms = asyncio.run(crowd(n, rate_hz, server, bodies, seconds, seen))
                 phone_mb = (memory_mb(server.children) - idle_mb) / n
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
         rows.append(
             [
                 str(n),
+                str(rate_hz),
                 "yes" if keeps_up else "no",
                 f"{cores:.2f}",
-                f"{1e3 * cores / n:.1f}",
+                f"{phone_ms:.1f}",
                 f"{answer[0]:.0f} / {answer[1]:.0f}",
                 f"{shown[0]:.0f} / {shown[1]:.0f}",
                 f"{phone_mb:.1f}",
@@ -169,17 +176,26 @@ def load(phones: list[int], seconds: float, workers: int, bodies: list[bytes]) -
 def main() -> None:
     parser = options(__doc__ or "", "load", "page")
     parser.add_argument("--phones", type=int, nargs="+", default=[10, 50, 100, 150, 200])
+    parser.add_argument("--rates", type=int, nargs="+", default=[1, 5], help="messages a second")
     parser.add_argument("--seconds", type=float, default=20.0)
     parser.add_argument("--workers", type=int, default=2)
     given = parser.parse_args()
     walk = pdr.simulate.demo_walk()
-    bodies = [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0)]
+    bodies = {
+        rate_hz: [json.dumps(m).encode() for m in sensor_logger_messages(walk, _NAME, part_s=1.0 / rate_hz)]
+        for rate_hz in given.rates
+    }
     tables = Tables.of(__spec__.name, given)
     machine = f"{given.workers} workers; {os.cpu_count()} cores, shared with"
     if "load" in given.parts:
-        rows = load(given.phones, given.seconds, given.workers, bodies)
+        rows = [
+            row
+            for rate_hz in given.rates
+            for row in load(given.phones, rate_hz, given.seconds, given.workers, bodies[rate_hz])
+        ]
         columns = [
             "phones",
+            "messages a second",
             "in real time",
             "cores used",
             "ms of one core a second and phone",
@@ -191,7 +207,7 @@ def main() -> None:
     if "page" in given.parts:
         rows = []
         for n in (1, 10):
-            drawn_ms = 1e3 * in_chromium(n, 3 * given.seconds, given.workers, bodies)
+            drawn_ms = 1e3 * in_chromium(n, 3 * given.seconds, given.workers, bodies[given.rates[0]])
             p50, p99 = np.percentile(drawn_ms, [50, 99])
             rows.append([str(n), str(len(drawn_ms)), f"{p50:.0f}", f"{p99:.0f}"])
         columns = ["phones", "n", "p50, ms", "p99, ms"]

@@ -61,7 +61,7 @@ async def watch(server: Server, folder: Path, until_s: float) -> list[list[str]]
             n_steps = event["n_steps"]
             if event["time_s"] >= min((len(rows) + 1) * _EVERY_S, until_s - 5.0):
                 state_kb = sum(p.stat().st_size for p in folder.glob("*/state.bin")) / 1024
-                journal_kb = sum(p.stat().st_size for p in folder.glob("*/journal_*.bin")) / 1024
+                journal_kb = sum(p.stat().st_size for p in folder.glob("*/journal_*.json")) / 1024
                 rows.append(
                     [
                         f"{event['time_s'] / 60:.0f}",

@@ -8,12 +8,12 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import sensor_logger_messages
+from serving import EPOCH_NS, sensor_logger_messages
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.live import assembly
-from pdr_filter.live.assembly import Assembly, SessionError
+from pdr_filter.live.assembly import Assembly, LateError, SessionError
 from pdr_filter.live.messages import Message, parse
 
 
@@ -59,8 +59,70 @@ def test_a_lost_message_is_given_up_when_three_seconds_of_later_samples_are_ther
         state, held, _ = assembly.take(state, held, message, "")
         waited = max(waited, len(held))
     assert state.n_lost == 1
-    assert waited == 4  # of half a second each; the next one shows that three seconds are over
+    assert waited == 6  # of half a second each; the next one shows that three seconds are over
     assert held == []
+    (late,) = parse(json.dumps(messages[10]).encode())
+    with pytest.raises(LateError, match="message 10 is too late"):
+        assembly.take(state, held, late, "")
+
+
+@pytest.mark.parametrize("order", ["newest first", "in turn with new messages", "backward"])
+def test_a_backlog_of_an_outage_is_kept_if_a_newer_message_comes_before_it(walk: Recording, order: str) -> None:
+    messages = sensor_logger_messages(walk)[:100]
+    _, expected = assembled(messages)
+    before, backlog, after = messages[:20], messages[20:60], messages[60:]
+    if order == "newest first":
+        late = [after[0], *backlog, *after[1:]]
+    elif order == "backward":
+        late = [*after[:6], *backlog[::-1], *after[6:]]
+    else:
+        n = len(backlog) // 2
+        late = [m for i in range(n) for m in (after[i], *backlog[2 * i : 2 * i + 2])] + after[n:]
+    state, found = assembled([*before, *late])
+    for name in expected:
+        np.testing.assert_array_equal(found[name], expected[name])
+    assert (state.n_lost, state.n_repeated) == (0, 0)
+
+
+def test_a_message_without_number_that_comes_again_is_not_recorded_twice(walk: Recording) -> None:
+    messages = [{k: v for k, v in m.items() if k != "messageId"} for m in sensor_logger_messages(walk)[:20]]
+    _, expected = assembled(messages)
+    state, found = assembled([*messages[:10], *messages[8:]])
+    np.testing.assert_array_equal(found["accelerometer"], expected["accelerometer"])
+    assert state.n_repeated == 2
+
+
+def test_messages_of_an_app_that_counts_from_zero_again_are_no_repetitions(walk: Recording) -> None:
+    messages = sensor_logger_messages(walk)[:60]
+    _, expected = assembled(messages)
+    again = [{**m, "messageId": m["messageId"] % 30} for m in messages]
+    state, found = assembled([*again[:35], again[33], *again[35:]])
+    np.testing.assert_array_equal(found["accelerometer"], expected["accelerometer"])
+    assert (state.n_lost, state.n_repeated) == (0, 1)
+
+
+def test_messages_without_any_known_sensor_are_not_held_for_ever(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(assembly, "_MAX_HELD_BYTES", 10_000)
+    message = {
+        "sessionId": "s",
+        "deviceId": "d",
+        "payload": [{"name": "light", "time": EPOCH_NS, "values": {"lux": 1}}],
+    }
+    with pytest.raises(SessionError, match="no acceleration and no gyroscope"):
+        assembled({**message, "messageId": number} for number in range(200))
+
+
+@pytest.mark.parametrize("unit_ns", [1, 10**6])
+def test_times_that_cannot_be_nanoseconds_are_refused_with_the_unit(walk: Recording, unit_ns: int) -> None:
+    messages = sensor_logger_messages(walk)[:40]
+    for message in messages:
+        for sample in message["payload"]:
+            sample["time"] = (sample["time"] - EPOCH_NS) // unit_ns
+    if unit_ns == 1:
+        assembled(messages)  # from the start of the phone
+    else:
+        with pytest.raises(SessionError, match="times must be nanoseconds since 1970"):
+            assembled(messages)
 
 
 def test_gravity_apart_gives_the_specific_force_of_the_recording(walk: Recording) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import json
 import time
 from collections.abc import Sequence
@@ -11,12 +12,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from serving import own_messages, sensor_logger_messages, short_walk
+from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.devices import Devices
+from pdr_filter.live.recorder import exported
 from pdr_filter.live.session import Session, session_id
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
 from pdr_filter.values import Samples
@@ -56,10 +58,13 @@ def test_the_track_is_that_of_what_was_sent_and_of_what_was_recorded(walk: Recor
     np.testing.assert_array_equal(shown, again.position_m)
 
 
+@pytest.mark.parametrize("is_real", [False, True])
 @pytest.mark.parametrize("n_saved", [3, 40])
-def test_a_process_that_dies_loses_nothing_that_it_took(walk: Recording, tmp_path: Path, n_saved: int) -> None:
-    """Saved after some messages, the first while it is not known yet what the session is, and gone after others."""
-    bodies = own_messages(walk)
+def test_a_process_that_dies_loses_nothing_that_it_took(
+    walk: Recording, tmp_path: Path, n_saved: int, is_real: bool
+) -> None:
+    """Saved after some messages, first before the session is known, and killed after others; with real times, too."""
+    bodies = encoded(sensor_logger_messages(walk)) if is_real else own_messages(walk)
     expected, _ = taken(tmp_path / "whole", bodies)
     events: list[Event] = []
     devices = Devices(Settings(), tmp_path / "broken", events.append)
@@ -86,7 +91,7 @@ def test_writes_that_were_broken_off_are_left_out(walk: Recording, tmp_path: Pat
     samples.write_bytes(whole + b"9.0,1,2,3\n9.1,1")  # written, and then the state was not
     devices = Devices(Settings(), tmp_path, lambda _: None)
     devices.take(bodies[10], "", "", "", 0.0)
-    (journal,) = session.recorder.folder.glob("journal_*.bin")
+    (journal,) = session.recorder.folder.glob("journal_*.json")
     journal.write_bytes(journal.read_bytes()[:-7])
     (again,) = Devices(Settings(), tmp_path, lambda _: None).sessions.values()
     assert again.assembly.next_number == 10
@@ -114,26 +119,28 @@ def test_an_iphone_with_gravity_apart_gives_the_track_of_the_same_walk(walk: Rec
     np.testing.assert_allclose(positions(session), expected.position_m, atol=1e-3)
 
 
-def test_a_clock_that_is_set_back_gives_the_track_of_the_same_recording(walk: Recording, tmp_path: Path) -> None:
-    early = {n: Samples(np.where(s.time_s < 30, s.time_s, s.time_s - 20.0), s.values) for n, s in walk.streams.items()}
-    bodies = own_messages(walk)
-    jumped: list[bytes] = []
-    for body in bodies:
-        content = json.loads(body)
-        for rows in content["samples"].values():
-            for row in rows:
-                row[0] -= 20.0 * (row[0] >= 30.0)
-        jumped.append(json.dumps(content).encode())
-    session, _ = taken(tmp_path, jumped)
-    expected = pdr.track(replace(walk, meta={}, **early))
-    # Who listens cannot tell these twenty seconds from a backlog that is sent again: they are lost.
-    assert 0 <= expected.n_steps - len(session.path) <= 40
-    assert any("too late" in note for note in session.online.now().notes)
-    assert session.path[-1][0] > 30.0
+@pytest.mark.parametrize("at_s", [30.0, 30.2])
+@pytest.mark.parametrize("back_s", [1.5, 30.0, 7200.0])
+def test_no_step_is_lost_when_the_clock_of_a_phone_with_numbered_messages_is_set_back(
+    walk: Recording, tmp_path: Path, back_s: float, at_s: float
+) -> None:
+    """At the end of a message, and within one."""
+    messages = sensor_logger_messages(walk)
+    for message in messages:
+        for sample in message["payload"]:
+            sample["time"] -= round(back_s * 1e9) * (sample["time"] >= EPOCH_NS + at_s * 1e9)
+    session, events = taken(tmp_path, encoded(messages))
+    recording = pdr.read(session.recorder.folder)
+    assert len(recording.accelerometer) == len(walk.accelerometer)
+    np.testing.assert_array_equal(positions(session), pdr.track(recording).position_m[: len(session.path)])
+    expected = pdr.track(replace(walk, meta={}))
+    np.testing.assert_allclose(positions(session), expected.position_m[: len(session.path)], atol=0.1)
+    assert expected.n_steps - 8 <= len(session.path)
+    (about,) = [e for e in events if e["event"] == "session" and e["notes"]][:1]
+    assert f"set back by {back_s:.1f} s" in about["notes"][0]
 
 
 def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Path) -> None:
-    """It is followed after a minute; the track's own time goes on."""
     bodies: list[bytes] = []
     for body in own_messages(short_walk(110.0), part_s=1.0):
         content = json.loads(body)
@@ -143,7 +150,7 @@ def test_after_the_clock_is_set_back_by_minutes_i_am_here_is_of_now(tmp_path: Pa
         bodies.append(json.dumps(content).encode())
     here = b'{"device": "p", "session": "s", "fix": {"east_m": 0.0, "north_m": 0.0, "std_m": 1000.0}}'
     session, events = taken(tmp_path, [*bodies[:-8], here, *bodies[-8:-1]])
-    assert session.online.state.clock_offset_s > 800.0
+    assert session.assembly.ahead_s > 800.0
     assert [e["outcome"] for e in events if e["event"] == "fix"] == ["waiting", "used"]
 
 
@@ -266,3 +273,49 @@ def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recordi
         for body in encoded(sensor_logger_messages(walk, ios=True)[:10]):
             devices.take(body, "", "", "", 0.0)
     assert "--platform ios" in events[-1]["refused"]
+    waiting = next(e["waits"] for e in events if e["event"] == "session")
+    assert waiting == "2 s of samples are needed, 0.5 s are there"
+
+
+def test_what_an_untracked_phone_sends_is_recorded_and_can_be_read(walk: Recording, tmp_path: Path) -> None:
+    messages = sensor_logger_messages(walk, ios=True)
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for number, body in enumerate(encoded(messages)):
+        with contextlib.suppress(SessionError):
+            devices.take(body, "", "", "", 0.0)
+        if number == 60:  # the process dies, and the next one records on
+            devices = Devices(Settings(), tmp_path, lambda _: None)
+    devices.close()
+    (session,) = devices.sessions.values()
+    recording = pdr.read(session.recorder.folder, platform="ios")
+    np.testing.assert_allclose(recording.accelerometer.values, walk.accelerometer.values, atol=1e-12)
+    assert len(recording.gyroscope) == len(walk.gyroscope)
+    (name,) = exported(session.recorder.folder)
+    assert name == "messages.json"
+
+
+@pytest.mark.parametrize("damage", ["state.bin", "config.txt", "journal_1.json"])
+def test_a_session_that_cannot_be_loaded_is_set_aside_and_the_others_go_on(
+    walk: Recording, tmp_path: Path, damage: str
+) -> None:
+    bodies = {name: own_messages(walk, name) for name in ("bad", "good")}
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for one, two in zip(bodies["bad"][:20], bodies["good"][:20], strict=True):
+        devices.take(one, "", "", "", 0.0)
+        devices.take(two, "", "", "", 0.0)
+    devices.close()
+    (bad,) = tmp_path.glob("bad-*")
+    (bad / damage).write_bytes(b"damaged\n")
+    events: list[Event] = []
+    devices = Devices(Settings(), tmp_path, events.append)
+    for one, two in zip(bodies["bad"][20:], bodies["good"][20:], strict=True):
+        devices.take(one, "", "", "", 0.0)
+        devices.take(two, "", "", "", 0.0)
+    devices.close()
+    (aside,) = tmp_path.glob("bad-*.damaged1")
+    notes = {s.device: s.about()["notes"] for s in devices.sessions.values()}
+    assert aside.name in notes["bad"][0]
+    assert notes["good"] == []
+    folders = [aside, bad]
+    rows = sum(len(pdr.read(folder).accelerometer) for folder in folders)
+    assert rows == len(walk.accelerometer)

@@ -17,7 +17,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 from browser import BROWSER, Browser
-from serving import Server, own_messages, short_walk
+from serving import Server, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
@@ -25,6 +25,7 @@ from pdr_filter.values import Samples
 
 pytestmark = pytest.mark.skipif(not BROWSER, reason="no Chromium on this machine")
 SESSION = "[...live.sessions.values()][0]"
+NONE = "\u2013"
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +80,7 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
         for body in bodies[120:]:
             server.post(body)
         browser.until(f"{SESSION}.fixes.every(fix => fix.outcome === 'used')")
-        assert browser.words("#said").endswith("north was used.")
+        assert browser.words("#said").endswith("of the start was used.")
         # and one that does not fit
         browser.value("setHere(0, 900)")
         for body in more:
@@ -91,6 +92,79 @@ def test_the_path_grows_and_i_am_here_moves_it(server: Server, walk: Recording, 
             server.post(body)
         browser.until("[...document.getElementById('session').selectedOptions][0].textContent.endsWith('another')")
         assert browser.value("live.sessions.size") == 2
+        assert browser.complaints == []
+
+
+def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(walk: Recording, tmp_path: Path) -> None:
+    def numbers(browser: Browser) -> list[str]:
+        return browser.value("[...document.querySelectorAll('dd')].map(e => e.textContent)")
+
+    def select(browser: Browser, device: str) -> None:
+        browser.value(f"""(() => {{
+            const select = document.getElementById('session');
+            select.value = [...select.options].find(o => o.textContent.startsWith({device!r})).value;
+            select.dispatchEvent(new Event('change'));
+        }})()""")
+        browser.settle()
+
+    uuids = ("8b5937fb-2160-4825-ba40-4bc646f93839", "0ba5f3e8-a340-4c40-b9ea-95d7ed4d1132")
+    with Server() as server, Browser(tmp_path) as browser:
+        browser.open(server.address)
+        for message in sensor_logger_messages(walk, *uuids)[:100]:
+            server.post(message)
+        for body in own_messages(walk, "ended"):
+            server.post(body)
+        server.post(own_messages(walk, "empty")[0])
+        for message in sensor_logger_messages(walk, "unsigned", ios=True)[:8]:
+            server.post(message)
+        browser.until("live.sessions.size === 4")
+        browser.until("[...live.sessions.values()].some(s => s.about.has_ended)")
+        select(browser, "phone 8b59 · ")  # and the time at which its session began
+        browser.until("Number(document.getElementById('n_steps').textContent) > 60")
+        assert "ahead and" in browser.words("#where")
+        assert "right" in browser.words("#heading") or "left" in browser.words("#heading")
+        assert browser.value("getComputedStyle(document.querySelector('#map .north')).display") == "none"
+        browser.shot(tmp_path / "walking.png")
+
+        select(browser, "empty")
+        assert set(numbers(browser)) == {NONE}
+        assert browser.words("#state") == "Waiting: 2 s of samples are needed, 0.5 s are there."
+        assert [browser.words(s) for s in ("#where", "#gaps", "#notes", "#rates")] == ["", "", "", ""]
+        assert browser.value("document.getElementById('charts').hidden")
+        browser.shot(tmp_path / "empty.png")
+
+        select(browser, "ended")
+        assert browser.words("#state") == "This session has ended."
+        assert browser.value("document.getElementById('state').className") == ""
+        assert numbers(browser)[0] == str(pdr.track(replace(walk, meta={})).n_steps)
+        browser.shot(tmp_path / "ended.png")
+
+        select(browser, "unsigned")
+        assert browser.words("#state").startswith("Not tracked: iOS and Android have opposite signs")
+        assert browser.value("document.getElementById('state').className") == "wrong"
+
+        select(browser, "phone 8b59")
+        browser.until("document.getElementById('state').textContent.startsWith('Silent for ')")
+        shown = numbers(browser)
+        assert (shown[2], shown[8]) == (NONE, NONE)  # speed and delay
+        assert int(shown[0]) > 60
+        browser.shot(tmp_path / "silent.png")
+        path = f"{SESSION}.path"
+        inside = browser.value(f"""{path}.every(row => {{
+            const {{ leaflet }} = live.map, size = leaflet.getSize();
+            const at = leaflet.latLngToContainerPoint(live.map.at(row[1], row[2]));
+            return at.x > 0 && at.y > 0 && at.x < size.x && at.y < size.y;
+        }})""")
+        assert inside
+        browser.ask("Emulation.setDeviceMetricsOverride", width=400, height=900, deviceScaleFactor=1, mobile=False)
+        browser.until("[...document.querySelectorAll('.uplot')].every(e => e.getBoundingClientRect().right <= 400)")
+        assert browser.value("document.documentElement.scrollWidth") == 400
+        browser.shot(tmp_path / "narrow.png")
+        # a page that is opened later knows for how long the phone has been silent
+        browser.open(server.address)
+        browser.until("live.sessions.size === 4")
+        select(browser, "phone 8b59")
+        browser.until("document.getElementById('state').textContent.startsWith('Silent for ')", 2.0)
         assert browser.complaints == []
 
 

@@ -13,7 +13,9 @@ import subprocess
 import sys
 import threading
 import time
+import zipfile
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -27,8 +29,10 @@ from websockets.sync.client import connect
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
 from pdr_filter.live import session as live_session
+from pdr_filter.live import sources
 from pdr_filter.live.hub import Reader
 from pdr_filter.live.messages import parse
+from pdr_filter.live.parts import Answer
 from pdr_filter.live.settings import Settings
 
 
@@ -114,6 +118,7 @@ def test_a_page_that_comes_late_is_told_the_contexts_until_then(
     for body in own_messages(walk, "late", part_s=0.5):
         for message in parse(body):
             session.take(message, 0.0)
+            session.advance()
     track = session.whole()[0]
     times_s = [row["time_s"] for row in track["history"]]
     assert len(times_s) > 20
@@ -166,6 +171,9 @@ def test_the_path_and_the_recording_can_be_downloaded(server: Server, walk: Reco
     path = tmp_path / "kept.zip"
     path.write_bytes(server.http.get(f"/sessions/{track['id']}/recording.zip").content)
     assert len(pdr.read(path).accelerometer) == len(walk.accelerometer)
+    with zipfile.ZipFile(path) as archive:
+        assert {"meta.json", "steps.jsonl"} <= set(archive.namelist())
+        assert len(archive.read("steps.jsonl").splitlines()) == len(track["path"])
 
 
 @pytest.mark.parametrize(
@@ -245,6 +253,25 @@ def test_what_waits_for_a_slow_reader_is_bounded_and_then_he_begins_anew() -> No
 # --- servers of their own ---------------------------------------------------------------------------------------------
 
 
+def test_a_server_with_open_pages_ends_without_a_traceback(walk: Recording) -> None:
+    with Server() as server:
+        for body in own_messages(walk)[:10]:
+            server.post(body)
+        host, port = server.address.removeprefix("http://").split(":")
+        with (
+            connect(server.address.replace("http", "ws") + "/ws") as reader,
+            connect(server.address.replace("http", "ws") + "/stream") as sender,
+            socket.create_connection((host, int(port))) as page,
+        ):
+            page.sendall(f"GET /events HTTP/1.1\r\nHost: {host}:{port}\r\n\r\n".encode())
+            reader.recv(timeout=20)
+            sender.send(b"{}")
+            assert json.loads(sender.recv(timeout=20))["status"] == 200
+            assert b"200 OK" in page.recv(1000)
+            server.end()
+    assert len(server.said) == 3  # the addresses, and how to end
+
+
 def test_a_token_is_asked_for_when_others_can_reach_the_server(tmp_path: Path) -> None:
     with Server("--host", "0.0.0.0", "--record", str(tmp_path)) as server:
         assert len(server.token) >= 16
@@ -309,14 +336,29 @@ def test_a_replay_of_a_file_that_cannot_be_read_ends_the_server(tmp_path: Path) 
         assert "page" not in done.stdout
 
 
-def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path) -> None:
-    path = walk.save(tmp_path / "walk.zip")
+@pytest.mark.parametrize("name", ["walk", "Gänge \u2197 'zwei'"])
+def test_a_replay_ends_with_the_track_of_the_file(walk: Recording, tmp_path: Path, name: str) -> None:
+    path = replace(walk, name=name).save(tmp_path / "walk.zip")
     height_m = str(walk.subject.height_m)
-    with Server("--replay", str(path), "--speed", "100", "--height", height_m) as server:
+    with Server("--replay", str(path), "--speed", "100", "--height", height_m, "--workers", "2") as server:
 
         def ended() -> dict[str, Any] | None:
-            found = [track for track in server.tracks().values() if "ended" in track["refused"]]
+            found = [track for track in server.tracks().values() if track["has_ended"]]
             return found[0] if found else None
 
         track = until(ended)
+    assert track["device"] == f"replay {name}"
     np.testing.assert_array_equal(positions(track), pdr.track(pdr.read(path)).position_m)
+
+
+def test_a_replay_waits_for_a_busy_server_and_ends_with_the_reason_of_a_refusal(walk: Recording) -> None:
+    said, bodies = list[str](), list[bytes]()
+    answers = iter([Answer(503, {"error": "busy"}), Answer(200, {}), Answer(422, {"error": "no acceleration"})])
+
+    async def take(body: bytes, **_: str) -> Answer:
+        bodies.append(body)
+        return next(answers)
+
+    asyncio.run(sources.replay(walk, 100.0, sources.told(take, "--replay walk", said.append)))
+    assert said == ["--replay walk: no acceleration"]
+    assert bodies[0] == bodies[1] != bodies[2]

@@ -24,6 +24,9 @@ from websockets.sync.server import ServerConnection, serve
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
+from pdr_filter.live.messages import MessageError
+from pdr_filter.live.parts import Answer
+from pdr_filter.live.sources import Mqtt
 
 BROKER = shutil.which("mosquitto") or next((p for p in ["/usr/sbin/mosquitto"] if Path(p).exists()), "")
 CONFIG = {
@@ -210,3 +213,11 @@ def test_a_broker_passes_on_what_phones_publish_while_others_are_not_there(walk:
         client.loop_stop()
     check(walk, record, track)
     assert "".join(server.said).count("trying again") == 2  # of the phones that are not there, once each
+
+
+def test_a_broker_over_websocket_is_refused_with_what_to_give_instead() -> None:
+    async def take(*_: Any, **__: Any) -> Answer:
+        raise AssertionError("nothing is sent")
+
+    with pytest.raises(MessageError, match=r"mqtt://HOST:PORT/TOPIC.*fall behind"):
+        Mqtt("ws://broker.local:9001/phones", take)

@@ -1,5 +1,5 @@
 "use strict";
-// What the events say, on the page. docs/live.md describes the events.
+// Shows the events of the server. docs/live.md describes them.
 
 const byId = id => document.getElementById(id);
 const COLOURS = {
@@ -8,7 +8,9 @@ const COLOURS = {
 const ON_DARK = { walking: "#56b4e9", upstairs: "#e08a3c", running: "#d77fae" }; // a contrast above 6
 const isDark = matchMedia("(prefers-color-scheme: dark)");
 const KEPT_S = 300; // of the charts
-const sessions = new Map(); // id: {about, path, now, fixes, history, origin}
+const SILENT_MS = 5000; // longer than any batch period and most holes in a network
+const LATE_STEP_S = 1.5; // until then a speed of zero may be a step that is found late
+const sessions = new Map(); // id: {about, path, now, fixes, history, origin, heardAt}
 let shown = "";
 let charts = null;
 
@@ -23,6 +25,7 @@ const handlers = {
   session(event) {
     const isNew = !sessions.get(event.id)?.about.id, known = session(event.id);
     known.about = event;
+    known.heardAt = performance.now() - 1000 * (event.silent_s ?? 0);
     // a phone that comes back with a new session is still the phone that somebody looks at
     if (isNew && sessions.get(shown)?.about.device === event.device) shown = event.id;
     known.origin = event.origin;
@@ -46,7 +49,8 @@ const handlers = {
     known.now = event;
     known.history.push(event);
     while (known.history.length && known.history[0].time_s < event.time_s - KEPT_S) known.history.shift();
-    if (event.received_unix_s) known.delay_s = Date.now() / 1000 - event.received_unix_s;
+    known.heardAt = performance.now() - 1000 * event.silent_s;
+    if (event.received_unix_s) known.delay_s = Math.max(Date.now() / 1000 - event.received_unix_s, 0);
   },
   fix(event) { // that somebody gave; those of the phone's locations are not shown
     const { fixes } = session(event.id);
@@ -62,14 +66,24 @@ const handlers = {
   },
 };
 
+const UUID = /^[0-9a-f]{8}-?([0-9a-f]{4}-?){3}[0-9a-f]{12}$/i;
+const nameOf = ({ about }, id) => {
+  const device = UUID.test(about.device) ? `phone ${about.device.slice(0, 4)}` : about.device;
+  const begun = about.begun_unix_s && new Date(1000 * about.begun_unix_s).toLocaleTimeString([], { hour: "2-digit", minute: "2-digit" });
+  return [device, UUID.test(about.session) ? begun : about.session].filter(Boolean).join(" · ").slice(0, 60) || id;
+};
+
 function list() {
-  const select = byId("session");
-  select.replaceChildren(...[...sessions].map(([id, known]) =>
-    new Option([known.about.device, known.about.session].filter(Boolean).join(" · ").slice(0, 60) || id, id)));
+  const select = byId("session"), names = [...sessions].map(([id, known]) => [id, nameOf(known, id)]);
+  const isNamedTwice = name => names.filter(other => other[1] === name).length > 1;
+  const options = names.map(([id, name]) => new Option(isNamedTwice(name) ? `${name} (${id.slice(-4)})` : name, id));
+  const listed = shownOptions => [...shownOptions].map(option => option.value + option.text).join();
+  if (listed(options) !== listed(select.options)) select.replaceChildren(...options); // an open list stays open
   if (!sessions.has(shown)) shown = [...sessions.keys()].at(-1) || "";
   select.value = shown;
-  for (const id of ["way", "numbers", "charts"]) byId(id).hidden = !shown;
+  for (const id of ["way", "numbers"]) byId(id).hidden = !shown;
   byId("empty").hidden = Boolean(shown);
+  if (!shown) byId("charts").hidden = true;
   draw();
 }
 
@@ -79,47 +93,76 @@ const largest = probabilities => {
   return known.length ? `${known[0][0]} ${Math.round(100 * known[0][1])} %` : "–";
 };
 
+// Without magnetometer or location the first heading takes the place of north.
+const hasNorth = known => ["fixes", "north"].includes(known.about.frame);
+const placeWords = (known, [east, north]) => {
+  const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
+  if (hasNorth(known)) return `${side(east, "east", "west")} and ${side(north, "north", "south")}${known.origin ? "" : " of the start"}`;
+  return `${side(north, "ahead", "behind")} and ${side(east, "to the right", "to the left")} of the start`;
+};
+const headingWords = (known, rad) => {
+  const degrees = (Math.round(rad * 180 / Math.PI) % 360 + 360) % 360;
+  if (hasNorth(known)) return `${degrees}°`;
+  return degrees > 180 ? `${360 - degrees}° left` : `${degrees}° right`;
+};
+const steadySpeeds = history => history.map(({ walking_speed_mps: speed, time_s }, i) => {
+  let k = i;
+  while (!speed && k > 0 && history[k - 1].time_s > time_s - LATE_STEP_S && !history[k].walking_speed_mps) k -= 1;
+  return speed || history[k].walking_speed_mps;
+});
+
+const duration = s => s < 100 ? `${Math.round(s)} s` : s < 6000 ? `${Math.round(s / 60)} min` : `${Math.round(s / 3600)} h`;
+function stateOf(known) {
+  const { about } = known, silentS = (performance.now() - known.heardAt) / 1000;
+  if (about.has_ended) return "This session has ended.";
+  if (about.refused) return `Not tracked: ${about.refused}. The samples are recorded.`;
+  const silent = 1000 * silentS > SILENT_MS ? `Silent for ${duration(silentS)}: the phone sends nothing, and all below is as it was then. ` : "";
+  return `${silent}${about.waits ? `Waiting: ${about.waits}.` : ""}`.trim();
+}
+
 function draw() {
   const known = sessions.get(shown);
   if (!known) return;
-  map.show(known);
-  const now = known.now;
+  map.show(known, hasNorth(known));
+  const now = known.now, state = stateOf(known), isLive = now && !state.startsWith("Silent") && !known.about.has_ended;
   byId("geojson").href = `sessions/${shown}/track.geojson`;
   byId("recording").href = `sessions/${shown}/recording.zip`;
   notes(known);
-  if (!now) return;
-  text("n_steps", String(now.n_steps));
-  text("distance", `${now.distance_m.toFixed(1)} m`);
-  text("speed", `${now.walking_speed_mps.toFixed(2)} m/s`);
-  const degrees = Math.round(((now.walking_heading_rad * 180 / Math.PI) % 360 + 360) % 360) % 360;
-  text("heading", `${degrees}°`);
-  text("std", now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
-  text("floor", String(now.floor));
-  text("context", largest(now.context_prob));
-  text("carrying", largest(now.carrying_prob));
-  text("latency", now.latency_s === null ? "–" : `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s`);
-  const [east, north] = now.position_m, n = now.provisional_steps.length;
-  const side = (v, above, below) => `${Math.abs(v).toFixed(1)} m ${v < 0 ? below : above}`;
+  text("state", state);
+  byId("state").hidden = !state;
+  byId("state").className = known.about.refused && !known.about.has_ended ? "wrong" : "";
+  const number = (id, words) => text(id, now ? words(now) : "–");
+  number("n_steps", () => String(now.n_steps));
+  number("distance", () => `${now.distance_m.toFixed(1)} m`);
+  text("speed", isLive ? `${(steadySpeeds(known.history).at(-1) ?? now.walking_speed_mps).toFixed(2)} m/s` : "–");
+  number("heading", () => headingWords(known, now.walking_heading_rad));
+  byId("heading_name").title = hasNorth(known) ? "Clockwise from north" : "Turned from the first heading: nothing shows where north is";
+  number("std", () => now.position_std_m === null ? "–" : `${now.position_std_m.toFixed(1)} m`);
+  number("floor", () => String(now.floor));
+  number("context", () => largest(now.context_prob));
+  number("carrying", () => largest(now.carrying_prob));
+  text("latency", isLive && now.latency_s !== null ? `${(now.latency_s + (known.delay_s || 0)).toFixed(1)} s` : "–");
+  const n = now ? now.provisional_steps.length : 0;
   const ahead = n ? `with ${n} ${n > 1 ? "steps" : "step"} that may still be none, dashed on the map` : "ahead of the last step, at the walking speed";
-  text("where", `At ${side(east, "east", "west")} and ${side(north, "north", "south")}${known.origin ? "" : " of the start"}${now.is_provisional ? `: provisional, ${ahead}` : ""}.`);
-  byId("rates").replaceChildren(...Object.entries(now.rates_hz).map(([name, rate]) => {
+  text("where", now ? `At ${placeWords(known, now.position_m)}${now.is_provisional ? `: provisional, ${ahead}` : ""}.` : "");
+  byId("rates").replaceChildren(...Object.entries(now ? now.rates_hz : {}).map(([name, rate]) => {
     const row = document.createElement("tr");
     for (const words of [name, rate === null ? "–" : rate.toFixed(0)]) row.insertCell().textContent = words;
     return row;
   }));
   const lost = known.about.n_lost_messages ? `, ${known.about.n_lost_messages} messages lost` : "";
-  text("gaps", `${now.n_gaps} gaps, ${now.lost_s.toFixed(1)} s without samples${lost}`);
+  text("gaps", now ? `${now.n_gaps} gaps, ${now.lost_s.toFixed(1)} s without samples${lost}` : "");
+  byId("charts").hidden = !known.history.length;
   drawCharts(known);
 }
 
 function notes(known) {
-  const words = [...(known.about.refused ? [known.about.refused] : []), ...(known.now ? known.now.notes : [])];
+  const words = [...(known.about.notes ?? []), ...(known.now ? known.now.notes : [])];
   const shownNow = [...byId("notes").children].map(item => item.textContent);
   if (words.join("\n") === shownNow.join("\n")) return;
-  byId("notes").replaceChildren(...words.map((note, i) => {
+  byId("notes").replaceChildren(...words.map(note => {
     const item = document.createElement("li");
     item.textContent = note;
-    if (i === 0 && known.about.refused) item.className = "wrong";
     return item;
   }));
 }
@@ -127,7 +170,7 @@ function notes(known) {
 function drawCharts(known) {
   const times = known.history.map(event => event.time_s);
   const contexts = Object.keys(COLOURS).map(name => known.history.map(event => event.context_prob[name] ?? null));
-  const speeds = known.history.map(event => event.walking_speed_mps);
+  const speeds = steadySpeeds(known.history);
   const width = byId("contexts").clientWidth;
   if (!width) return;
   if (!charts) {
@@ -151,6 +194,9 @@ function drawCharts(known) {
   }
 }
 
+new ResizeObserver(draw).observe(byId("charts"));
+setInterval(draw, 1000); // a silent phone brings no events
+
 isDark.addEventListener("change", () => {
   if (charts) for (const chart of Object.values(charts)) chart.destroy();
   charts = null;
@@ -162,10 +208,10 @@ const OUTCOMES = {
   "nothing to compare": "waits in vain: no step is there that it says something of",
 };
 
-function sayFix({ place: [east, north] }, { outcome, nis }) {
+function sayFix({ place }, { outcome, nis }) {
   const far = nis === null ? "it is of another time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
   byId("said").className = outcome === "rejected" ? "wrong" : "";
-  text("said", `Your fix at ${east.toFixed(1)} m east, ${north.toFixed(1)} m north ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
+  text("said", `Your fix at ${placeWords(sessions.get(shown), place)} ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
 }
 
 async function setHere(east, north) {
@@ -193,7 +239,11 @@ byId("nearer").addEventListener("click", () => map.zoom(1.4));
 byId("farther").addEventListener("click", () => map.zoom(1 / 1.4));
 byId("whole").addEventListener("click", () => map.whole());
 byId("map").addEventListener("followed", () => byId("follow").setAttribute("aria-pressed", String(map.follow)));
-byId("session").addEventListener("change", event => { shown = event.target.value; draw(); });
+byId("session").addEventListener("change", event => {
+  shown = event.target.value;
+  text("said", "");
+  draw();
+});
 byId("map").addEventListener("keydown", event => {
   const keys = { // and Leaflet's
     f: () => map.setFollow(true), w: () => map.whole(),

@@ -1,6 +1,7 @@
 "use strict";
-// The way as it grows: position with its 95 % ellipse, heading, steps that may still be none, fixes; over tiles if any.
+// Map of a growing way: position with its 95 % ellipse, heading, provisional steps and fixes, over tiles if any.
 
+const MARGIN = 20; // pixels between the way and the edge of the map
 const ELLIPSE_95 = Math.sqrt(5.991); // chi-square of two degrees of freedom
 
 class LiveMap extends PlaneMap {
@@ -17,12 +18,20 @@ class LiveMap extends PlaneMap {
     this.within = L.polygon([], { renderer: this.above, className: "within", weight: 1.2, opacity: 0.7, fillOpacity: 0.12 }).addTo(this.leaflet);
     this.fixes = L.layerGroup().addTo(this.leaflet);
     this.cross = L.DomUtil.create("div", "cross rejected middle", box);
+    this.isWhole = true; // the whole way stays in view until the user zooms or drags
     this.setFollow(true);
     this.setPlacing(false);
     this.leaflet.on("click", event => { if (this.placing) this.onPlace(...this.frame.place(event.latlng)); });
-    this.leaflet.on("dragstart", () => this.setFollow(false));
-    this.leaflet.on("zoomstart zoomend", event => { this.isZooming = event.type === "zoomstart"; });
-    box.addEventListener("keydown", event => { if (event.key.startsWith("Arrow")) this.setFollow(false); });
+    const leave = () => {
+      this.isWhole = false;
+      this.setFollow(false);
+    };
+    this.leaflet.on("dragstart", leave);
+    this.leaflet.on("zoomstart zoomend", event => {
+      this.isZooming = event.type === "zoomstart";
+      if (!this.isFitting) this.isWhole = false;
+    });
+    box.addEventListener("keydown", event => { if (event.key.startsWith("Arrow")) leave(); });
     const isDark = matchMedia("(prefers-color-scheme: dark)");
     isDark.addEventListener("change", () => this.paint());
     this.paint();
@@ -48,8 +57,22 @@ class LiveMap extends PlaneMap {
 
   whole() {
     if (!this.way?.path.length) return;
+    this.isWhole = true;
     this.setFollow(false);
-    this.fit([0, ...this.way.path.map(row => row[1])], [0, ...this.way.path.map(row => row[2])], 10);
+    this.fitting(() => this.fit(...this.reach(), 10));
+  }
+
+  fitting(change) {
+    this.isFitting = true;
+    change();
+    this.isFitting = false;
+  }
+
+  // East and north of the corners of the way, with the start and the position.
+  reach() {
+    const [east, north] = this.position, { path } = this.way;
+    const along = (k, ...more) => path.reduce(([low, high], row) => [Math.min(low, row[k]), Math.max(high, row[k])], [Math.min(0, ...more), Math.max(0, ...more)]);
+    return [along(1, east), along(2, north)];
   }
 
   get position() {
@@ -57,13 +80,31 @@ class LiveMap extends PlaneMap {
   }
 
   keepUp() {
-    if (!this.follow || this.isZooming) return;
+    if (this.isZooming || !this.way) return;
+    if (this.isWhole) this.fitting(() => this.showAll());
+    if (!this.follow) return;
     const place = this.at(...this.position), middle = this.leaflet.getSize().divideBy(2);
     if (this.leaflet.latLngToContainerPoint(place).distanceTo(middle) > 1) this.leaflet.panTo(place, { animate: false });
   }
 
-  show(way) {
+  // Zoom out where the way does not fit any more, by a fifth more than needed so that it happens rarely.
+  showAll() {
+    const [easts, norths] = this.reach(), middle = this.follow ? this.position : this.place();
+    const half = (values, at) => Math.max(...values.map(v => Math.abs(v - at)));
+    const { x, y } = this.leaflet.getSize();
+    const share = Math.min((x / 2 - MARGIN) / half(easts, middle[0]), (y / 2 - MARGIN) / half(norths, middle[1])) / this.scale;
+    if (share >= 1 || !(share > 0)) return;
+    if (this.follow) this.leaflet.setView(this.at(...middle), this.leaflet.getZoom() + Math.log2(0.8 * share), { animate: false });
+    else this.fit(easts, norths, 10);
+  }
+
+  show(way, hasNorth) {
+    if (way !== this.way) { // another phone: nothing of the view of the last one fits
+      this.isWhole = true;
+      this.fitting(() => this.leaflet.setView(this.at(0, 0), Math.log2(10), { animate: false }));
+    }
     this.way = way;
+    this.box.querySelector(".north").hidden = !hasNorth;
     this.lieOn(this.tiles && way.origin ? way.origin : "");
     this.keepUp();
     const { now, path } = way;
