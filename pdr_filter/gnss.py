@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from pdr_filter.values import RADIUS_68, FloatArray, Origin, PositionFix, Samples, repetition
+from pdr_filter.values import N_BEFORE, RADIUS_68, FloatArray, Origin, PositionFix, Samples, repeated_cov_m2
 
 # Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
 # laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
@@ -77,15 +77,13 @@ def position_fixes(
 def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
     """Fixes in the order of time for what takes their errors for independent, such as `pdr_filter.smooth`.
 
-    Each has its variance multiplied by its `values.repetition`.
+    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`).
     """
     found: list[PositionFix] = []
-    last_s = -math.inf
+    before: tuple[PositionFix, ...] = ()
     for fix in sorted(fixes, key=lambda f: f.time_s):
-        if fix.correlation_s > 0:
-            cov_m2, last_s = repetition(fix, last_s) * fix.cov_m2, fix.time_s
-            fix = replace(fix, cov_m2=cov_m2, correlation_s=0.0)
-        found.append(fix)
+        found.append(replace(fix, cov_m2=repeated_cov_m2(fix, before), correlation_s=0.0))
+        before = (*before, fix)[-N_BEFORE:] if fix.correlation_s > 0 else before
     return tuple(found)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from pdr_filter.filter.imm import ModeEstimates, Transition
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import N_STATES, MotionNoise, grow_over_gap
-from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, shared_cov
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, after_gap, shared_cov
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, FloatArray, Step, replace
 
@@ -31,7 +31,7 @@ def over_gap(before: PedestrianState, gap_s: float, noise: MotionNoise) -> tuple
     The gap's own growth stands for the time since the last step.
     """
     cov = grow_over_gap(before.cov, gap_s, noise)
-    after = replace(before, cov=cov, last_step_s=np.nan, speed=None, gap_s=before.gap_s + gap_s, gap_since_fix=True)
+    after = replace(after_gap(before), cov=cov, last_step_s=np.nan, speed=None, gap_s=before.gap_s + gap_s)
     stay = np.broadcast_to(np.eye(N_STATES), cov.shape)
     transition = Transition(np.eye(len(before.prob)), before.mean, before.mean, stay, cov - before.cov)
     known = ModeEstimates(before.mean, before.cov, before.prob)

@@ -23,7 +23,7 @@ from numpy.random import Generator
 
 from pdr_filter.filter.alignment import Alignment, Place, turned_cov
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
-from pdr_filter.values import ComplexArray, FloatArray, read_only, wrap_angle
+from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
@@ -229,13 +229,10 @@ def _complex(east_north_m: Sequence[FloatArray]) -> ComplexArray:
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
     """Covariance (N, N) of the errors of fixes along one axis."""
-    std, time_s = np.sqrt([p.var_m2 for p in pairs]), np.array([p.time_s for p in pairs])
-    correlation_s = np.array([p.correlation_s for p in pairs])
-    alike_s = np.minimum(correlation_s[:, None], correlation_s)
-    apart_s = np.abs(time_s[:, None] - time_s)
-    alike = np.exp(-apart_s / np.maximum(alike_s, 1e-9)) * (alike_s > 0)
-    np.fill_diagonal(alike, 1.0)
-    return std[:, None] * std * alike
+    var_m2 = np.array([p.var_m2 for p in pairs])
+    times_s, correlation_s = np.array([p.time_s for p in pairs]), np.array([p.correlation_s for p in pairs])
+    std_m = np.sqrt(var_m2)
+    return std_m[:, None] * std_m * error_correlation(times_s, correlation_s, var_m2)
 
 
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:

@@ -20,6 +20,7 @@ from pdr_filter.values.arrays import (
 from pdr_filter.values.checks import check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
+from pdr_filter.values.fix_errors import N_BEFORE, error_correlation, error_given_before, repeated_cov_m2
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -55,6 +56,7 @@ __all__ = [
     "CONTEXTS",
     "DECLINATION_STD_RAD",
     "HARDLY_AGREE",
+    "N_BEFORE",
     "RADIUS_68",
     "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
@@ -99,6 +101,8 @@ __all__ = [
     "check_transition_prob",
     "check_whole",
     "circular_mean",
+    "error_correlation",
+    "error_given_before",
     "frozen",
     "heading_from_yaw",
     "how_many",
@@ -108,6 +112,7 @@ __all__ = [
     "pickled",
     "read_only",
     "received_s",
+    "repeated_cov_m2",
     "repetition",
     "replace",
     "rigid_fit",
