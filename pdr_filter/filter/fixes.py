@@ -109,7 +109,7 @@ def _on_position(
             _with_used(after, fix, _place_at(after, fix.time_s)),
             cov=larger * after.cov,
             shared_m=np.zeros_like(state.shared_m),
-            doubt=Doubt(),
+            doubt=after.doubt.with_used(),
             n_fix_errors=n_errors,
             fix_squares=squares,
         )
@@ -166,7 +166,8 @@ def _on_known_frame(
         return after, outcome, nis
     pair, heading_var = _paired(state, fix, then_m)
     state = replace(state, doubt=state.doubt.with_rejected(pair))
-    alignment = state.doubt.alignment(heading_var, state.n_final, state.frame.alignment is not None)
+    can_turn = state.frame.alignment is not None
+    alignment = state.doubt.alignment(pair, heading_var, state.n_final, can_turn)
     if alignment is None:
         return state, outcome, nis
     # what was known of the heading is in the alignment
@@ -175,7 +176,7 @@ def _on_known_frame(
     state = in_other_frame(known, alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    pairs = [pair.moved(alignment) for pair in doubted]
+    pairs = [pair.moved(alignment.positions) for pair in doubted]
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
     return state, "moved", nis
 
@@ -263,7 +264,7 @@ def _on_first_positions(
         return _on_doubted_place(state, pair)
     if agreeing[-1] is not pair:
         return _on_doubted_place(replace(state, frame=frame), pair)
-    state = replace(state, doubt=Doubt())
+    state = replace(state, doubt=state.doubt.with_used())
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
     alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
@@ -271,7 +272,7 @@ def _on_first_positions(
     squares = least_squares_error(agreeing, frame.north_var_rad2)
     joined = {"frame": frame.joined(alignment), "n_fix_errors": n_free(agreeing), "fix_squares": squares}
     state = replace(in_other_frame(state, alignment), **joined)
-    pairs = [pair.moved(alignment) for pair in agreeing]
+    pairs = [pair.moved(alignment.positions) for pair in agreeing]
     state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
     return state, "turned", nis
 
@@ -283,7 +284,7 @@ def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
     track: it goes on from them, with its turn open.
     """
     state = replace(state, doubt=state.doubt.with_rejected(pair))
-    if not state.doubt.contradicts:
+    if not state.doubt.contradicts(pair):
         return state, "rejected", np.inf
     n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)
     joined = state.frame.joined(turn)

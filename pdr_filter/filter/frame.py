@@ -150,7 +150,7 @@ class Frame:
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
-        return replace(self, pairs=tuple(pair.moved(alignment) for pair in self.pairs))._turned()
+        return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._turned()
 
 
 START_FRAME = Frame(is_joined=True)

@@ -297,7 +297,6 @@ def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianSt
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
         shared_m=state.shared_m @ alignment.rotation.T,
         frame=state.frame.moved(alignment),
-        doubt=state.doubt.moved(alignment),
     )
 
 
@@ -308,7 +307,7 @@ def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], Fl
     used = (f if f.track_m is None else replace(f, track_m=read_only(positions(f.track_m))) for f in state.used_fixes)
     seen = state.seen
     seen = None if seen is None else replace(seen, track_m=read_only(positions(seen.track_m)))
-    return replace(state, trail=trail, used_fixes=tuple(used), seen=seen)
+    return replace(state, trail=trail, used_fixes=tuple(used), seen=seen, doubt=state.doubt.moved(positions))
 
 
 def after_gap(state: PedestrianState) -> PedestrianState:

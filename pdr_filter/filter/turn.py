@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -78,9 +78,9 @@ class PairedPoint:
     time_s: float = 0.0
     correlation_s: float = 0.0  # of the errors of fixes, see `PositionFix`
 
-    def moved(self, alignment: Alignment) -> PairedPoint:
-        """With the place of the track moved."""
-        return replace(self, track_m=read_only(alignment.positions(self.track_m)))
+    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
+        """Return the same pair with the place of the track moved by a function of positions (2,)."""
+        return replace(self, track_m=read_only(positions(self.track_m)))
 
 
 @dataclass(frozen=True, slots=True)
