@@ -74,16 +74,19 @@ def position_fixes(
     return LocationState(origin, last_s, state.n + len(rows), n_unusable), tuple(fixes)
 
 
-def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
-    """Fixes in the order of time for what takes their errors for independent, such as `pdr_filter.smooth`.
+def independent(fixes: Sequence[PositionFix], before: Sequence[PositionFix] = ()) -> tuple[PositionFix, ...]:
+    """Fixes in the given order for what takes their errors for independent, such as `pdr_filter.smooth`.
 
-    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`).
+    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`), of which some may have been
+    used already.
     """
-    found: list[PositionFix] = []
-    before: tuple[PositionFix, ...] = ()
-    for fix in sorted(fixes, key=lambda f: f.time_s):
-        found.append(replace(fix, cov_m2=repeated_cov_m2(fix, before), correlation_s=0.0))
-        before = (*before, fix)[-N_BEFORE:] if fix.correlation_s > 0 else before
+    found = list(fixes)
+    last = [fix for fix in before if fix.correlation_s > 0]
+    for k in sorted(range(len(found)), key=lambda k: fixes[k].time_s):
+        fix = fixes[k]
+        if fix.correlation_s > 0:
+            found[k] = replace(fix, cov_m2=repeated_cov_m2(fix, last), correlation_s=0.0)
+            last = [*last, fix][-N_BEFORE:]
     return tuple(found)
 
 

@@ -98,5 +98,9 @@ def _of_frame(state: State) -> Iterator[Note]:
 def _of_fixes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
         yield Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}")
+    n_frozen = state.tracker.pedestrian.n_frozen_fixes
+    if n_frozen:
+        words = f"{how_many(n_frozen, 'fix', 'fixes')} not used, because they repeat the last position while steps go "
+        yield Note("fixes", words + "on: the app has probably lost GNSS")
     if state.finished and state.waiting_fixes:
         yield Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")

@@ -10,6 +10,7 @@ import numpy as np
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
+from pdr_filter.filter.frozen import seen_after
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
@@ -53,7 +54,8 @@ def use_fix(
 ) -> _Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
-    A fix that no filter can explain, or that is older than the remembered steps, is rejected. Where the frame of the
+    A fix that no filter can explain, or that is older than the remembered steps, is rejected; one that repeats a
+    position while steps go on is frozen. Where the frame of the
     fixes is not known, the first position fix places the track in it, and those that follow turn it.
     `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
     """
@@ -70,6 +72,10 @@ def use_fix(
         return state, "rejected", np.inf
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
+    seen = seen_after(state.seen, fix, then[:2], float(state.prob @ state.walked_m))
+    state = replace(state, seen=seen, n_frozen_fixes=state.n_frozen_fixes + seen.is_frozen)
+    if seen.is_frozen:
+        return state, "frozen", np.nan
     fix = _after_gap(model, state, fix)
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, then[:2])

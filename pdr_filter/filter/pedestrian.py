@@ -13,6 +13,7 @@ from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, Place, moved
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.frame import Frame
+from pdr_filter.filter.frozen import SeenPlace
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -103,16 +104,6 @@ class UsedFix:
 
     fix: PositionFix
     track_m: FloatArray | None  # (2,)
-
-
-@dataclass(frozen=True, eq=False)
-class SeenPlace:
-    """The last position that a fix gave for the first time, and where the track was then."""
-
-    position_m: FloatArray  # (2,)
-    track_m: FloatArray  # (2,)
-    walked_m: float  # of all steps until then
-    is_frozen: bool = False  # whether fixes repeated it while steps went on
 
 
 @dataclass(frozen=True, eq=False)

@@ -318,7 +318,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "frozen", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,6 +331,7 @@ class FixResult:
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
     # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
     # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
+    # "frozen": it repeats the last position exactly while steps go on, as apps do when they have lost GNSS;
     # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where

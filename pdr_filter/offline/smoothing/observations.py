@@ -30,6 +30,16 @@ class LoopClosure:
             raise ValueError(f"a loop closure needs first_s < second_s and std_m > 0, got {self}")
 
 
+# Least way between the two times of a loop closure: so many of its standard deviations, and a few steps, since each
+# time is moved to the nearest contact. On a shorter way the pedestrian is near in any case.
+_CLOSURE_STDS, _CLOSURE_M = 3.0, 3.0
+
+
+def says_nothing(closure: LoopClosure, walked_m: float) -> bool:
+    """True if a loop closure carries no information, given the distance walked between its two times."""
+    return walked_m <= max(_CLOSURE_STDS * closure.std_m, _CLOSURE_M)
+
+
 @dataclass(frozen=True, slots=True)
 class KnownHeading:
     """The direction from where the pedestrian was at one time to where he was at another: a corridor's.
