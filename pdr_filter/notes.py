@@ -84,6 +84,9 @@ def _of_frame(state: State) -> Iterator[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         yield Note("fixes", words)
+    if frame.is_north_wrong:
+        words = "position fixes contradict a heading fix before them, which is not used any more: check its time, its "
+        yield Note("fixes", words + "unit (rad) and its zero (north, clockwise)")
     if frame.moves:
         far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
         words = (

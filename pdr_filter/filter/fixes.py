@@ -272,10 +272,10 @@ def _on_first_positions(
         return _on_doubted_place(replace(state, frame=frame), pair)
     state = replace(state, doubt=state.doubt.with_used())
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
+    alignment = align(half, state.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
-    squares = least_squares_error(agreeing, frame.north_var_rad2)
+    squares = least_squares_error(agreeing, frame.turn_prior_var_rad2)
     joined = {"frame": frame.joined(alignment), "n_fix_errors": n_free(agreeing), "fix_squares": squares}
     state = replace(in_other_frame(state, alignment), **joined)
     pairs = [pair.moved(alignment.positions) for pair in agreeing]

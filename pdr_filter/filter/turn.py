@@ -317,6 +317,12 @@ def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = ma
     return float(_fitted(pairs, north_var_rad2).squares.min())
 
 
+def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
+    """Squares that the best shift and turn of the agreeing pairs leave, and the limit of the gate for each other."""
+    n_left_out = len(pairs) - len(agreeing)
+    return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)
+
+
 def agreement_limit(n_free: int) -> float:
     """Chi-square that one in a thousand sets of good fixes exceeds."""
     from scipy.special import chdtri  # which takes as long to load as all the rest of a filter
