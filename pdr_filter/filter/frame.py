@@ -24,6 +24,9 @@ from pdr_filter.filter.turn import (
 )
 from pdr_filter.values import Origin, wrap_angle
 
+# One in twenty right headings conflicts more with the positions: the turn stays open until these decide.
+_UNSURE = 3.84
+
 
 @dataclass(frozen=True, eq=False)
 class Frame:
@@ -36,7 +39,7 @@ class Frame:
     turn: OpenTurn | None = None  # from the first of them on, as they show it
     compass: Compass | None = None  # until it is
     north_var_rad2: float = math.inf  # of the turn before any position fix: infinite if it may be anything
-    is_north_wrong: bool = False  # True while the positions contradict that: a heading fix was wrong
+    north_conflict: float = 0.0  # by how much the squared errors of the positions are smaller without that
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before the position fixes
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     later: tuple[Alignment, ...] = ()  # how frames after a lost heading became it, and how fixes moved the track
@@ -70,6 +73,14 @@ class Frame:
     def _open(self) -> OpenTurn | None:
         """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
         return None if self.turn is None else self.turn.with_compass(self.compass)
+
+    @property
+    def is_north_wrong(self) -> bool:
+        """True while the positions contradict what was known of the turn before them: a heading fix was wrong.
+
+        A wrong heading costs as much as an outlier at the limit of its gate, and so does each position left out.
+        """
+        return self.north_conflict > agreement_limit(1)
 
     @property
     def turn_prior_var_rad2(self) -> float:
@@ -133,13 +144,13 @@ class Frame:
         # what is known of a place from before is no fix among others: see `doubt` for when it is wrong
         n_sure = 1 if self.since else 0
         agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure)
-        found = replace(self, agreeing=agreeing, turn=turn, is_north_wrong=False)
+        found = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
         if math.isinf(self.north_var_rad2):
             return found
-        # a wrong heading costs as much as an outlier at the limit of its gate, and so does each position left out
         others, free = agreed_turn(self.pairs, math.inf, n_sure)
         gained = disagreement(self.pairs, agreeing, self.north_var_rad2) - disagreement(self.pairs, others, math.inf)
-        return replace(found, agreeing=others, turn=free, is_north_wrong=True) if gained > agreement_limit(1) else found
+        found = replace(found, north_conflict=gained)
+        return replace(found, agreeing=others, turn=free) if found.is_north_wrong else found
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
@@ -153,9 +164,11 @@ class Frame:
 
     @property
     def is_narrow(self) -> bool:
-        """True if positions and compass leave little doubt of the turn, with or without a heading fix before them."""
+        """True if positions and compass leave little doubt of the turn, and agree with a heading fix before them."""
         known = self._open
         if known is not None and self.turn_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
+            if self.north_conflict > _UNSURE:
+                return False
             known = open_turn(self.agreeing).with_compass(self.compass)
         return known is not None and known.is_narrow
 
@@ -171,7 +184,7 @@ class Frame:
             north=self.north,
             alignment=self.alignment,
             later=self.later,
-            is_north_wrong=self.is_north_wrong,
+            north_conflict=self.north_conflict,
         )
         if self.since == 0:
             return replace(frame, alignment=alignment)
