@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,12 +291,14 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 
 # What a filter takes besides samples.
 Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill
+AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
-def check_several(fixes: object) -> None:
-    """ValueError for one fix where there may be several."""
+def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
+    """Fixes of any iterable, an iterator among them, as a tuple; ValueError for one fix where there may be several."""
     if isinstance(fixes, Fix):
         raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
+    return tuple(fixes)
 
 
 def check_fix(fix: object, has_plan: bool) -> None:

@@ -6,7 +6,7 @@ window begins. Positions are therefore in the frame of the fixes, and a wild fix
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -20,7 +20,7 @@ from pdr_filter.offline.smoothing.observations import LoopClosure, Observations,
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
-from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, read_only, step_table, wrap_angle
+from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, all_fixes, read_only, step_table, wrap_angle
 
 # So many steps that left the window are remembered as places to come back to: three hours of walking, 2.5 MB.
 _MAX_PLACES = 20_000
@@ -133,10 +133,10 @@ class FixedLagSmoother:
     def step(
         self,
         state: FixedLagState,
-        updates: Sequence[StepUpdate],
-        fixes: Sequence[PositionFix] = (),
+        updates: Iterable[StepUpdate],
+        fixes: Iterable[PositionFix] = (),
         gap_before_s: float = 0.0,
-        loop_closures: Sequence[LoopClosure] = (),
+        loop_closures: Iterable[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """New state and the steps that became `lag_s` old.
 
@@ -162,10 +162,11 @@ class FixedLagSmoother:
         self,
         state: FixedLagState,
         steps: Increments,
-        fixes: Sequence[PositionFix] = (),
-        loop_closures: Sequence[LoopClosure] = (),
+        fixes: Iterable[PositionFix] = (),
+        loop_closures: Iterable[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """`step` for steps whose increments are known."""
+        fixes, loop_closures = all_fixes(fixes), tuple(loop_closures)
         late: tuple[PositionFix | LoopClosure, ...] = tuple(f for f in fixes if f.time_s < state.start_s)
         is_late = [c.second_s < state.start_s or _is_forgotten(state, c) for c in loop_closures]
         late += tuple(compress(loop_closures, is_late))

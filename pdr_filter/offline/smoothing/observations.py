@@ -12,7 +12,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
-from pdr_filter.values import BoolArray, PositionFix, check_fix, check_several
+from pdr_filter.values import BoolArray, PositionFix, check_fix
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 
@@ -106,7 +106,6 @@ def check_options(
     anchor_interval_s: float,
 ) -> None:
     """ValueError for what `smooth` cannot use."""
-    check_several(fixes)
     for fix in fixes:
         if has_plan:
             check_fix(fix, has_plan)

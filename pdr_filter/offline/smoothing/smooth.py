@@ -6,7 +6,7 @@ GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -55,6 +55,7 @@ from pdr_filter.values import (
     IntArray,
     PositionFix,
     Table,
+    all_fixes,
     pickled,
     read_only,
     table,
@@ -114,13 +115,13 @@ class Smoothed:
 
 def smooth(
     recording: Recording,
-    fixes: Sequence[Fix] = (),
+    fixes: Iterable[Fix] = (),
     calibration: Calibration | str | Path | None = None,
     *,
     config: Config | None = None,
-    loop_closures: Sequence[LoopClosure] | Literal["wifi"] = (),
-    known_headings: Sequence[KnownHeading] = (),
-    floor_changes: Sequence[FloorChange] = (),
+    loop_closures: Iterable[LoopClosure] | Literal["wifi"] = (),
+    known_headings: Iterable[KnownHeading] = (),
+    floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 10.0,
     plan: FloorPlan | None = None,
@@ -170,6 +171,8 @@ def smooth(
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True
     """
+    fixes, known_headings, floor_changes = all_fixes(fixes), tuple(known_headings), tuple(floor_changes)
+    loop_closures = loop_closures if isinstance(loop_closures, str) else tuple(loop_closures)
     if plan is not None and (loop_closures or known_headings or floor_changes or start_heading_std_rad is not None):
         raise ValueError(
             "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
@@ -189,7 +192,7 @@ def smooth(
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
     places = [fix for fix in fixes if isinstance(fix, PositionFix)]
-    observed = Observations(tuple(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    observed = Observations(tuple(places), tuple(loop_closures), known_headings, floor_changes)
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     if not (fixes or loop_closures or known_headings) and start_heading_std_rad is None:
