@@ -411,7 +411,7 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
     ]
     found = calibrate_segments(segments)
     assert type(found.models["walking"]) is type(model)
-    assert any(f"walking by {name}, the best of 5 forms" in note for note in found.notes)
+    assert any(f"walking by {name} (5 forms" in note and "clearly better than" in note for note in found.notes)
     assert "6 recordings" in found.report()
     few = calibrate_segments(segments[:29])
     in_one = calibrate_segments([replace(s, recording="r") for s in segments])
