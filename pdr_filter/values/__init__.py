@@ -17,7 +17,7 @@ from pdr_filter.values.arrays import (
     read_only,
     table,
 )
-from pdr_filter.values.checks import check_numbers
+from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fix_errors import N_BEFORE, error_correlation, error_given_before, repeated_cov_m2
@@ -91,12 +91,14 @@ __all__ = [
     "Windows",
     "address_text",
     "all_fixes",
+    "are_numbers",
     "as_floats",
     "as_plain",
     "check_columns",
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_number",
     "check_numbers",
     "check_transition_prob",
     "check_whole",

@@ -20,7 +20,16 @@ from pdr_filter.offline.smoothing.observations import LoopClosure, Observations,
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
-from pdr_filter.values import N_BEFORE, FloatArray, PositionFix, all_fixes, read_only, step_table, wrap_angle
+from pdr_filter.values import (
+    N_BEFORE,
+    FloatArray,
+    PositionFix,
+    all_fixes,
+    check_numbers,
+    read_only,
+    step_table,
+    wrap_angle,
+)
 
 # So many steps that left the window are remembered as places to come back to: three hours of walking, 2.5 MB.
 _MAX_PLACES = 20_000
@@ -117,11 +126,7 @@ class FixedLagSmoother:
     anchor_interval_s: float = 10.0
 
     def __post_init__(self) -> None:
-        if self.lag_s < 0 or self.anchor_interval_s <= 0 or self.start_std_m <= 0:
-            raise ValueError(
-                f"lag_s must not be negative, anchor_interval_s and start_std_m must be positive, got {self.lag_s}, "
-                f"{self.anchor_interval_s}, {self.start_std_m}"
-            )
+        check_numbers(self, zero=("lag_s", "memory_s"))
 
     def init(self) -> FixedLagState:
         """Nothing walked yet."""
