@@ -19,7 +19,7 @@ _NUMBERS = re.compile(r"(tuple\[)?(float|int)\b[^|]*")  # as fields are declared
 
 def are_numbers(*values: Any) -> bool:
     """True if all values are finite real numbers; a string of digits and a truth value are none."""
-    return all(isinstance(v, Real) and type(v) is not bool and isfinite(v) for v in values)
+    return all(not isinstance(v, bool) and isinstance(v, Real) and isfinite(v) for v in values)
 
 
 def check_number(name: str, value: Any, least: float, largest: float, remedy: str) -> None:
