@@ -18,7 +18,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 from pdr_filter.filter.alignment import Alignment
-from pdr_filter.filter.turn import PairedPoint, agreement_limit, align, least_squares_error
+from pdr_filter.filter.turn import PairedPoint, agreement_limit, align, least_squares_error, thinned
 from pdr_filter.values import FloatArray
 
 # T: somebody who walks leaves a reflection behind after some tens of seconds.
@@ -123,10 +123,7 @@ def _thinned(pairs: tuple[PairedPoint, ...]) -> tuple[PairedPoint, ...]:
     times_s = [pair.time_s for pair in pairs]
     while len(pairs) > _MIN_DOUBTS and times_s[-1] - times_s[1] >= 2.0 * PATIENCE_S:
         pairs, times_s = pairs[1:], times_s[1:]
-    if len(pairs) <= MAX_DOUBTS:
-        return pairs
-    densest = min(range(1, len(pairs) - 1), key=lambda k: times_s[k + 1] - times_s[k - 1])
-    return (*pairs[:densest], *pairs[densest + 1 :])
+    return thinned(pairs, MAX_DOUBTS)
 
 
 def _agree(pairs: Sequence[PairedPoint]) -> bool:

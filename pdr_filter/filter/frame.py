@@ -21,6 +21,7 @@ from pdr_filter.filter.turn import (
     align,
     disagreement,
     open_turn,
+    thinned,
 )
 from pdr_filter.values import Origin, wrap_angle
 
@@ -133,9 +134,8 @@ class Frame:
         return replace(self, turn=self._open.most_probable(), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
-        """With one more pair: the first of them and the latest are kept."""
-        pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
-        return replace(self, pairs=pairs)._turned()
+        """With one more pair."""
+        return replace(self, pairs=thinned((*self.pairs, pair), MAX_PAIRS))._turned()
 
     def _turned(self) -> Frame:
         """With what the pairs say of the turn."""

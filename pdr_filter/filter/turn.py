@@ -29,7 +29,7 @@ from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_
 MAX_ANGLE_STD_RAD = 0.26
 
 
-# Fixes that are remembered for it; of more, the first and the last ones.
+# Fixes that are remembered for it; of more, those at the most even intervals.
 MAX_PAIRS = 24
 
 
@@ -81,6 +81,15 @@ class PairedPoint:
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
         """Return the same pair with the place of the track moved by a function of positions (2,)."""
         return replace(self, track_m=read_only(positions(self.track_m)))
+
+
+def thinned(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
+    """At most so many pairs in the order of time, at the most even intervals, with the first and the last one."""
+    while len(pairs) > most:
+        times_s = [pair.time_s for pair in pairs]
+        densest = min(range(1, len(pairs) - 1), key=lambda k: times_s[k + 1] - times_s[k - 1])
+        pairs = (*pairs[:densest], *pairs[densest + 1 :])
+    return pairs
 
 
 @dataclass(frozen=True, slots=True)

@@ -144,7 +144,7 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
 
 
 def test_impossible_times_are_refused() -> None:
-    with pytest.raises(ValueError, match="must not be negative"):
+    with pytest.raises(ValueError, match="lag_s of FixedLagSmoother must be 0 or more"):
         FixedLagSmoother((), NOISE, lag_s=-1.0)
 
 
