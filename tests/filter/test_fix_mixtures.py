@@ -14,7 +14,7 @@ import pdr_filter as pdr
 from pdr_filter.filter.frozen import frozen_fixes
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filtering import MAX_FIX_AGE_S
-from pdr_filter.simulate import Leg, SensorErrors, simulate
+from pdr_filter.simulate import Gait, Leg, SensorErrors, simulate
 from pdr_filter.values import HeadingFix, PositionFix, Samples
 
 STD_M = 3.0
@@ -34,8 +34,8 @@ def walk() -> SensedWalk:
 
 @pytest.fixture(scope="module")
 def poor_walk() -> SensedWalk:
-    """A stranger with a cheap gyroscope: dead reckoning alone is soon off by metres."""
-    made = simulate(rounds(3), errors=SensorErrors.bmi160(), seed=5)
+    """A stranger with long steps and a cheap gyroscope: dead reckoning alone is soon off by metres."""
+    made = simulate(rounds(3), Gait(length_factor=1.2), errors=SensorErrors.bmi160(), seed=5)
     return SensedWalk(replace(made, meta={**made.meta, "subject": {}}))
 
 
@@ -113,7 +113,7 @@ def test_where_a_share_of_the_fixes_is_wrong_the_track_is_better_than_dead_recko
     for seed in range(12):
         fixes = mixture(poor_walk, np.random.default_rng(seed), has_wrong=True)
         found_m = poor_walk.errors_m(poor_walk.tracked(fixes, poor_walk.config))
-        assert np.sqrt(np.mean(found_m**2)) < max(np.sqrt(np.mean(alone_m**2)), STD_M)
+        assert np.sqrt(np.mean(found_m**2)) < np.sqrt(np.mean(alone_m**2))
 
 
 @pytest.mark.parametrize("constants_s", [(20.0,), (20.0, 12.0), (300.0, 20.0)])
@@ -156,8 +156,10 @@ def test_a_hundred_consistent_fixes_leave_the_covariance_of_a_kalman_filter() ->
 
 @pytest.mark.parametrize(
     ("interval_s", "n_wrong"),
-    [(0.2, 10), (0.5, 3), (1.0, 1), (1.0, 10), (4.9, 3), (5.0, 3), (5.5, 3), (5.5, 5), (6.0, 3), (6.3, 3), (10.0, 5)]
-    + [(20.0, 1), (20.0, 5), (40.0, 3), (60.0, 2)],
+    [
+        *((0.2, 10), (0.5, 3), (1.0, 1), (1.0, 10), (4.9, 3), (5.0, 3), (5.5, 3), (5.5, 5)),
+        *((6.0, 3), (6.3, 3), (10.0, 5), (20.0, 1), (20.0, 5), (40.0, 3), (60.0, 2)),
+    ],
 )
 def test_wrong_first_fixes_are_outlived_at_any_interval(walk: SensedWalk, interval_s: float, n_wrong: int) -> None:
     fixes = every(walk, interval_s, np.random.default_rng(n_wrong), jitter=0.3 if n_wrong == 5 else 0.0)
