@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -395,6 +397,22 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
     found = calibrate_segments(segments, {"walking": weak_prior(model)})
     regressors = model.regressors(TYPICAL_STEP)
     assert regressors @ found.k["walking"] == pytest.approx(regressors @ k, rel=0.02)
+
+
+@pytest.mark.parametrize(("errors", "name"), [((3.00, 2.99, 5.0), "bounce"), ((3.0, 2.0, 5.0), "eq12")])
+def test_another_form_is_chosen_only_if_it_is_clearly_better(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str
+) -> None:
+    def held_out(some: Sequence[Any], priors: Mapping[str, Any], *_: object) -> tuple[dict[str, Any], Any]:
+        each = (*errors, *[max(errors)] * len(priors))
+        return {n: np.full(len(some), e / 100) for n, e in zip(priors, each, strict=False)}, np.ones(len(some), bool)
+
+    monkeypatch.setattr(forms, "left_out_errors", held_out)
+    rng = np.random.default_rng(1)
+    walked = [segment(rng, KimStepLength(), np.array([0.55]), f"p{i % 8}") for i in range(40)]
+    found, (note,) = forms.best_form(walked, forms.forms_of(), "gnc", 0.025)
+    assert found == name
+    assert "clearly better" in note
 
 
 @pytest.mark.parametrize(
