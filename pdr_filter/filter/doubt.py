@@ -33,9 +33,6 @@ PATIENCE_S = LOG_ODDS_BEFORE * EPISODE_S
 MAX_DOUBTS = 12
 # Any two of them agree after a rigid shift, or nearly.
 _MIN_DOUBTS = 3
-# So many fixes must be rejected for each one that is used meanwhile: of two sources that contradict each other none
-# moves the track to and fro.
-_REJECTED_PER_USED = 3
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -44,9 +41,7 @@ class Doubt:
 
     pairs: tuple[PairedPoint, ...] = ()
     rival: tuple[PairedPoint, ...] = ()
-    n_rejected: int = 0
-    n_used: int = 0  # fixes that the track explains, since the first rejected one
-    n_used_last: int = 0  # of these, since the last rejected one
+    is_used_last: bool = False  # True if the track explains the last fix
 
     def moved(self, positions: Callable[[FloatArray], FloatArray]) -> Doubt:
         """Return the same doubt with the places of the track moved by a function of positions (..., 2)."""
@@ -62,7 +57,7 @@ class Doubt:
         The fix joins the pairs if it agrees with them, else the rival, else it starts a new rival. A rival of three
         changes places with the pairs: a fix far from all others never makes the pairs forgotten.
         """
-        later = replace(self, n_rejected=self.n_rejected + 1, n_used_last=0)
+        later = replace(self, is_used_last=False)
         if _agree((*self.pairs, pair)):
             return replace(later, pairs=_thinned((*self.pairs, pair)))
         rival = _thinned((*self.rival, pair)) if _agree((*self.rival, pair)) else (pair,)
@@ -71,10 +66,13 @@ class Doubt:
         return replace(later, pairs=rival, rival=self.pairs)
 
     def with_used(self) -> Doubt:
-        """Return the doubt after a used fix: none if two fixes in a row are used, or if few were rejected."""
-        if len(self.pairs) < _MIN_DOUBTS or self.n_used_last:
+        """Return the doubt after a used fix: none if two fixes in a row are used, or if few were rejected.
+
+        Of two sources that contradict each other in turn, none moves the track to and fro.
+        """
+        if len(self.pairs) < _MIN_DOUBTS or self.is_used_last:
             return Doubt()
-        return replace(self, n_used=self.n_used + 1, n_used_last=1)
+        return replace(self, is_used_last=True)
 
     def explains(self, pair: PairedPoint) -> bool:
         """True if one more fix is where two or more of them show it: then it need not be where the track does."""
@@ -106,8 +104,6 @@ class Doubt:
     def _lasts(self, last: PairedPoint) -> bool:
         """True if that the track is off is more probable than that the fixes up to the last one are off together."""
         if self.pairs[-1] is not last or len(self.pairs) < _MIN_DOUBTS:
-            return False
-        if self.n_rejected < _REJECTED_PER_USED * self.n_used:
             return False
         return self.pairs[-1].time_s - self.pairs[0].time_s >= PATIENCE_S
 

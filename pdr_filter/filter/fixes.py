@@ -54,7 +54,7 @@ def use_fix(
 ) -> _Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
-    A fix that no filter can explain, or that is older than the remembered steps, is rejected; one that repeats a
+    A fix that no filter can explain, or that is older than the remembered steps, is rejected. One that repeats a
     position while steps go on is frozen. Where the frame of the
     fixes is not known, the first position fix places the track in it, and those that follow turn it.
     `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.

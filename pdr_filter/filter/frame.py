@@ -145,7 +145,7 @@ class Frame:
         n_sure = 1 if self.since else 0
         agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure)
         found = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
-        if math.isinf(self.north_var_rad2):
+        if self.is_open:
             return found
         others, free = agreed_turn(self.pairs, math.inf, n_sure)
         gained = disagreement(self.pairs, agreeing, self.north_var_rad2) - disagreement(self.pairs, others, math.inf)
