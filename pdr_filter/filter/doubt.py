@@ -21,7 +21,7 @@ from pdr_filter.filter.alignment import Alignment
 from pdr_filter.filter.turn import PairedPoint, agreement_limit, align, least_squares_error, thinned
 from pdr_filter.values import FloatArray
 
-# T: somebody who walks leaves a reflection behind after some tens of seconds.
+# T: a pedestrian leaves a reflection behind after some tens of seconds.
 EPISODE_S = 20.0
 # Fixes are off together about every ten minutes in a street, a track about once in five hours of walking: in 1 of 10
 # recordings there is a ride, or a wrong start.

@@ -1,4 +1,4 @@
-"""What a fix of position, heading or speed, or a standstill, does to what a filter knows."""
+"""Measurement updates of the filter by fixes of position, heading and speed, and by standstills."""
 
 from __future__ import annotations
 
@@ -83,7 +83,7 @@ def use_fix(
 
 
 def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix) -> PositionFix:
-    """What a fix from before the end of a gap says of the place there: anything may have been walked since."""
+    """Return a fix from before the end of a gap with a larger covariance, as the way since then is unknown."""
     if state.gap_s == 0.0 or len(state.trail) == 0:
         return fix
     into_gap_s = max(fix.time_s - float(state.trail[-1, TRAIL_TIME]), 0.0)
@@ -176,7 +176,7 @@ def _on_known_frame(
     alignment = state.doubt.alignment(pair, heading_var, state.n_final, can_turn)
     if alignment is None:
         return state, outcome, nis
-    # what was known of the heading is in the alignment
+    # the alignment contains the prior of the heading already
     doubted = state.doubt.pairs
     known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
     state = in_other_frame(known, alignment)
@@ -203,7 +203,7 @@ def _on_heading(
     frame, var = state.frame, fix.std_rad**2
     if frame.is_open:
         angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
-        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # of the fix against what is known before
+        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the turn
         about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
         turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.n_final, frame.since)
         state = in_other_frame(state, turn)

@@ -12,7 +12,7 @@ from pdr_filter.values import FloatArray, PositionFix, read_only, replace
 # Displacement over walked distance of dead reckoning since a position was new, from which its repetition is wrong. A
 # closed walk that returns to a surveyed point ends nearer to it: its heading would have to be off by tens of degrees.
 _MOVED_SHARE = 0.3
-# Least displacement: of a step or two nobody knows whether they were walked.
+# Least displacement, because a step or two may be false detections.
 _MIN_MOVED_M = 2.0
 
 

@@ -285,7 +285,7 @@ def test_fixes_that_repeat_the_last_position_do_not_hold_somebody_who_walks(
 def test_a_closed_walk_may_end_at_the_very_position_where_it_began(walk: SensedWalk) -> None:
     recording = simulate(rounds(1), seed=2)
     once = SensedWalk(recording)
-    same = [PositionFix(t, (0.0, 0.0), 0.25 * np.eye(2)) for t in (1.0, once.end_s - 1.0)]
+    same = [PositionFix(t, np.zeros(2), 0.25 * np.eye(2)) for t in (1.0, once.end_s - 1.0)]
     assert once.tracked(same, once.config).outcomes == ("used", "used")
     # and somebody who stands may be told the same position again and again
     assert frozen_fixes(same, np.array([0.0, 90.0]), np.zeros((2, 2)), np.zeros(2)) == [False, False]

@@ -44,7 +44,7 @@ def test_independent_fixes_share_nothing_and_correlated_ones_at_most_the_error_o
 
 def fixes_of(times: list[float], correlation_s: list[float], covs: list[np.ndarray]) -> list[PositionFix]:
     rows = zip(times, correlation_s, covs, strict=True)
-    return [PositionFix(t, (0.0, 0.0), cov, correlation_s=c) for t, c, cov in rows]
+    return [PositionFix(t, np.zeros(2), cov, correlation_s=c) for t, c, cov in rows]
 
 
 def test_what_is_left_of_an_error_is_uncorrelated_with_those_before() -> None:
