@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -21,7 +21,7 @@ from pdr_filter.recording_run import collected, default_config, outputs, track
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.tracks import Track
-from pdr_filter.values import Fix, FloatArray, HeadingFix, all_fixes, read_only, wrap_angle
+from pdr_filter.values import Fix, FloatArray, HeadingFix, read_only, wrap_angle
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ def knowing_the_device(recording: Recording, config: Config) -> Config:
     return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))
 
 
-def in_hindsight(recording: Recording, config: Config | None = None, fixes: Iterable[Fix] = ()) -> Hindsight:
+def in_hindsight(recording: Recording, config: Config | None = None, fixes: Sequence[Fix] = ()) -> Hindsight:
     """The track of `pdr_filter.track`, every row with what the whole recording says of its step.
 
     Positions, covariances and mode probabilities are smoothed, with the evidence of `Config.in_hindsight`; step lengths
@@ -56,7 +56,7 @@ def in_hindsight(recording: Recording, config: Config | None = None, fixes: Iter
     stay as they are. `fixes` are in the frame of the track, or with `config.in_world_frame()` positions in any frame,
     and so is the track then; a late one is used when it came, as by the filter.
     """
-    recording, fixes = one_clock(recording, all_fixes(fixes))
+    recording, fixes = one_clock(recording, fixes)
     config = config or default_config(recording)
     if not config.model.frame.is_joined and any(isinstance(fix, HeadingFix) for fix in fixes):
         raise ValueError(
