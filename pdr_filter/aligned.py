@@ -12,6 +12,7 @@ import numpy as np
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import walked_var_m2
 from pdr_filter.filter.frame import Frame
+from pdr_filter.filter.frozen import frozen_fixes
 from pdr_filter.filter.height import HeightState
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.turn import PairedPoint, agreed_turn, align, centre_weights
@@ -30,6 +31,7 @@ class _Way:
 
     time_s: FloatArray  # (K + 1,)
     position_m: FloatArray  # (K + 1, 2) in the frame of the start
+    walked_m: FloatArray  # (K + 1,)
     walked_var_m2: FloatArray  # (K + 1,)
 
     @classmethod
@@ -38,6 +40,7 @@ class _Way:
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),
             np.vstack([np.zeros((1, 2)), *places]),
+            np.array([0.0, *(update.walked_m for update in updates)]),
             np.array([0.0, *var_m2]),
         )
 
@@ -70,12 +73,17 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
     finals = [update for update in whole.updates if update.is_final]
     if fixes:
         way = _Way.of(report.first_time_s, finals, var_m2)
+        frozen = frozen_fixes(fixes, way.time_s, way.position_m, way.walked_m)
         pairs = tuple(_paired(way, fix) for fix in fixes)
-        frame = _frame(pairs, known.n_final)
-        agreeing, known = frame.agreeing, replace(known, frame=frame)
+        frame = _frame(tuple(p for p, is_frozen in zip(pairs, frozen, strict=True) if not is_frozen), known.n_final)
+        agreeing, known = frame.agreeing, replace(known, frame=frame, n_frozen_fixes=sum(frozen))
         whole.fixes.extend(
-            FixResult.of(fix, last.sensing.processed_s, "turned" if pair in agreeing else "rejected")
-            for fix, pair in zip(fixes, pairs, strict=True)
+            FixResult.of(
+                fix,
+                last.sensing.processed_s,
+                "frozen" if is_frozen else "turned" if pair in agreeing else "rejected",
+            )
+            for fix, pair, is_frozen in zip(fixes, pairs, frozen, strict=True)
         )
         if known.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, way, agreeing)

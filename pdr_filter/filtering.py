@@ -370,7 +370,7 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
             if isinstance(fix, GridFix) and particles is not state.particles:
                 outcome = "used"
             state = replace(state, particles=particles)
-    if isinstance(fix, PositionFix | GridFix) and outcome != "rejected":
+    if isinstance(fix, PositionFix | GridFix) and outcome not in ("rejected", "frozen"):
         state = replace(state, height=height.with_fix(state.height, fix))
     result = FixResult.of(fix, now_s, outcome, nis)
     state = replace(

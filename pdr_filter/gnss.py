@@ -14,7 +14,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from pdr_filter.values import RADIUS_68, FloatArray, Origin, PositionFix, Samples, repetition
+from pdr_filter.values import N_BEFORE, RADIUS_68, FloatArray, Origin, PositionFix, Samples, repeated_cov_m2
 
 # Phones are off by 4.9 m under open sky (F. van Diggelen and P. Enge, "The world's first GPS MOOC and worldwide
 # laboratory using smartphones", ION GNSS+ 2015). One that claims less means its own scatter.
@@ -98,18 +98,19 @@ def position_fixes(
     return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
 
 
-def independent(fixes: Sequence[PositionFix]) -> tuple[PositionFix, ...]:
-    """Fixes in the order of time for what takes their errors for independent, such as `pdr_filter.smooth`.
+def independent(fixes: Sequence[PositionFix], before: Sequence[PositionFix] = ()) -> tuple[PositionFix, ...]:
+    """Fixes in the given order for what takes their errors for independent, such as `pdr_filter.smooth`.
 
-    Each has its variance multiplied by its `values.repetition`.
+    The covariance of each has that of the fixes before in it (`values.repeated_cov_m2`), of which some may have been
+    used already.
     """
-    found: list[PositionFix] = []
-    last_s = -math.inf
-    for fix in sorted(fixes, key=lambda f: f.time_s):
+    found = list(fixes)
+    last = [fix for fix in before if fix.correlation_s > 0]
+    for k in sorted(range(len(found)), key=lambda k: fixes[k].time_s):
+        fix = fixes[k]
         if fix.correlation_s > 0:
-            cov_m2, last_s = repetition(fix, last_s) * fix.cov_m2, fix.time_s
-            fix = replace(fix, cov_m2=cov_m2, correlation_s=0.0)
-        found.append(fix)
+            found[k] = replace(fix, cov_m2=repeated_cov_m2(fix, last), correlation_s=0.0)
+            last = [*last, fix][-N_BEFORE:]
     return tuple(found)
 
 

@@ -99,6 +99,9 @@ def _of_frame(state: State) -> Iterator[Note]:
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         yield Note("fixes", words)
+    if frame.is_north_wrong:
+        words = "position fixes contradict a heading fix before them, which is not used any more: check its time, its "
+        yield Note("fixes", words + "unit (rad) and its zero (north, clockwise)")
     if frame.moves:
         far_m = ", ".join(f"{np.linalg.norm(m.world_centre_m - m.track_centre_m):.0f}" for m in frame.moves)
         words = (
@@ -113,5 +116,9 @@ def _of_frame(state: State) -> Iterator[Note]:
 def _of_fixes(state: State) -> Iterator[Note]:
     if state.n_rejected_fixes:
         yield Note("fixes", f"fixes rejected as outliers: {state.n_rejected_fixes}")
+    n_frozen = state.tracker.pedestrian.n_frozen_fixes
+    if n_frozen:
+        words = f"{how_many(n_frozen, 'fix', 'fixes')} not used, because they repeat the last position while steps go "
+        yield Note("fixes", words + "on: the app has probably lost GNSS")
     if state.finished and state.waiting_fixes:
         yield Note("fixes", f"fixes from after the last sample, not used: {len(state.waiting_fixes)}")

@@ -11,7 +11,7 @@ import numpy as np
 from pdr_filter.config import Config
 from pdr_filter.gnss import origin_of
 from pdr_filter.io.recording import MissingSensorError, Recording, Samples
-from pdr_filter.values import Fix, HeadingFix, Origin, PositionFix
+from pdr_filter.values import Fix, HeadingFix, Origin, PositionFix, are_numbers
 from pdr_filter.values.quaternions import rotation_matrix
 
 # What becomes of a recording's own locations.
@@ -34,8 +34,11 @@ def is_placed(
             "one or the other out"
         )
     turn_rad = None if origin is None else Origin.of(origin).turn_rad
-    if heading_rad is not None and not np.isfinite(heading_rad):
-        raise ValueError(f"heading_rad must be finite, clockwise from north, got {heading_rad}")
+    if heading_rad is not None and not are_numbers(heading_rad):
+        raise ValueError(
+            f"heading_rad must be a finite number, clockwise from north, got {heading_rad!r}; 90 degrees "
+            "are math.radians(90)"
+        )
     if heading_rad is not None and turn_rad is not None:
         raise ValueError(f"heading_rad ({heading_rad}) and the turn of origin ({turn_rad}) are one: leave one out")
     if heading_rad is not None and any(isinstance(fix, PositionFix | HeadingFix) for fix in fixes):

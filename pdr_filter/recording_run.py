@@ -52,8 +52,8 @@ from pdr_filter.values import (
     Step,
     Table,
     Windows,
+    all_fixes,
     check_fix,
-    check_several,
     read_only,
     step_table,
     wrap_angle,
@@ -67,7 +67,7 @@ def track(
     recording: Recording,
     config: Config | None = None,
     weighting: str | None = None,
-    fixes: Sequence[Fix] = (),
+    fixes: Iterable[Fix] = (),
     progress: Callable[[float], None] | None = None,
     calibration: Calibration | str | Path | None = None,
     device: Device | str | Path | None = None,
@@ -90,7 +90,7 @@ def track(
     weighting : {"imm", "wc", "hc"}, optional
         How context probabilities become step lengths: interacting multiple model, weighted or highest context. The
         recipe's own if not given; that of the default recipe is "imm".
-    fixes : sequence of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
+    fixes : iterable of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
         What is known from elsewhere, each used when it was received. Positions and headings are in the frame of the
         track, which starts at the origin; with `config.in_world_frame()` in any frame, and so is the track then, all
         of it, from the first position fix on (`Track.frame`).
@@ -140,7 +140,7 @@ def track(
     'hc'
     """
     config = on_plan(given_or_default(recording, config), plan, start)
-    check_several(fixes)
+    fixes = all_fixes(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
     with_location = uses_location(recording, config, fixes, gnss)

@@ -291,7 +291,7 @@ def test_locations_at_one_place_for_minutes_do_not_hold_somebody_who_walks(walk:
         nees = np.einsum("ka,kab,kb->k", error, np.linalg.inv(track.position_cov_m2), error)
         assert np.mean(nees < chi2.isf(1e-3, 2)) > 0.9
         assert np.linalg.norm(error, axis=1).max() < 60.0
-        assert any(fix.outcome == "rejected" for fix in track.fixes)
+        assert any(fix.outcome == "frozen" for fix in track.fixes)
 
 
 def test_a_first_location_a_kilometre_away_is_outvoted(walk: Recording) -> None:

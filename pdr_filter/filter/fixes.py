@@ -1,4 +1,4 @@
-"""What a fix of position, heading or speed, or a standstill, does to what a filter knows."""
+"""Measurement updates of the filter by fixes of position, heading and speed, and by standstills."""
 
 from __future__ import annotations
 
@@ -10,24 +10,27 @@ import numpy as np
 from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, walked_var_m2
 from pdr_filter.filter.doubt import Doubt
+from pdr_filter.filter.frozen import seen_after
 from pdr_filter.filter.imm import ImmArithmetic
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
 from pdr_filter.filter.pedestrian import (
     TRAIL_HEADING,
-    TRAIL_POSITION,
     TRAIL_STEPS,
     TRAIL_TIME,
     PedestrianState,
+    UsedFix,
     in_other_frame,
     own_place,
     parameters_cov,
     present_position,
     shared_cov,
+    with_moved_past,
     with_open_turn,
 )
-from pdr_filter.filter.turn import PairedPoint, align, n_free, scatter
+from pdr_filter.filter.turn import PairedPoint, align, least_squares_error, n_free, scatter
 from pdr_filter.values import (
+    N_BEFORE,
     Fix,
     FixOutcome,
     FloatArray,
@@ -36,7 +39,9 @@ from pdr_filter.values import (
     PositionFix,
     SpeedFix,
     Standstill,
+    error_given_before,
     read_only,
+    repeated_cov_m2,
     wrap_angle,
 )
 
@@ -49,7 +54,8 @@ def use_fix(
 ) -> _Result:
     """New state, what became of the fix, and its normalised innovation squared in the filter that explains it best.
 
-    A fix that no filter can explain, or that is older than the remembered steps, is rejected. Where the frame of the
+    A fix that no filter can explain, or that is older than the remembered steps, is rejected. One that repeats a
+    position while steps go on is frozen. Where the frame of the
     fixes is not known, the first position fix places the track in it, and those that follow turn it.
     `offset_rad` (F,) is the filters' own walking heading less the heading that the body faces.
     """
@@ -66,6 +72,10 @@ def use_fix(
         return state, "rejected", np.inf
     if isinstance(fix, HeadingFix):
         return _on_heading(model, arithmetic, state, offset_rad, fix, float(then[2]))
+    seen = seen_after(state.seen, fix, then[:2], float(state.prob @ state.walked_m))
+    state = replace(state, seen=seen, n_frozen_fixes=state.n_frozen_fixes + seen.is_frozen)
+    if seen.is_frozen:
+        return state, "frozen", np.nan
     fix = _after_gap(model, state, fix)
     if not state.frame.is_joined:
         return _on_first_positions(model, arithmetic, state, fix, then[:2])
@@ -73,7 +83,7 @@ def use_fix(
 
 
 def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix) -> PositionFix:
-    """What a fix from before the end of a gap says of the place there: anything may have been walked since."""
+    """Return a fix from before the end of a gap with a larger covariance, as the way since then is unknown."""
     if state.gap_s == 0.0 or len(state.trail) == 0:
         return fix
     into_gap_s = max(fix.time_s - float(state.trail[-1, TRAIL_TIME]), 0.0)
@@ -86,62 +96,71 @@ def _after_gap(model: PedestrianModel, state: PedestrianState, fix: PositionFix)
 def _on_position(
     model: PedestrianModel, arithmetic: ImmArithmetic, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> _Result:
-    """The track at the fix's own time corrects the present; the heading's part in what was walked since stays as is.
+    """The track at the fix's own time corrects the present.
 
-    What is known after it is Student's t, as the turn is (`turn`): where the first fixes are not as the track expects,
+    What is known after it is Student's t, as the turn is (`turn`): where the fixes so far are not as the track expects,
     track and fixes are less sure than they say (M. Roth, E. Ozkan and F. Gustafsson, "A Student's t filter for heavy
     tailed process and measurement noise", ICASSP 2013), with a degree of freedom more for each error.
     """
-    since_m = state.trail[-1, TRAIL_POSITION] - then_m if len(state.trail) else np.zeros(2)
-    z, H, own_cov = _without_error_of_last(state, fix, then_m)
-    # what was walked since is known as well as a person's step length is
-    R = own_cov + (model.noise.log_scale_std**2 * float(since_m @ since_m)) * np.eye(2)
+    z, H, R = _without_shared_error(model, state, fix, then_m)
     cov = state.cov.copy()
     cov[:, :2, :2] += shared_cov(state)
-    updated = arithmetic.update(state.mean, cov, z + since_m, H, R)
+    updated = arithmetic.update(state.mean, cov, z, H, R)
     after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
     if outcome == "used":
-        last = fix if fix.correlation_s > 0 else state.last_fix
-        has_gap = state.gap_since_fix and last is state.last_fix
-        rest = {"doubt": Doubt(), "last_fix": last, "gap_since_fix": has_gap, "n_fix_errors": state.n_fix_errors + 2}
-        cov = scatter(nis, 2, state.n_fix_errors) * after.cov
-        after = replace(after, cov=cov, shared_m=np.zeros_like(state.shared_m), **rest)
+        n_errors, squares = state.n_fix_errors + 2, state.fix_squares + nis
+        # the factor of all errors so far, of which the covariance has that of those before already
+        larger = scatter(squares, n_errors) / scatter(state.fix_squares, state.n_fix_errors)
+        after = replace(
+            _with_used(after, fix, _place_at(after, fix.time_s)),
+            cov=larger * after.cov,
+            shared_m=np.zeros_like(state.shared_m),
+            doubt=after.doubt.with_used(),
+            n_fix_errors=n_errors,
+            fix_squares=squares,
+        )
     return after, outcome, nis
 
 
-# Two fixes of one moment: what the second says is in the first, but for a thousandth.
-_MOST_ALIKE = 0.999
+def _with_used(state: PedestrianState, fix: PositionFix, place: FloatArray | None) -> PedestrianState:
+    """State that remembers a used fix whose error later ones may share."""
+    if fix.correlation_s == 0:
+        return state
+    # ways that a gap has hidden stay hidden: after it the first fix counts as one more of those before
+    known = tuple(f for f in state.used_fixes if f.track_m is not None)
+    used = UsedFix(fix, None if place is None else read_only(place[:2]))
+    return replace(state, used_fixes=(*known, used)[-N_BEFORE:])
 
 
-def _without_error_of_last(
-    state: PedestrianState, fix: PositionFix, then_m: FloatArray
+def _without_shared_error(
+    model: PedestrianModel, state: PedestrianState, fix: PositionFix, then_m: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Measurement z (2,) = H x + noise of covariance R, whose noise has no part in common with that of the last fix.
+    """Measurement z (2,) = H x + noise of covariance R, which has no part in common with the errors of fixes before.
 
-    With z_1 the last fix, a the share of its error that is left in z_2, and d the way of the track between,
-    z_2 - a z_1 = p_2 - a p_1 + w, p_1 = p_2 - d_true. So z = (z_2 - a (z_1 + d)) / (1 - a)
-    = p_2 + a / (1 - a) (d_true - d) + w', with R = (R_2 - a^2 R_1) / (1 - a)^2. The way d is wrong as heading and log
-    scale are, the columns of H. It is what a filter with the error as two more states would do (A. E. Bryson and L. J.
-    Henrikson, "Estimation using sampled data containing sequentially correlated noise", J. Spacecraft 5, 1968).
+    With z_i a fix, d_i the way of the track from it to the time of this fix n, and A_i the share of its error in that
+    of fix n (`error_given_before`), z_i + d_i = p_n - J d_i d_psi - d_i d_s + e_i. So z = z_n - sum_i A_i (z_i + d_i)
+    is (I - sum_i A_i) p_n and what the errors of heading offset and log scale make of the ways. A filter with the
+    errors of fixes as more states would do the same (A. E. Bryson and L. J. Henrikson, "Estimation using sampled data
+    containing sequentially correlated noise", J. Spacecraft 5, 1968). The way since fix n, by which p_n becomes the
+    present position, is as uncertain as heading and step lengths are.
     """
-    H, last = np.eye(2, N_STATES), state.last_fix
-    if last is None or fix.correlation_s == 0:
-        return fix.position_m, H, fix.cov_m2
-    left = min(float(np.exp(-abs(fix.time_s - last.time_s) / fix.correlation_s)), _MOST_ALIKE)
-    before = None if state.gap_since_fix else _place_at(state, last.time_s)
-    if before is None:
-        # the way since then is forgotten, or has a gap: as many such fixes would say together
-        return fix.position_m, H, (1 + left) / (1 - left) * fix.cov_m2
-    # no more than is left of R_2 in any direction: a^2 R_1 < R_2, whatever the shapes of the two
-    most = float(np.linalg.eigvals(np.linalg.solve(fix.cov_m2, last.cov_m2)).real.max())
-    a = left * min(1.0, 1 / float(np.sqrt(most)))
-    d = then_m - before[:2]
-    z = (fix.position_m - a * (last.position_m + d)) / (1 - a)
-    H[:, HEADING_OFFSET] = a / (1 - a) * np.array([d[1], -d[0]])
-    H[:, LOG_SCALE] = a / (1 - a) * d
-    x, _ = imm.combine(state.mean, state.cov, state.prob)
-    R = (fix.cov_m2 - a**2 * last.cov_m2) / (1 - a) ** 2
-    return z + H[:, 2:] @ x[2:], H, R
+    x, P = imm.combine(state.mean, state.cov, state.prob)
+    since_m = own_place(state).position_m - then_m
+    used = state.used_fixes if fix.correlation_s > 0 else ()
+    ways_m = [then_m - u.track_m for u in used if u.track_m is not None]
+    z, H = fix.position_m, np.eye(2, N_STATES)
+    if len(ways_m) < len(used):
+        own_cov = repeated_cov_m2(fix, [u.fix for u in used])
+    else:
+        by_error, own_cov = error_given_before(fix, [u.fix for u in used])
+        for A, u, d in zip(by_error, used, ways_m, strict=True):
+            z = z - A @ (u.fix.position_m + d)
+            H[:, :2] -= A
+            H[:, HEADING_OFFSET] += A @ (d[1], -d[0])
+            H[:, LOG_SCALE] += A @ d
+    since_var = model.noise.log_scale_std**2 + float(P[HEADING_OFFSET, HEADING_OFFSET])
+    R = own_cov + since_var * float(since_m @ since_m) * np.eye(2)
+    return z + H[:, :2] @ since_m + H[:, 2:] @ x[2:], H, R
 
 
 def _on_known_frame(
@@ -153,16 +172,18 @@ def _on_known_frame(
         return after, outcome, nis
     pair, heading_var = _paired(state, fix, then_m)
     state = replace(state, doubt=state.doubt.with_rejected(pair))
-    alignment = state.doubt.alignment(heading_var, state.n_final, state.frame.alignment is not None)
+    can_turn = state.frame.alignment is not None
+    alignment = state.doubt.alignment(pair, heading_var, state.n_final, can_turn)
     if alignment is None:
         return state, outcome, nis
-    # what was known of the heading is in the alignment
+    # the alignment contains the prior of the heading already
     doubted = state.doubt.pairs
     known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
     state = in_other_frame(known, alignment)
     moved = replace(alignment, since=alignment.n_steps)
     state = replace(state, frame=replace(state.frame, later=(*state.frame.later, moved)))
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), doubted)
+    pairs = [pair.moved(alignment.positions) for pair in doubted]
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
     return state, "moved", nis
 
 
@@ -182,7 +203,7 @@ def _on_heading(
     frame, var = state.frame, fix.std_rad**2
     if frame.is_open:
         angle_rad = float(np.arctan2(state.prob @ np.sin(innovation), state.prob @ np.cos(innovation)))
-        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # of the fix against what is known before
+        share = 1.0 / (1.0 + var / frame.north_var_rad2)  # weight of the fix against the prior of the turn
         about_m = frame.pairs[0].track_m if frame.since else np.zeros(2)
         turn = Alignment(share * angle_rad, share * var, about_m, about_m, 0.0, state.n_final, frame.since)
         state = in_other_frame(state, turn)
@@ -230,9 +251,8 @@ def _gated(
     before_m = own_place(state).position_m
     prob = arithmetic.update_mode_prob(state.prob, log_likelihood)
     state = replace(state, mean=mean, cov=cov, prob=prob)
-    trail = state.trail.copy()
-    trail[:, TRAIL_POSITION] += own_place(state).position_m - before_m
-    return replace(state, trail=trail), "used", best_nis
+    shift_m = own_place(state).position_m - before_m
+    return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
 
 
 def _on_first_positions(
@@ -250,13 +270,16 @@ def _on_first_positions(
         return _on_doubted_place(state, pair)
     if agreeing[-1] is not pair:
         return _on_doubted_place(replace(state, frame=frame), pair)
-    state = replace(state, doubt=Doubt())
+    state = replace(state, doubt=state.doubt.with_used())
     half = (*agreeing[:-1], replace(pair, var_m2=2.0 * pair.var_m2))
-    alignment = align(half, state.n_final, frame.north_var_rad2, frame.compass) if frame.is_narrow else None
+    alignment = align(half, state.n_final, frame.turn_prior_var_rad2, frame.compass) if frame.is_narrow else None
     if alignment is None:
         return replace(state, frame=frame), "placed" if len(agreeing) == 1 else "turned", np.nan
-    state = replace(in_other_frame(state, alignment), frame=frame.joined(alignment), n_fix_errors=n_free(agreeing))
-    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), agreeing)
+    squares = least_squares_error(agreeing, frame.turn_prior_var_rad2)
+    joined = {"frame": frame.joined(alignment), "n_fix_errors": n_free(agreeing), "fix_squares": squares}
+    state = replace(in_other_frame(state, alignment), **joined)
+    pairs = [pair.moved(alignment.positions) for pair in agreeing]
+    state, nis = _with_other_half(model, arithmetic, state, fix, alignment.positions(then_m), pairs)
     return state, "turned", nis
 
 
@@ -267,7 +290,7 @@ def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
     track: it goes on from them, with its turn open.
     """
     state = replace(state, doubt=state.doubt.with_rejected(pair))
-    if not state.doubt.contradicts:
+    if not state.doubt.contradicts(pair):
         return state, "rejected", np.inf
     n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)
     joined = state.frame.joined(turn)
@@ -286,14 +309,19 @@ def _with_other_half(
     pairs: Sequence[PairedPoint],
 ) -> tuple[PedestrianState, float]:
     """State that an alignment by pairs has placed, with the half of the last fix that the alignment does not have."""
-    before = pairs[-2] if len(pairs) > 1 else None
-    last = None
-    if before is not None and before.correlation_s > 0:
-        cov_m2 = before.var_m2 * np.eye(2)
-        last = PositionFix(before.time_s, before.world_m, cov_m2, correlation_s=before.correlation_s)
-    half = replace(fix, cov_m2=2.0 * fix.cov_m2)
-    state, _, nis = _on_position(model, arithmetic, replace(state, last_fix=last), half, now_m)
-    return replace(state, last_fix=fix if fix.correlation_s > 0 else None, gap_since_fix=False), nis
+    shared = tuple(
+        UsedFix(
+            PositionFix(pair.time_s, pair.world_m, pair.var_m2 * np.eye(2), correlation_s=pair.correlation_s),
+            pair.track_m,
+        )
+        for pair in pairs[:-1]
+        if pair.correlation_s > 0
+    )
+    state = replace(state, used_fixes=shared[-N_BEFORE:])
+    after, outcome, nis = _on_position(model, arithmetic, state, replace(fix, cov_m2=2.0 * fix.cov_m2), now_m)
+    if outcome == "used" and fix.correlation_s > 0:
+        after = replace(after, used_fixes=after.used_fixes[:-1])
+    return _with_used(after, fix, _place_at(after, fix.time_s)), nis
 
 
 def _paired(state: PedestrianState, fix: PositionFix, then_m: FloatArray) -> tuple[PairedPoint, float]:
@@ -310,7 +338,7 @@ def _place_at(state: PedestrianState, time_s: float) -> FloatArray | None:
     """East, north and device heading (3,) at a time; None if the time is no longer remembered."""
     trail = state.trail
     if len(trail) == 0:
-        return np.zeros(3)
+        return np.append(own_place(state).position_m, 0.0)
     if time_s < trail[0, TRAIL_TIME] and len(trail) == TRAIL_STEPS:
         return None
     return np.array([np.interp(time_s, trail[:, TRAIL_TIME], trail[:, k]) for k in range(1, TRAIL_HEADING + 1)])

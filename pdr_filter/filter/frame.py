@@ -10,8 +10,23 @@ import numpy as np
 
 from pdr_filter.filter.alignment import Alignment, Place
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
-from pdr_filter.filter.turn import MAX_ANGLE_STD_RAD, MAX_PAIRS, Compass, OpenTurn, PairedPoint, agreed_turn
+from pdr_filter.filter.turn import (
+    MAX_ANGLE_STD_RAD,
+    MAX_PAIRS,
+    Compass,
+    OpenTurn,
+    PairedPoint,
+    agreed_turn,
+    agreement_limit,
+    align,
+    disagreement,
+    open_turn,
+    thinned,
+)
 from pdr_filter.values import Origin, wrap_angle
+
+# One in twenty right headings conflicts more with the positions: the turn stays open until these decide.
+_UNSURE = 3.84
 
 
 @dataclass(frozen=True, eq=False)
@@ -25,6 +40,7 @@ class Frame:
     turn: OpenTurn | None = None  # from the first of them on, as they show it
     compass: Compass | None = None  # until it is
     north_var_rad2: float = math.inf  # of the turn before any position fix: infinite if it may be anything
+    north_conflict: float = 0.0  # by how much the squared errors of the positions are smaller without that
     north: Alignment | None = None  # how a heading fix had turned the frame of the start before the position fixes
     alignment: Alignment | None = None  # how the frame of the start became that of the fixes
     later: tuple[Alignment, ...] = ()  # how frames after a lost heading became it, and how fixes moved the track
@@ -39,7 +55,7 @@ class Frame:
         """Variance of a turn that is not in the filter's states: of a frame that is joined, none."""
         if self.is_joined:
             return 0.0
-        known = self._open
+        known = self._provisional or self._open
         return known.angle_var_rad2 if known else 0.0 if self.compass is None else self.compass.std_rad**2
 
     @property
@@ -59,6 +75,26 @@ class Frame:
         """What fixes and compass show of the turn; None before the first fix, and once it is settled."""
         return None if self.turn is None else self.turn.with_compass(self.compass)
 
+    @property
+    def is_north_wrong(self) -> bool:
+        """True while the positions contradict what was known of the turn before them: a heading fix was wrong.
+
+        A wrong heading costs as much as an outlier at the limit of its gate, and so does each position left out.
+        """
+        return self.north_conflict > agreement_limit(1)
+
+    @property
+    def turn_prior_var_rad2(self) -> float:
+        """Variance of the turn before any position fix, infinite if the positions contradict it."""
+        return math.inf if self.is_north_wrong else self.north_var_rad2
+
+    @cached_property
+    def _provisional(self) -> Alignment | None:
+        """Alignment by a heading that the positions do not confirm yet; None without such a heading."""
+        if self._open is None or math.isinf(self.turn_prior_var_rad2) or not self._open.is_narrow:
+            return None
+        return align(self.agreeing, 0, self.turn_prior_var_rad2, self.compass)
+
     def world(self, place: Place) -> Place:
         """A place that was reported in a frame of its own, that of the start or a later one, by what is known now."""
         for turn in (self.north, self.alignment, *self.later):
@@ -66,8 +102,9 @@ class Frame:
                 place = turn.world(place)
         if self.is_joined or place.n_steps < self.since:
             return place
-        if self._open is not None:
-            return self._open.world(place)
+        known = self._provisional or self._open
+        if known is not None:
+            return known.world(place)
         if self.compass is None:
             return place
         angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
@@ -80,7 +117,7 @@ class Frame:
         The turn is that of the frame of the start, a heading fix before them included.
         """
         before_rad = 0.0 if self.north is None else self.north.angle_rad
-        known = self.alignment or self._open
+        known = self.alignment or self._provisional or self._open
         if known is None:
             return place
         return replace(
@@ -92,22 +129,28 @@ class Frame:
 
     def drawn(self) -> Frame:
         """The same for a picture of the track, which keeps its shape: an open turn is the most probable one."""
-        if self._open is None:
+        if self._open is None or self._provisional is not None:
             return self
         return replace(self, turn=self._open.most_probable(), compass=None)
 
     def with_pair(self, pair: PairedPoint) -> Frame:
-        """With one more pair: the first of them and the latest are kept."""
-        pairs = self.pairs[:1] + (*self.pairs[1:], pair)[-(MAX_PAIRS - 1) :] if self.pairs else (pair,)
-        return replace(self, pairs=pairs)._turned()
+        """With one more pair."""
+        return replace(self, pairs=thinned((*self.pairs, pair), MAX_PAIRS))._turned()
 
     def _turned(self) -> Frame:
         """With what the pairs say of the turn."""
         if not self.pairs:
             return self
         # what is known of a place from before is no fix among others: see `doubt` for when it is wrong
-        agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure=1 if self.since else 0)
-        return replace(self, agreeing=agreeing, turn=turn)
+        n_sure = 1 if self.since else 0
+        agreeing, turn = agreed_turn(self.pairs, self.north_var_rad2, n_sure)
+        found = replace(self, agreeing=agreeing, turn=turn, north_conflict=0.0)
+        if self.is_open:
+            return found
+        others, free = agreed_turn(self.pairs, math.inf, n_sure)
+        gained = disagreement(self.pairs, agreeing, self.north_var_rad2) - disagreement(self.pairs, others, math.inf)
+        found = replace(found, north_conflict=gained)
+        return replace(found, agreeing=others, turn=free) if found.is_north_wrong else found
 
     def with_north(self, north: Alignment) -> Frame:
         """After a heading fix has turned its own frame: what is left of the turn is as unsure as both together."""
@@ -121,8 +164,13 @@ class Frame:
 
     @property
     def is_narrow(self) -> bool:
-        """Whether fixes and compass leave little doubt of the turn."""
-        return self._open is not None and self._open.is_narrow
+        """True if positions and compass leave little doubt of the turn, and agree with a heading fix before them."""
+        known = self._open
+        if known is not None and self.turn_prior_var_rad2 <= MAX_ANGLE_STD_RAD**2:
+            if self.north_conflict > _UNSURE:
+                return False
+            known = open_turn(self.agreeing).with_compass(self.compass)
+        return known is not None and known.is_narrow
 
     @property
     def is_open(self) -> bool:
@@ -131,7 +179,13 @@ class Frame:
 
     def joined(self, alignment: Alignment) -> Frame:
         """With the turn settled."""
-        frame = Frame(is_joined=True, north=self.north, alignment=self.alignment, later=self.later)
+        frame = Frame(
+            is_joined=True,
+            north=self.north,
+            alignment=self.alignment,
+            later=self.later,
+            north_conflict=self.north_conflict,
+        )
         if self.since == 0:
             return replace(frame, alignment=alignment)
         if self.since == alignment.n_steps:  # no step was reported in it
@@ -146,11 +200,11 @@ class Frame:
     def most_probable(self, n_steps: int) -> Alignment:
         """The alignment of a turn that stays open, for what comes after."""
         assert self._open is not None
-        return self._open.alignment(n_steps)
+        return replace(self._provisional, n_steps=n_steps) if self._provisional else self._open.alignment(n_steps)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""
-        return replace(self, pairs=tuple(pair.moved(alignment) for pair in self.pairs))._turned()
+        return replace(self, pairs=tuple(pair.moved(alignment.positions) for pair in self.pairs))._turned()
 
 
 START_FRAME = Frame(is_joined=True)

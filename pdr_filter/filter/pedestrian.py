@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -12,6 +13,7 @@ from pdr_filter.filter import imm
 from pdr_filter.filter.alignment import Alignment, Place, moved
 from pdr_filter.filter.doubt import Doubt
 from pdr_filter.filter.frame import Frame
+from pdr_filter.filter.frozen import SeenPlace
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import (
     EAST,
@@ -41,8 +43,9 @@ from pdr_filter.values import (
     wrap_angle,
 )
 
-# Final steps that are remembered for late fixes: half a minute of walking.
-TRAIL_STEPS = 64
+# Final steps that are remembered for late fixes: a minute at four steps a second, which is how late a fix may be
+# (`filtering.MAX_FIX_AGE_S`).
+TRAIL_STEPS = 256
 # Columns of the trail.
 TRAIL_TIME, TRAIL_HEADING = 0, 3
 TRAIL_POSITION = slice(1, 3)
@@ -101,6 +104,14 @@ class StepUpdate:
 
 
 @dataclass(frozen=True, eq=False)
+class UsedFix:
+    """A used position fix with a correlated error, and where the track was then; None if a gap followed it."""
+
+    fix: PositionFix
+    track_m: FloatArray | None  # (2,)
+
+
+@dataclass(frozen=True, eq=False)
 class PedestrianState:
     """Estimates of F filters (one for each mode with `imm`, one alone with `hc` and `wc`) and what goes with them."""
 
@@ -117,9 +128,11 @@ class PedestrianState:
     trail: FloatArray  # (R, 4) time, east, north, device heading of the last final steps: where a late fix belongs
     frame: Frame  # whether positions are in the frame of the fixes yet
     doubt: Doubt  # position fixes that the track does not explain
-    last_fix: PositionFix | None  # the last used one whose error the next one has a part of
-    gap_since_fix: bool  # whether nobody knows where that has led since
-    n_fix_errors: int  # of position fixes that were as large as the fixes say, one an axis
+    used_fixes: tuple[UsedFix, ...]  # the last ones whose errors the next one shares
+    seen: SeenPlace | None
+    n_fix_errors: int  # innovations of used position fixes, one an axis
+    fix_squares: float  # sum of their normalised squares
+    n_frozen_fixes: int  # positions that were repeated while steps went on
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
 
@@ -141,9 +154,11 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         trail=np.empty((0, 4)),
         frame=model.frame,
         doubt=Doubt(),
-        last_fix=None,
-        gap_since_fix=False,
+        used_fixes=(),
+        seen=None,
         n_fix_errors=0,
+        fix_squares=0.0,
+        n_frozen_fixes=0,
         standstills=(),
         n_final=0,
     )
@@ -267,26 +282,37 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         shared_m=np.zeros_like(state.shared_m),
         frame=frame.opened((here,), float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
         doubt=Doubt(),
-        last_fix=None,
-        gap_since_fix=False,
+        used_fixes=(),
     )
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
     """State in another frame."""
     mean, cov = moved(state.mean, state.cov, alignment)
-    trail = state.trail.copy()
-    trail[:, TRAIL_POSITION] = alignment.positions(state.trail[:, TRAIL_POSITION])
     return replace(
-        state,
+        with_moved_past(state, alignment.positions),
         mean=mean,
         cov=cov,
-        trail=trail,
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
         shared_m=state.shared_m @ alignment.rotation.T,
         frame=state.frame.moved(alignment),
-        doubt=state.doubt.moved(alignment),
     )
+
+
+def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], FloatArray]) -> PedestrianState:
+    """State with the remembered places of the track moved by a function of positions (..., 2)."""
+    trail = state.trail.copy()
+    trail[:, TRAIL_POSITION] = positions(state.trail[:, TRAIL_POSITION])
+    used = (f if f.track_m is None else replace(f, track_m=read_only(positions(f.track_m))) for f in state.used_fixes)
+    seen = state.seen
+    seen = None if seen is None else replace(seen, track_m=read_only(positions(seen.track_m)))
+    return replace(state, trail=trail, used_fixes=tuple(used), seen=seen, doubt=state.doubt.moved(positions))
+
+
+def after_gap(state: PedestrianState) -> PedestrianState:
+    """State in which nothing is known of the way since the used fixes."""
+    used = tuple(replace(f, track_m=None) for f in state.used_fixes)
+    return replace(state, used_fixes=used, seen=state.seen if state.seen and state.seen.is_frozen else None)
 
 
 def step_update(

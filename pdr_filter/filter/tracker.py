@@ -8,7 +8,7 @@ import numpy as np
 
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.motion import MotionNoise, grow_over_gap
-from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
+from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate, after_gap
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.values import Fix, FixOutcome, Step, replace
 
@@ -19,7 +19,7 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
     The gap's own growth stands for the time since the last step.
     """
     cov = grow_over_gap(state.cov, gap_s, noise)
-    return replace(state, cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s, gap_since_fix=True)
+    return replace(after_gap(state), cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
 
 
 class TrackerState(Protocol):

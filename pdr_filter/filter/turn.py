@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple
 
@@ -23,13 +23,13 @@ from numpy.random import Generator
 
 from pdr_filter.filter.alignment import Alignment, Place, turned_cov
 from pdr_filter.filter.motion import MAX_HEADING_VARIANCE
-from pdr_filter.values import ComplexArray, FloatArray, read_only, wrap_angle
+from pdr_filter.values import ComplexArray, FloatArray, error_correlation, read_only, wrap_angle
 
 # A density this narrow (one standard deviation, 15 degrees) is a rotation: the filter refines it linearly.
 MAX_ANGLE_STD_RAD = 0.26
 
 
-# Fixes that are remembered for it; of more, the first and the last ones.
+# Fixes that are remembered for it; of more, those at the most even intervals.
 MAX_PAIRS = 24
 
 
@@ -78,9 +78,18 @@ class PairedPoint:
     time_s: float = 0.0
     correlation_s: float = 0.0  # of the errors of fixes, see `PositionFix`
 
-    def moved(self, alignment: Alignment) -> PairedPoint:
-        """With the place of the track moved."""
-        return replace(self, track_m=read_only(alignment.positions(self.track_m)))
+    def moved(self, positions: Callable[[FloatArray], FloatArray]) -> PairedPoint:
+        """Return the same pair with the place of the track moved by a function of positions (2,)."""
+        return replace(self, track_m=read_only(positions(self.track_m)))
+
+
+def thinned(pairs: tuple[PairedPoint, ...], most: int) -> tuple[PairedPoint, ...]:
+    """At most so many pairs in the order of time, at the most even intervals, with the first and the last one."""
+    while len(pairs) > most:
+        times_s = [pair.time_s for pair in pairs]
+        densest = min(range(1, len(pairs) - 1), key=lambda k: times_s[k + 1] - times_s[k - 1])
+        pairs = (*pairs[:densest], *pairs[densest + 1 :])
+    return pairs
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,13 +238,10 @@ def _complex(east_north_m: Sequence[FloatArray]) -> ComplexArray:
 
 def _fix_cov(pairs: Sequence[PairedPoint]) -> FloatArray:
     """Covariance (N, N) of the errors of fixes along one axis."""
-    std, time_s = np.sqrt([p.var_m2 for p in pairs]), np.array([p.time_s for p in pairs])
-    correlation_s = np.array([p.correlation_s for p in pairs])
-    alike_s = np.minimum(correlation_s[:, None], correlation_s)
-    apart_s = np.abs(time_s[:, None] - time_s)
-    alike = np.exp(-apart_s / np.maximum(alike_s, 1e-9)) * (alike_s > 0)
-    np.fill_diagonal(alike, 1.0)
-    return std[:, None] * std * alike
+    var_m2 = np.array([p.var_m2 for p in pairs])
+    times_s, correlation_s = np.array([p.time_s for p in pairs]), np.array([p.correlation_s for p in pairs])
+    std_m = np.sqrt(var_m2)
+    return std_m[:, None] * std_m * error_correlation(times_s, correlation_s, var_m2)
 
 
 def open_turn(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> OpenTurn:
@@ -318,6 +324,12 @@ def centre_weights(pairs: Sequence[PairedPoint]) -> FloatArray:
 def least_squares_error(pairs: Sequence[PairedPoint], north_var_rad2: float = math.inf) -> float:
     """Sum of squared errors over their covariance that the best shift and turn leave, chi-square distributed."""
     return float(_fitted(pairs, north_var_rad2).squares.min())
+
+
+def disagreement(pairs: Sequence[PairedPoint], agreeing: Sequence[PairedPoint], north_var_rad2: float) -> float:
+    """Squares that the best shift and turn of the agreeing pairs leave, and the limit of the gate for each other."""
+    n_left_out = len(pairs) - len(agreeing)
+    return least_squares_error(agreeing, north_var_rad2) + (n_left_out * agreement_limit(2) if n_left_out else 0.0)
 
 
 def agreement_limit(n_free: int) -> float:

@@ -10,7 +10,7 @@ known, and `one_clock` leaves nothing to follow.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import NamedTuple, TypeVar
 
@@ -134,15 +134,15 @@ def moved(fix: AnyFix, offset_s: float) -> AnyFix:
     return dataclasses.replace(fix, time_s=fix.time_s + offset_s, received_time_s=received_s)
 
 
-def one_clock(recording: Recording, fixes: Sequence[AnyFix] = ()) -> tuple[Recording, tuple[AnyFix, ...]]:
+def one_clock(recording: Recording, fixes: Iterable[AnyFix] = ()) -> tuple[Recording, tuple[AnyFix, ...]]:
     """The same on one clock: where that of the accelerometer was set back, all times after it go on from before.
 
     Other streams and fixes, in recorded order, are set back where their own times fall there; where none does, as
     in a stream that was sorted, each belongs to the stretch in whose time it is. Truth stays as it is.
     """
-    set_backs = _set_backs(recording.accelerometer.time_s)
+    set_backs, fixes = _set_backs(recording.accelerometer.time_s), tuple(fixes)
     if not set_backs:
-        return recording, tuple(fixes)
+        return recording, fixes
     offsets_s = np.cumsum([0.0, *(s.ahead_s for s in set_backs)])
     streams = {
         name: Samples(stream.time_s + offsets_s[_stretch(stream.time_s, set_backs)], stream.values)

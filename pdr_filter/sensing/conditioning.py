@@ -401,11 +401,30 @@ def merge_streams(recording: Recording, max_gap_s: float = 0.3) -> ImuBlock:
     """
     recording, _ = one_clock(recording)
     time_s = recording.accelerometer.time_s
+    for sensor in ("gyroscope", "magnetometer"):
+        _check_clock(sensor, recording.streams.get(sensor), time_s, max_gap_s)
     return ImuBlock(
         time_s=time_s,
         specific_force_mps2=recording.accelerometer.values,
         angular_rate_radps=_of_stream(recording.gyroscope, time_s, max_gap_s),
         magnetic_field_ut=_of_stream(recording.magnetometer, time_s, max_gap_s),
+    )
+
+
+def _check_clock(sensor: str, stream: Samples | None, at_s: FloatArray, max_gap_s: float) -> None:
+    """ValueError if no time of a stream is within those of the accelerometer: its clock is another one."""
+    own_s = np.empty(0) if stream is None else stream.time_s[np.isfinite(stream.time_s)]
+    at_s = at_s[np.isfinite(at_s)]
+    if (
+        len(own_s) < 2
+        or not len(at_s)
+        or (own_s.min() <= at_s.max() + max_gap_s and own_s.max() >= at_s.min() - max_gap_s)
+    ):
+        return
+    raise ValueError(
+        f"{sensor}: its times, {own_s.min():.1f} to {own_s.max():.1f} s, are outside those of the accelerometer, "
+        f"{at_s.min():.1f} to {at_s.max():.1f} s: it is on another clock or has another unit; add the offset of the "
+        "clocks to its times, or leave the stream out"
     )
 
 

@@ -17,9 +17,10 @@ from pdr_filter.values.arrays import (
     read_only,
     table,
 )
-from pdr_filter.values.checks import check_numbers
+from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
+from pdr_filter.values.fix_errors import N_BEFORE, error_correlation, error_given_before, repeated_cov_m2
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -29,8 +30,8 @@ from pdr_filter.values.fixes import (
     PositionFix,
     SpeedFix,
     Standstill,
+    all_fixes,
     check_fix,
-    check_several,
     received_s,
     repetition,
 )
@@ -55,6 +56,7 @@ __all__ = [
     "CONTEXTS",
     "DECLINATION_STD_RAD",
     "HARDLY_AGREE",
+    "N_BEFORE",
     "RADIUS_68",
     "RADIUS_95",
     "STANDARD_GRAVITY_MPS2",
@@ -88,17 +90,21 @@ __all__ = [
     "WifiScan",
     "Windows",
     "address_text",
+    "all_fixes",
+    "are_numbers",
     "as_floats",
     "as_plain",
     "check_columns",
     "check_cov",
     "check_declared",
     "check_fix",
+    "check_number",
     "check_numbers",
-    "check_several",
     "check_transition_prob",
     "check_whole",
     "circular_mean",
+    "error_correlation",
+    "error_given_before",
     "frozen",
     "heading_from_yaw",
     "how_many",
@@ -108,6 +114,7 @@ __all__ = [
     "pickled",
     "read_only",
     "received_s",
+    "repeated_cov_m2",
     "repetition",
     "replace",
     "rigid_fit",

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Collection
 from dataclasses import MISSING, fields
-from math import inf
+from math import inf, isfinite
 from numbers import Integral, Real
 from typing import Any
 
@@ -15,6 +15,17 @@ _RANGES = {"s": (1e-6, 1e6), "hz": (1e-3, 1e4), "prob": (1e-12, 1.0)}
 _RANGE = (1e-12, 1e12)  # of all others: their squares, and the inverses of those, are numbers
 _RANGE_OF_COUNTS = (1, 10**6)
 _NUMBERS = re.compile(r"(tuple\[)?(float|int)\b[^|]*")  # as fields are declared
+
+
+def are_numbers(*values: Any) -> bool:
+    """True if all values are finite real numbers; a string of digits and a truth value are none."""
+    return all(not isinstance(v, bool) and isinstance(v, Real) and isfinite(v) for v in values)
+
+
+def check_number(name: str, value: Any, least: float, largest: float, remedy: str) -> None:
+    """ValueError unless an argument is a number from `least` to `largest`; the remedy ends the message."""
+    if not (are_numbers(value) and least <= value <= largest):
+        raise ValueError(f"{name} must be a number from {least:g} to {largest:g}, got {value!r}: {remedy}")
 
 
 def check_numbers(

@@ -3,10 +3,10 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from numbers import Real
-from typing import Any, Literal
+from typing import Any, Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -291,12 +291,14 @@ def _check_times(time_s: float, received_time_s: float | None) -> None:
 
 # What a filter takes besides samples.
 Fix = PositionFix | GridFix | HeadingFix | SpeedFix | Standstill
+AnyFix = TypeVar("AnyFix", bound=Fix)
 
 
-def check_several(fixes: object) -> None:
-    """ValueError for one fix where there may be several."""
+def all_fixes(fixes: Iterable[AnyFix]) -> tuple[AnyFix, ...]:
+    """Fixes of any iterable, an iterator among them, as a tuple; ValueError for one fix where there may be several."""
     if isinstance(fixes, Fix):
         raise ValueError(f"fixes must be a sequence, got one {type(fixes).__name__}: give [fix]")
+    return tuple(fixes)
 
 
 def check_fix(fix: object, has_plan: bool) -> None:
@@ -318,7 +320,7 @@ def received_s(fix: Fix) -> float:
     return fix.time_s if fix.received_time_s is None else fix.received_time_s
 
 
-FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "waiting", "nothing to compare"]
+FixOutcome = Literal["used", "placed", "turned", "moved", "rejected", "frozen", "waiting", "nothing to compare"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -331,6 +333,7 @@ class FixResult:
     # "used"; "placed": the first in a frame that the track did not know, which is there from then on; "turned": one of
     # those that show which way the track lies there; "moved": the last of many that agree with each other and not with
     # the track, which is where they show it from then on; "rejected": it does not fit, or is of another time;
+    # "frozen": it repeats the last position exactly while steps go on, as apps do when they have lost GNSS;
     # "waiting": for samples of its time; "nothing to compare": no step yet that it says something of.
     outcome: FixOutcome
     # Normalised innovation squared in the mode that explains it best; infinite if it is of another time, NaN where

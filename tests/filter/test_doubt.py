@@ -148,13 +148,15 @@ def test_fixes_that_stay_where_they_were_move_nobody_who_walks(walk: Recording) 
 def test_somebody_who_stands_is_not_moved_by_fixes_that_stand_too() -> None:
     doubt = Doubt()
     for t in np.arange(0.0, 600.0, 10.0):
-        doubt = doubt.with_rejected(PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t))
-    assert doubt.alignment(0.01, 0, True) is None
+        last = PairedPoint(np.zeros(2), FAR_M, 9.0, 0.0, t)
+        doubt = doubt.with_rejected(last)
+        assert doubt.alignment(last, 0.01, 0, True) is None
     walked = Doubt()
     for t in np.arange(0.0, 100.0, 10.0):
         place = np.array([0.0, t])
-        walked = walked.with_rejected(PairedPoint(place, place + FAR_M, 9.0, 0.0, t))
-    alignment = walked.alignment(0.01, 0, True)
+        last = PairedPoint(place, place + FAR_M, 9.0, 0.0, t)
+        walked = walked.with_rejected(last)
+    alignment = walked.alignment(last, 0.01, 0, True)
     assert alignment is not None
     np.testing.assert_allclose(alignment.positions(np.zeros(2)), FAR_M)
     assert alignment.angle_rad == pytest.approx(0.0, abs=1e-9)

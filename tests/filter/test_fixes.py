@@ -244,7 +244,8 @@ def somebody_who_stands(std_m: float, n_fix_errors: int = 10**12) -> tuple[ImmTr
     state = tracker.init()
     cov = state.pedestrian.cov.copy()
     cov[:, :2, :2] = std_m**2 * np.eye(2)
-    return tracker, replace(state, pedestrian=replace(state.pedestrian, cov=cov, n_fix_errors=n_fix_errors))
+    known = replace(state.pedestrian, cov=cov, n_fix_errors=n_fix_errors, fix_squares=float(n_fix_errors))
+    return tracker, replace(state, pedestrian=known)
 
 
 @pytest.mark.parametrize(("n_before", "east_m"), [(0, 9.0), (6, 9.0), (0, 2.0)])
@@ -273,11 +274,9 @@ def test_fixes_with_correlated_errors_say_what_generalised_least_squares_makes_o
         fix = PositionFix(float(t), place, std**2 * np.eye(2), correlation_s=20.0)
         state, outcome, _ = tracker.on_fix(state, fix)
         assert outcome == "used"
-    # e_k = a e_k-1 + w: a keeps no more of an error than the better fix of the two has
-    left = np.exp(-np.diff(times) / 20.0) * np.minimum(1.0, stds[1:] / stds[:-1])
-    cov = np.diag(stds**2)
-    for k in range(1, 4):
-        cov[k, :k] = cov[:k, k] = left[k - 1] * cov[k - 1, :k]
+    # two errors share no more than the better fix of the two has
+    cov = 0.99 * np.minimum(stds[:, None], stds) ** 2 * np.exp(-np.abs(times[:, None] - times) / 20.0)
+    np.fill_diagonal(cov, stds**2)
     precision = np.ones(4) @ np.linalg.inv(cov) @ np.ones(4) + 1 / 64.0
     expected = np.ones(4) @ np.linalg.inv(cov) @ places / precision
     position_m, cov_m2 = present_position(state.pedestrian)
@@ -309,7 +308,7 @@ def test_across_a_gap_a_correlated_fix_counts_by_itself_and_not_as_a_way() -> No
     state, outcome, _ = tracker.on_fix(state, replace(first, time_s=20.0, position_m=np.array([40.0, 0.0])))
     assert outcome == "used"
     position_m, cov_m2 = present_position(state.pedestrian)
-    left = np.exp(-1.0)
+    left = 0.99 * np.exp(-1.0)
     own_var, before_var = 16.0 * (1 + left) / (1 - left), 20.0**2 + 1 / (1 / 4.0 + 1 / 16.0)
     np.testing.assert_allclose(position_m, [40.0 * before_var / (before_var + own_var), 0.0], atol=1e-9)
     np.testing.assert_allclose(cov_m2, np.eye(2) / (1 / before_var + 1 / own_var), atol=1e-9)

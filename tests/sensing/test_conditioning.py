@@ -403,3 +403,10 @@ def test_specific_force_in_g_is_said_to_be_wrong() -> None:
     force = np.tile([0.0, 0.0, 1.0], (1000, 1))
     state, _ = condition(Conditioner(), [imu(np.arange(1000) / 100, force)])
     assert any("this looks like g units" in note for note in state.notes())
+
+
+@pytest.mark.parametrize("offset_s", [1e6, 200.0, -3600.0])
+def test_a_gyroscope_on_another_clock_is_refused_by_name(offset_s: float) -> None:
+    time_s = np.arange(0.0, 5.0, 0.01)
+    with pytest.raises(ValueError, match=r"gyroscope: its times, .* are outside those of the accelerometer.*leave"):
+        merge_streams(recording(Samples(time_s + offset_s, linear(time_s))))

@@ -205,12 +205,13 @@ isDark.addEventListener("change", () => {
 const OUTCOMES = {
   waiting: "waits for the step that it falls into",
   used: "was used", placed: "was used", turned: "was used", moved: "was used: with others it shows that the track was elsewhere",
+  frozen: "was not used: it repeats the last position while steps go on",
   "nothing to compare": "waits in vain: no step is there that it says something of",
 };
 
 function sayFix({ place }, { outcome, nis }) {
   const far = nis === null ? "it is of another time" : `the track is ${Math.sqrt(nis).toFixed(0)} standard deviations from it`;
-  byId("said").className = outcome === "rejected" ? "wrong" : "";
+  byId("said").className = ["rejected", "frozen"].includes(outcome) ? "wrong" : "";
   text("said", `Your fix at ${placeWords(sessions.get(shown), place)} ${OUTCOMES[outcome] ?? `was rejected: ${far}`}.`);
 }
 

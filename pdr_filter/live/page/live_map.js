@@ -157,7 +157,7 @@ class LiveMap extends PlaneMap {
   drawFixes(fixes) {
     this.fixes.clearLayers();
     for (const { place, outcome } of fixes) {
-      const name = { waiting: "waiting", rejected: "rejected", "nothing to compare": "waiting" }[outcome] ?? "used";
+      const name = { waiting: "waiting", rejected: "rejected", frozen: "rejected", "nothing to compare": "waiting" }[outcome] ?? "used";
       this.fixes.addLayer(this.mark(this.at(...place), `cross ${name}`, "", 12));
     }
   }

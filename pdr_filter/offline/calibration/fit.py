@@ -29,7 +29,7 @@ from pdr_filter.offline.calibration.segments import AnySegment, Segment, Segment
 from pdr_filter.offline.robust import DISTRUST
 from pdr_filter.recording_run import track as track_of
 from pdr_filter.tracks import Track
-from pdr_filter.values import CONTEXTS, FloatArray, Table, table
+from pdr_filter.values import CONTEXTS, FloatArray, Table, check_number, table
 from pdr_filter.version import __version__
 
 _BIASED = 3.0  # standard errors; a larger bias of left-out segments is no chance
@@ -106,6 +106,7 @@ def calibrate(
     if len(known) != len(chosen):
         raise ValueError(f"{len(known)} tracks for {len(chosen)} recordings: give one for each")
     check_subject(subject, each_a_person)
+    _check_stds(recording_std, anchor_std_m)
     forms_of(priors, model, prior_std)  # what it refuses it refuses before walks are tracked
     segments: list[Segment] = []
     notes: list[str] = []
@@ -131,6 +132,13 @@ def calibrate(
         recording_std=recording_std,
         notes=(*whose, *notes),
     )
+
+
+def _check_stds(recording_std: float, anchor_std_m: float | None = None) -> None:
+    remedy = f"it is the relative difference of a person's step scale between recordings; {RECORDING_STD:g} is usual"
+    check_number("recording_std", recording_std, 0.0, 1.0, remedy)
+    if anchor_std_m is not None:
+        check_number("anchor_std_m", anchor_std_m, 0.0, 1e3, "it is in m; leave it out for the usual one")
 
 
 def check_subject(subject: str | None, each_a_person: bool) -> None:
@@ -164,6 +172,7 @@ def calibrate_segments(
     notes: Sequence[str] = (),
 ) -> Calibration:
     """`calibrate` for segments that are already cut out (`segments_of`)."""
+    _check_stds(recording_std)
     forms = forms_of(priors, model, prior_std)
     if not segments:
         raise ValueError("no segments: give at least one stretch of known length with steps in it")

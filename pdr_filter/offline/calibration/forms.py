@@ -22,6 +22,8 @@ from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 MIN_SEGMENTS, MIN_GROUPS = 30, 5
 _MAX_SEGMENTS = 2000  # about so many choose it in a large cohort: more would only take longer
 _N_FOLDS = 5
+# Share by which the held-out error of a form must be smaller than that of the default.
+_CLEARLY = 0.05
 
 Priors = Mapping[str, StepLengthPrior]
 
@@ -142,7 +144,10 @@ def lengths(sums: SegmentSums, people: FloatArray) -> FloatArray:
 def best_form(
     segments: Sequence[AnySegment], forms: Mapping[str, Priors], loss: str, recording_std: float
 ) -> tuple[str, list[str]]:
-    """Name of the form with the least left-out error, and a note that says so; the first form if there is no choice."""
+    """Name of the form with a clearly smaller held-out error than the first, else of the first, and a note about it.
+
+    Clearly smaller: by `_CLEARLY` of the error, and by two standard errors of the paired difference of squares.
+    """
     first = next(iter(forms))
     walked = [s for s in segments if CONTEXTS[int(np.argmax(s.steps_in))] == "walking"]
     groups = _groups_of([s.subject for s in walked], [s.recording for s in walked])
@@ -154,11 +159,15 @@ def best_form(
     errors, good = left_out_errors(some, forms, loss, recording_std)
     rms = {name: 100 * float(np.sqrt(np.square(e[good]).mean())) for name, e in errors.items()}
     best = min(rms, key=lambda name: rms[name])
+    gained = (np.square(errors[first]) - np.square(errors[best]))[good]
+    std = standard_error(gained, _groups_of([s.subject for s in some], [s.recording for s in some])[good])
+    is_clear = rms[best] <= (1.0 - _CLEARLY) * rms[first] and float(gained.mean()) >= 2.0 * std
+    best, which = (best, f"clearly better than {first}") if is_clear else (first, "no other form is clearly better")
     others = ", ".join(f"{name} {value:.1f} %" for name, value in rms.items() if name != best)
     kind = "people" if n_groups == len({s.subject for s in walked}) else "recordings"
     n_left_out = len(range(0, n_groups, every))
     return best, [
-        f"step lengths of walking by {best}, the best of {len(forms)} forms for the ways of carrying the phone here: "
+        f"step lengths of walking by {best} ({len(forms)} forms for the ways of carrying the phone here, {which}): "
         f"{rms[best]:.1f} % off on {kind} left out in turn ({good.sum()} segments, {n_left_out} {kind}); {others}"
     ]
 

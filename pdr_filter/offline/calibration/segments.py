@@ -15,7 +15,7 @@ import numpy as np
 from pdr_filter.calibration import UNNAMED, of_height, slices_of
 from pdr_filter.filter.step_length import StepLengthModel, length_and_jacobian
 from pdr_filter.io.recording import Recording
-from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Step, TrackRows, steps_of
+from pdr_filter.values import CONTEXTS, RADIUS_68, FloatArray, IntArray, Origin, Step, TrackRows, steps_of
 
 # How well the distance between two clicked landmarks is known: clicks are up to 0.8 s early or 0.1 s late, about 0.25 m
 # at each end (measured on 133 straight legs of one person; docs/methods/step_length.md).
@@ -28,6 +28,9 @@ WAYPOINT_STD_M = 0.9
 STRIDE_STD_M = 0.02  # strides of motion capture or of a walkway, and treads
 # Waypoints closer than this say little about the steps between them: the path may go round a corner.
 MIN_WAYPOINT_DISTANCE_M = 4.0
+# Nearer ones in distance or time are grouped into stretches of ten times the standard deviation of a waypoint. Steps at
+# both ends are only partly inside, and three seconds have no more than five or six.
+MIN_WAYPOINT_TIME_S, GROUPED_M = 3.0, 10.0
 # GNSS fixes are thinned until they are this far apart, and this many times their own standard deviation.
 MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS = 20.0, 4.0
 # Displacement over walked distance below which a stretch of known *walked* distance has a turn in it. A step or two
@@ -340,7 +343,7 @@ def step_contexts(track: TrackRows) -> FloatArray:
 
 
 def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_Stretch], list[str]]:
-    truth = recording.truth
+    truth, notes = recording.truth, list[str]()
     if truth.segments is not None and np.isfinite(truth.segments.distance_m).any():
         found = _of_known_distance(truth.segments, ANCHOR_STD_M if anchor_std_m is None else anchor_std_m)
     elif truth.strides is not None and len(truth.strides):
@@ -349,9 +352,12 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
             for s in truth.strides
         ]
     elif truth.waypoints is not None and len(truth.waypoints) > 1:
-        found = _between_waypoints(truth.waypoints, WAYPOINT_STD_M if anchor_std_m is None else anchor_std_m)
+        std_m = WAYPOINT_STD_M if anchor_std_m is None else anchor_std_m
+        found, notes = _between_waypoints(truth.waypoints, std_m)
     elif recording.location is not None and len(recording.location) > 1:
         found = _between_fixes(recording.location.time_s, recording.location.values)
+        if not found:
+            notes = [f"no two position fixes are {MIN_FIX_DISTANCE_M:g} m and four of their standard deviations apart"]
     else:
         return [], ["no truth of known length, no waypoints, no position fixes"]
     good: list[_Stretch] = []
@@ -365,7 +371,7 @@ def _stretches(recording: Recording, anchor_std_m: float | None) -> tuple[list[_
             bad.setdefault("the distance is not positive", []).append(f"{s.where} ({s.distance_m:g} m)")
         else:
             good.append(s)
-    return good, [f"{why} in {_some(which)}: left out" for why, which in bad.items()]
+    return good, [*notes, *(f"{why} in {_some(which)}: left out" for why, which in bad.items())]
 
 
 def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
@@ -375,31 +381,80 @@ def _of_known_distance(segments: Any, clicked_std_m: float) -> list[_Stretch]:
     return [_Stretch(*map(float, row), walked=True) for row in zip(*columns, strict=True)]
 
 
-def _between_waypoints(points: Any, anchor_std_m: float) -> list[_Stretch]:
-    """Stretches between neighbouring waypoints on one floor that are far enough apart; those out of order stay in."""
+def _between_waypoints(points: Any, anchor_std_m: float) -> tuple[list[_Stretch], list[str]]:
+    """Stretches between waypoints on one floor that are far enough apart, and why others are left out.
+
+    Neighbours that are far apart in distance and time are one stretch; those out of order stay in. Dense waypoints are
+    grouped into stretches of `GROUPED_M` that are straight: between near ones their errors hide the steps.
+    """
     names = points.dtype.names or ()
     floor = np.asarray(points.floor, dtype=float) if "floor" in names else np.zeros(len(points))
     level = np.where(np.isfinite(floor), floor, 0.0)
-    distance = np.hypot(np.diff(points.east_m), np.diff(points.north_m))
-    return [
-        _Stretch(float(a), float(b), float(d), anchor_std_m)
-        for a, b, d, same in zip(points.time_s[:-1], points.time_s[1:], distance, np.diff(level) == 0, strict=True)
-        if same and (not d <= MIN_WAYPOINT_DISTANCE_M)
-    ]
+    time_s, place_m = np.asarray(points.time_s, dtype=float), np.column_stack([points.east_m, points.north_m])
+    leg_m, lasts_s = np.hypot(*np.diff(place_m, axis=0).T), np.diff(time_s)
+    same = np.diff(level) == 0
+    near = same & (lasts_s > 0) & ((leg_m <= MIN_WAYPOINT_DISTANCE_M) | (lasts_s < MIN_WAYPOINT_TIME_S))
+    far = same & ~near & ~(leg_m <= MIN_WAYPOINT_DISTANCE_M)
+
+    def stretch(i: int, j: int) -> _Stretch:
+        length_m = float(np.hypot(*(place_m[j] - place_m[i])))
+        return _Stretch(float(time_s[i]), float(time_s[j]), length_m, anchor_std_m)
+
+    found = [stretch(k, k + 1) for k in np.flatnonzero(far).tolist()]
+    unused: list[str] = []
+    # first and last waypoint of each run of near ones
+    change = np.diff(np.concatenate([[0], near.astype(int), [0]]))
+    begins, ends = np.flatnonzero(change == 1), np.flatnonzero(change == -1)
+    for begin, end in zip(begins.tolist(), ends.tolist(), strict=True):
+        pairs = _groups(place_m[begin : end + 1])
+        found += [stretch(begin + i, begin + j) for i, j in pairs]
+        if not pairs:
+            unused.append(f"{time_s[begin]:.1f}-{time_s[end]:.1f} s")
+    notes: list[str] = []
+    if unused:
+        notes.append(
+            f"waypoints in {_some(unused)} are near each other and no straight way of {MIN_WAYPOINT_DISTANCE_M:g} m "
+            "leads through them: left out"
+        )
+    floors = [f"{time_s[k]:.1f}-{time_s[k + 1]:.1f} s" for k in np.flatnonzero(~same).tolist()]
+    if floors:
+        notes.append(f"waypoints on two floors in {_some(floors)}: left out")
+    return sorted(found, key=lambda s: s.start_s), notes
+
+
+def _groups(place_m: FloatArray) -> list[tuple[int, int]]:
+    """First and last of successive groups of places (N, 2), each a straight way of `GROUPED_M`, the last maybe less."""
+    along_m = np.concatenate([[0.0], np.cumsum(np.hypot(*np.diff(place_m, axis=0).T))])
+    found: list[tuple[int, int]] = []
+    first, last = 0, len(place_m) - 1
+    while first < last:
+        chord_m = np.hypot(*(place_m[first:] - place_m[first]).T)
+        far = np.flatnonzero(chord_m >= GROUPED_M)
+        end = first + int(far[0]) if len(far) else last
+        length_m = float(chord_m[end - first])
+        if length_m > MIN_WAYPOINT_DISTANCE_M and length_m >= STRAIGHT * (along_m[end] - along_m[first]):
+            found.append((first, end))
+            first = end
+        else:  # a turn: the next straight way begins after it
+            first += 1
+    return found
 
 
 def _between_fixes(time_s: FloatArray, values: FloatArray) -> list[_Stretch]:
     """Stretches between GNSS fixes, thinned until the distance stands out from their errors."""
     lat_deg, lon_deg, _, accuracy_m = values.T
-    earth_m = 6371008.8  # on 100 m a sphere is as good as the ellipsoid to 0.3 %, less than the fixes' own error
-    north = np.radians(lat_deg) * earth_m
-    east = np.radians(lon_deg) * earth_m * np.cos(np.radians(np.nanmean(lat_deg)))
     std_m = np.where(np.isfinite(accuracy_m) & (accuracy_m > 0), accuracy_m, 10.0) / RADIUS_68
-    usable = np.flatnonzero(np.isfinite(east) & np.isfinite(north) & np.isfinite(time_s))
+    is_place = (np.abs(lat_deg) <= 90) & (np.abs(lon_deg) <= 180)
+    usable = np.flatnonzero(is_place & np.isfinite(time_s))
     found: list[_Stretch] = []
-    last = usable[0] if len(usable) else 0
-    for i in usable[1:]:
-        distance = float(np.hypot(east[i] - east[last], north[i] - north[last]))
+    if not len(usable):
+        return found
+    last = int(usable[0])
+    origin = Origin(float(lat_deg[last]), float(lon_deg[last]))
+    place_m = np.zeros((len(values), 2))
+    place_m[usable] = origin.east_north_m(lat_deg[usable], lon_deg[usable])
+    for i in usable[1:].tolist():
+        distance = float(np.hypot(*(place_m[i] - place_m[last])))
         std = float(np.hypot(std_m[i], std_m[last]))
         if distance > max(MIN_FIX_DISTANCE_M, MIN_FIX_DISTANCE_STDS * std):
             # the error across the way makes the distance longer: E d^2 = D^2 + std^2 but for the error along it

@@ -6,19 +6,30 @@ window begins. Positions are therefore in the frame of the fixes, and a wild fix
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
 import numpy as np
 
+from pdr_filter.filter.frozen import SeenPlace, seen_after
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
 from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
+from pdr_filter.gnss import independent
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, filtered_at, solve
-from pdr_filter.values import FloatArray, PositionFix, read_only, step_table, wrap_angle
+from pdr_filter.values import (
+    N_BEFORE,
+    FloatArray,
+    PositionFix,
+    all_fixes,
+    check_numbers,
+    read_only,
+    step_table,
+    wrap_angle,
+)
 
 # So many steps that left the window are remembered as places to come back to: three hours of walking, 2.5 MB.
 _MAX_PLACES = 20_000
@@ -65,6 +76,8 @@ class FixedLagState:
     last_step_s: float  # contact of the last step; NaN before the first
     start_s: float  # contact of the last step before the window; -inf before the first
     has_place: bool  # whether there was a fix
+    used_fixes: tuple[PositionFix, ...] = ()  # the last fixes that left the window, whose errors later ones share
+    seen: SeenPlace | None = None  # last new position; the track is that of the steps in the window alone
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -113,11 +126,7 @@ class FixedLagSmoother:
     anchor_interval_s: float = 10.0
 
     def __post_init__(self) -> None:
-        if self.lag_s < 0 or self.anchor_interval_s <= 0 or self.start_std_m <= 0:
-            raise ValueError(
-                f"lag_s must not be negative, anchor_interval_s and start_std_m must be positive, got {self.lag_s}, "
-                f"{self.anchor_interval_s}, {self.start_std_m}"
-            )
+        check_numbers(self, zero=("lag_s", "memory_s"))
 
     def init(self) -> FixedLagState:
         """Nothing walked yet."""
@@ -129,10 +138,10 @@ class FixedLagSmoother:
     def step(
         self,
         state: FixedLagState,
-        updates: Sequence[StepUpdate],
-        fixes: Sequence[PositionFix] = (),
+        updates: Iterable[StepUpdate],
+        fixes: Iterable[PositionFix] = (),
         gap_before_s: float = 0.0,
-        loop_closures: Sequence[LoopClosure] = (),
+        loop_closures: Iterable[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """New state and the steps that became `lag_s` old.
 
@@ -158,22 +167,25 @@ class FixedLagSmoother:
         self,
         state: FixedLagState,
         steps: Increments,
-        fixes: Sequence[PositionFix] = (),
-        loop_closures: Sequence[LoopClosure] = (),
+        fixes: Iterable[PositionFix] = (),
+        loop_closures: Iterable[LoopClosure] = (),
     ) -> tuple[FixedLagState, LateSteps]:
         """`step` for steps whose increments are known."""
+        fixes, loop_closures = all_fixes(fixes), tuple(loop_closures)
         late: tuple[PositionFix | LoopClosure, ...] = tuple(f for f in fixes if f.time_s < state.start_s)
         is_late = [c.second_s < state.start_s or _is_forgotten(state, c) for c in loop_closures]
         late += tuple(compress(loop_closures, is_late))
         loops = (*state.loop_closures, *compress(loop_closures, [not old for old in is_late]))
-        kept = (*state.fixes, *(f for f in fixes if f.time_s >= state.start_s))
+        waiting = joined([state.steps, steps]) if len(steps) else state.steps
+        seen, fresh, frozen = _without_frozen(waiting, state.seen, [f for f in fixes if f.time_s >= state.start_s])
+        late += frozen
+        kept = (*state.fixes, *fresh)
         if kept and not state.has_place:
             # where the walk began is unknown: the track so far may be moved to where the first fix is
             mean = np.array([*kept[0].position_m, *state.start_mean[2:]])
             state = replace(state, start_mean=mean, has_place=True)
-        waiting = joined([state.steps, steps]) if len(steps) else state.steps
         last_s = float(steps.time_s[-1]) if len(steps) else state.last_step_s
-        state = replace(state, steps=waiting, fixes=kept, loop_closures=loops, last_step_s=last_s)
+        state = replace(state, steps=waiting, fixes=kept, loop_closures=loops, last_step_s=last_s, seen=seen)
         due = int(np.searchsorted(waiting.time_s, last_s - self.lag_s, side="right"))
         state, out = self._give_out(state, due)
         return state, replace(out, rejected=(*late, *out.rejected))
@@ -191,13 +203,14 @@ class FixedLagSmoother:
         oldest_s = last_s - self.memory_s
         leaving = 0 if is_end else min(int(np.searchsorted(state.steps.time_s, oldest_s)), due)
         loops = [c for c in state.loop_closures if c.second_s <= last_s]
-        inside = [c for c in loops if c.first_s >= state.start_s]
+        inside, nothing = _informative(state.steps, [c for c in loops if c.first_s >= state.start_s])
+        state = replace(state, loop_closures=tuple(c for c in state.loop_closures if c not in nothing))
         returns = [c for c in loops if c.first_s < state.start_s]
         problem = pose_problem(
             state.steps,
             state.start_mean,
             state.start_cov,
-            Observations(state.fixes, tuple(inside)),
+            Observations(independent(state.fixes, state.used_fixes), tuple(inside)),
             anchor_interval_s=self.anchor_interval_s,
             wanted=(leaving,),
             returns=[_return_of(state.places, c) for c in returns],
@@ -207,12 +220,13 @@ class FixedLagSmoother:
         state = replace(state, n_given_out=due)
         time_s = state.steps.time_s[given:due]
         observed = (*state.fixes, *inside, *returns)
-        rejected: tuple[PositionFix | LoopClosure, ...] = ()
+        rejected: tuple[PositionFix | LoopClosure, ...] = tuple(nothing)
         if is_end:
-            rejected = tuple(compress(observed, (found.weight == 0).tolist()))
+            rejected += tuple(compress(observed, (found.weight == 0).tolist()))
             state = replace(state, fixes=(), loop_closures=())
         elif leaving:
-            state, rejected = self._forget(state, problem, found, leaving, observed)
+            state, gone = self._forget(state, problem, found, leaving, observed)
+            rejected += gone
         return state, LateSteps(read_only(time_s), read_only(mean[given:due]), read_only(cov[given:due]), rejected)
 
     def _forget(
@@ -234,8 +248,11 @@ class FixedLagSmoother:
         past = problem.positions.node <= node
         gone = [o for o, is_past in zip(observed, past.tolist(), strict=True) if is_past]
         rejected = tuple(compress(observed, (past & (found.weight == 0)).tolist()))
+        last = sorted((f for f in state.fixes if f in gone and f.correlation_s > 0), key=lambda f: f.time_s)
         left = replace(
             state,
+            used_fixes=(*state.used_fixes, *last)[-N_BEFORE:],
+            seen=_seen_later(state.seen, state.steps.displacement_m[:leaving]),
             start_mean=mean,
             start_cov=cov,
             steps=state.steps.part(leaving, len(state.steps)),
@@ -246,6 +263,42 @@ class FixedLagSmoother:
             start_s=float(state.steps.time_s[leaving - 1]),
         )
         return left, rejected
+
+
+def _without_frozen(
+    steps: Increments, seen: SeenPlace | None, fixes: Sequence[PositionFix]
+) -> tuple[SeenPlace | None, list[PositionFix], tuple[PositionFix, ...]]:
+    """The last new position, new fixes, and those that repeat a position while the steps of the window go on."""
+    fresh, frozen = list[PositionFix](), list[PositionFix]()
+    way_m = np.cumsum(steps.displacement_m, axis=0)
+    walked_m = np.cumsum(np.hypot(*steps.displacement_m.T))
+    for fix in sorted(fixes, key=lambda f: f.time_s) if len(steps) else ():
+        place = [float(np.interp(fix.time_s, steps.time_s, column)) for column in (*way_m.T, walked_m)]
+        seen = seen_after(seen, fix, np.array(place[:2]), place[2])
+        (frozen if seen.is_frozen else fresh).append(fix)
+    return seen, fresh if len(steps) else list(fixes), tuple(frozen)
+
+
+def _seen_later(seen: SeenPlace | None, displacement_m: FloatArray) -> SeenPlace | None:
+    """The last new position with its place on the track of the steps that are left without these (n, 2)."""
+    if seen is None:
+        return None
+    walked_m = float(np.hypot(*displacement_m.T).sum())
+    return replace(seen, track_m=seen.track_m - displacement_m.sum(axis=0), walked_m=seen.walked_m - walked_m)
+
+
+def _informative(steps: Increments, closures: Sequence[LoopClosure]) -> tuple[list[LoopClosure], list[LoopClosure]]:
+    """Loop closures that carry information, one for each two contacts, and the others."""
+    walked_m = np.cumsum(np.hypot(*steps.displacement_m.T))
+    kept: dict[tuple[int, int], LoopClosure] = {}
+    others: list[LoopClosure] = []
+    for closure in closures:
+        times_s = np.array([closure.first_s, closure.second_s])
+        before_m, after_m = np.interp(times_s, steps.time_s, walked_m).tolist()
+        first, second = np.searchsorted(steps.time_s, times_s).tolist()
+        if says_nothing(closure, after_m - before_m) or kept.setdefault((first, second), closure) is not closure:
+            others.append(closure)
+    return list(kept.values()), others
 
 
 def regressed(joint_cov: FloatArray) -> tuple[FloatArray, FloatArray]:

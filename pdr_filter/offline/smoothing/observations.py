@@ -12,7 +12,7 @@ from pdr_filter.io import limits
 from pdr_filter.io.files import read_small
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.table import TextTable
-from pdr_filter.values import BoolArray, PositionFix, check_fix, check_several
+from pdr_filter.values import BoolArray, PositionFix, are_numbers, check_fix, check_number
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 
@@ -26,8 +26,19 @@ class LoopClosure:
     std_m: float = 0.5
 
     def __post_init__(self) -> None:
-        if not (self.first_s < self.second_s and 0 < self.std_m < np.inf):
+        numbers = are_numbers(self.first_s, self.second_s, self.std_m)
+        if not (numbers and self.first_s < self.second_s and self.std_m > 0):
             raise ValueError(f"a loop closure needs first_s < second_s and std_m > 0, got {self}")
+
+
+# Least way between the two times of a loop closure: so many of its standard deviations, and a few steps, since each
+# time is moved to the nearest contact. On a shorter way the pedestrian is near in any case.
+_CLOSURE_STDS, _CLOSURE_M = 3.0, 3.0
+
+
+def says_nothing(closure: LoopClosure, walked_m: float) -> bool:
+    """True if a loop closure carries no information, given the distance walked between its two times."""
+    return walked_m <= max(_CLOSURE_STDS * closure.std_m, _CLOSURE_M)
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,7 +54,8 @@ class KnownHeading:
     std_rad: float = 0.05
 
     def __post_init__(self) -> None:
-        if not (self.start_s < self.end_s and np.isfinite(self.heading_rad) and 0 < self.std_rad < np.inf):
+        numbers = are_numbers(self.start_s, self.end_s, self.heading_rad, self.std_rad)
+        if not (numbers and self.start_s < self.end_s and self.std_rad > 0):
             raise ValueError(f"a known heading needs start_s < end_s, a finite heading and std_rad > 0, got {self}")
 
 
@@ -96,7 +108,6 @@ def check_options(
     anchor_interval_s: float,
 ) -> None:
     """ValueError for what `smooth` cannot use."""
-    check_several(fixes)
     for fix in fixes:
         if has_plan:
             check_fix(fix, has_plan)
@@ -108,10 +119,10 @@ def check_options(
             )
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
-    if start_heading_std_rad is not None and not 0 <= start_heading_std_rad < np.inf:
-        raise ValueError(f"start_heading_std_rad must be 0 or more, got {start_heading_std_rad}: leave it out")
-    if not anchor_interval_s > 0:
-        raise ValueError(f"anchor_interval_s must be positive, got {anchor_interval_s}")
+    if start_heading_std_rad is not None:
+        remedy = "no heading is known exactly; give 0.01 for a surveyed direction, or leave it out"
+        check_number("start_heading_std_rad", start_heading_std_rad, 1e-6, 1e3, remedy)
+    check_number("anchor_interval_s", anchor_interval_s, 1e-6, 1e6, "10 is usual; leave it out")
 
 
 def waypoint_fixes(recording: Recording, std_m: float = 1.0) -> list[PositionFix]:

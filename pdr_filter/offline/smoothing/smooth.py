@@ -6,7 +6,7 @@ GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -16,6 +16,7 @@ import numpy as np
 
 from pdr_filter.calibration import Calibration, load_calibration
 from pdr_filter.config import Config, on_plan
+from pdr_filter.filter.frozen import frozen_fixes
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import (
     HEADING_OFFSET,
@@ -34,6 +35,7 @@ from pdr_filter.offline.smoothing.observations import (
     LoopClosure,
     Observations,
     check_options,
+    says_nothing,
 )
 from pdr_filter.offline.smoothing.on_plan import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
@@ -54,6 +56,7 @@ from pdr_filter.values import (
     IntArray,
     PositionFix,
     Table,
+    all_fixes,
     pickled,
     read_only,
     table,
@@ -82,8 +85,8 @@ class Smoothed:
     start_position_m: FloatArray  # (2,)
     start_position_cov_m2: FloatArray  # (2, 2)
     # A row for each observation: kind ("fix", "loop closure", "known heading"), number in its sequence, time_s, nis
-    # (squared distance from what all others say, normalised by its covariance; NaN outside the recording) and weight
-    # (1 used, 0 rejected or outside).
+    # (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and weight
+    # (1 used, 0 rejected, outside the recording, frozen or without information).
     observations: Table
     floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
     notes: tuple[str, ...]
@@ -113,13 +116,13 @@ class Smoothed:
 
 def smooth(
     recording: Recording,
-    fixes: Sequence[Fix] = (),
+    fixes: Iterable[Fix] = (),
     calibration: Calibration | str | Path | None = None,
     *,
     config: Config | None = None,
-    loop_closures: Sequence[LoopClosure] | Literal["wifi"] = (),
-    known_headings: Sequence[KnownHeading] = (),
-    floor_changes: Sequence[FloorChange] = (),
+    loop_closures: Iterable[LoopClosure] | Literal["wifi"] = (),
+    known_headings: Iterable[KnownHeading] = (),
+    floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
     plan: FloorPlan | None = None,
@@ -169,6 +172,8 @@ def smooth(
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True
     """
+    fixes, known_headings, floor_changes = all_fixes(fixes), tuple(known_headings), tuple(floor_changes)
+    loop_closures = loop_closures if isinstance(loop_closures, str) else tuple(loop_closures)
     if plan is not None and (loop_closures or known_headings or floor_changes or start_heading_std_rad is not None):
         raise ValueError(
             "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
@@ -188,7 +193,7 @@ def smooth(
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
     places = [fix for fix in fixes if isinstance(fix, PositionFix)]
-    observed = Observations(independent(places), tuple(loop_closures), tuple(known_headings), tuple(floor_changes))
+    observed = Observations(tuple(places), tuple(loop_closures), known_headings, floor_changes)
     if config.on_plan is not None:
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     config = config.in_hindsight()
@@ -222,7 +227,7 @@ def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
     """What a floor plan shows."""
     results = {result.time_s: result for result in found.track.fixes}
     each = [results.get(fix.time_s) for fix in observed.fixes]
-    observations = _table(observed, np.zeros(len(each), dtype=bool)).copy()
+    observations = _table(observed).copy()
     observations.nis = [np.nan if result is None else result.nis for result in each]
     observations.weight = [float(result is not None and result.accepted) for result in each]
     observations.flags.writeable = False
@@ -255,9 +260,9 @@ def smooth_track(
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
     inside = observed.fixes_inside(start_s, end_s)
-    used = replace(observed, fixes=tuple(compress(observed.fixes, inside)))
     if track.n_steps == 0:
-        return _without_steps(track, observed, used.fixes)
+        return _without_steps(track, observed, independent(tuple(compress(observed.fixes, inside))))
+    used, row, notes = _usable(track, observed, inside)
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
@@ -268,7 +273,49 @@ def smooth_track(
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
     start = np.array([*centre, 0.0, 0.0])
     problem = pose_problem(steps, start, start_cov, used, offsets, frame_std_rad, anchor_interval_s=anchor_interval_s)
-    return _smoothed(track, steps, problem, solve(problem), observed, inside)
+    return _smoothed(track, steps, problem, solve(problem), observed, row, notes)
+
+
+def _usable(track: Track, observed: Observations, inside: BoolArray) -> tuple[Observations, IntArray, list[str]]:
+    """Observations that carry information, the row of each given one among these, and why others are not used.
+
+    The row is -1 for an observation that is not used. Loop closures of the same two contacts share one row: copies of
+    a wrong one would confirm each other.
+    """
+    frozen = np.array(frozen_fixes(observed.fixes, track.time_s, track.position_m, track.walked_m), dtype=bool)
+    fixes = inside & ~frozen
+    closures = observed.loop_closures
+    at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
+    walked_m = np.diff(np.interp(at_s, track.time_s, track.walked_m), axis=1)[:, 0]
+    near = np.array([says_nothing(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
+    contacts = np.searchsorted(track.time_s, at_s)
+    kept: dict[tuple[int, int], int] = {}
+    of_closure = np.full(len(closures), -1)
+    for k in np.flatnonzero(~near).tolist():
+        of_closure[k] = kept.setdefault((int(contacts[k, 0]), int(contacts[k, 1])), len(kept))
+    firsts = [int(np.flatnonzero(of_closure == j)[0]) for j in range(len(kept))]
+    used = replace(
+        observed,
+        fixes=independent(tuple(compress(observed.fixes, fixes))),
+        loop_closures=tuple(closures[k] for k in firsts),
+    )
+    n_fixes, n_all = int(fixes.sum()), int(fixes.sum()) + len(kept)
+    row = np.concatenate(
+        [
+            np.where(fixes, np.cumsum(fixes) - 1, -1),
+            np.where(of_closure >= 0, n_fixes + of_closure, -1),
+            n_all + np.arange(len(observed.known_headings)),
+        ]
+    )
+    reasons = (
+        ("fix", ~inside, "outside the recording"),
+        ("fix", inside & frozen, "repeats the last position while steps go on"),
+        ("loop closure", near, "its two times are so near that the way between them is within its uncertainty"),
+    )
+    notes = [
+        f"{kind} {_numbers(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
+    ]
+    return used, row.astype(np.int64), notes
 
 
 def _start_directions(
@@ -286,7 +333,13 @@ def _start_directions(
 
 
 def _smoothed(
-    track: Track, steps: Increments, problem: Problem, found: Solution, observed: Observations, inside: BoolArray
+    track: Track,
+    steps: Increments,
+    problem: Problem,
+    found: Solution,
+    observed: Observations,
+    row: IntArray,
+    unused: Sequence[str],
 ) -> Smoothed:
     mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
     position = mean[:, :2]
@@ -301,8 +354,8 @@ def _smoothed(
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
-    observations = _table(observed, inside, found)
-    notes = (*track.notes, *_notes(track, found, observations, bool(observed.fixes)))
+    observations = _table(observed, row, found)
+    notes = (*track.notes, *unused, *_notes(track, found, observations, bool(observed.fixes)))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -341,8 +394,8 @@ def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: Int
     return np.where(nearer[:, None], ahead, back)
 
 
-def _table(observed: Observations, inside: BoolArray, found: Solution | None = None) -> Table:
-    """The table `Smoothed.observations`."""
+def _table(observed: Observations, row: IntArray | None = None, found: Solution | None = None) -> Table:
+    """The table `Smoothed.observations`, with the row of each observation in the solution (-1: not used)."""
     times_s = [
         [f.time_s for f in observed.fixes],
         [c.second_s for c in observed.loop_closures],
@@ -350,9 +403,9 @@ def _table(observed: Observations, inside: BoolArray, found: Solution | None = N
     ]
     counts = [len(t) for t in times_s]
     nis, weight = np.full(sum(counts), np.nan), np.zeros(sum(counts))
-    if found is not None:
-        used = np.concatenate([inside, np.ones(sum(counts[1:]), dtype=bool)])
-        nis[used], weight[used] = found.nis, found.weight
+    if found is not None and row is not None:
+        used = row >= 0
+        nis[used], weight[used] = found.nis[row[used]], found.weight[row[used]]
     return table(
         {
             "kind": np.repeat(_KINDS, counts),
@@ -367,12 +420,9 @@ def _table(observed: Observations, inside: BoolArray, found: Solution | None = N
 def _notes(track: Track, found: Solution, observations: Table, has_fixes: bool) -> list[str]:
     notes: list[str] = []
     for kind in _KINDS:
-        is_kind = observations.kind == kind
-        unused = is_kind & np.isnan(observations.nis)
-        rejected = is_kind & ~unused & (observations.weight < 0.5)
-        for rows, why in ((unused, "outside the recording"), (rejected, "the walk cannot explain it")):
-            if rows.any():
-                notes.append(f"{kind} {_numbers(observations.number[rows])}: {why}, not used")
+        rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
+        if rows.any():
+            notes.append(f"{kind} {_numbers(observations.number[rows])}: the walk cannot explain it, not used")
     n_good = int((observations.weight[observations.kind == "fix"] >= 0.5).sum())
     if has_fixes and n_good == 0:
         notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
@@ -415,7 +465,7 @@ def _without_steps(track: Track, observed: Observations, fixes: Sequence[Positio
         log_scale_std=none,
         start_position_m=read_only(place),
         start_position_cov_m2=read_only(cov),
-        observations=_table(observed, np.zeros(len(observed.fixes), dtype=bool)),
+        observations=_table(observed),
         floor=_floors(track, observed.floor_changes),
         notes=track.notes,
     )

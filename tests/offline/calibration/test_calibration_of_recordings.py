@@ -77,6 +77,57 @@ def test_waypoints_out_of_time_order_are_left_out_by_name(walk: tuple[Recording,
     assert "out of time order) in 18.5-14.0 s" in notes[0]
 
 
+def with_waypoints(recording: Recording, every_s: float, seed: int = 0) -> Recording:
+    truth, rng = recording.truth.position, np.random.default_rng(seed)
+    time_s = np.arange(1.0, float(truth.time_s[-1]), every_s)
+    east_m, north_m = (np.interp(time_s, truth.time_s, truth[n]) for n in ("east_m", "north_m"))
+    noise_m = rng.normal(0.0, 0.05, (2, len(time_s)))
+    columns = {"time_s": time_s, "east_m": east_m + noise_m[0], "north_m": north_m + noise_m[1]}
+    return replace(recording, truth=Truth(waypoints=table(columns)))
+
+
+@pytest.mark.parametrize("every_s", [0.5, 1.0, 2.0])
+def test_dense_waypoints_calibrate_as_well_as_those_that_are_far_apart(every_s: float) -> None:
+    legs = [Leg("walking", distance_m=40.0, turn_rad=1.5), Leg("running", distance_m=40.0)]
+    recording = simulate([*legs, *legs], seed=2)
+    track = pdr.track(recording)
+    dense, _ = segments_of(with_waypoints(recording, every_s), track)
+    assert np.median([s.distance_m for s in dense]) >= 10.0
+    found, usual = (calibrate(with_waypoints(recording, s), tracks=[track], model="eq12") for s in (every_s, 10.0))
+    lengths_m = [pdr.track(recording, calibration=c).step_length_m for c in (found, usual)]
+    assert lengths_m[0].sum() == pytest.approx(lengths_m[1].sum(), rel=0.02)
+    # of each step, walking or running
+    np.testing.assert_allclose(lengths_m[0], lengths_m[1], rtol=0.1)
+
+
+def test_waypoints_that_are_near_each_other_are_left_out_with_their_times(walk: tuple[Recording, Track]) -> None:
+    recording, track = walk
+    time_s = np.arange(2.0, 20.0, 1.0)
+    points = table({"time_s": time_s, "east_m": np.zeros(len(time_s)), "north_m": 0.1 * time_s})
+    with pytest.raises(ValueError, match=r"nothing to calibrate with: .*waypoints in 2.0-19.0 s are near each other"):
+        calibrate(replace(recording, truth=Truth(waypoints=points)), tracks=[track])
+
+
+@pytest.mark.parametrize("latitude_deg", [0.0, 48.0, 70.0])
+def test_distances_between_locations_are_those_on_the_ellipsoid(
+    walk: tuple[Recording, Track], latitude_deg: float
+) -> None:
+    recording, track = walk
+    origin = pdr.Origin(latitude_deg, 11.0)
+    latitude, longitude = origin.latitude_longitude_deg(np.array([[0.0, 0.0], [0.0, 30.0], [40.0, 30.0]]))
+    rows = np.column_stack([latitude, longitude, np.full(3, np.nan), np.full(3, 0.1)])
+    located = replace(recording, truth=Truth(), location=Samples(np.array([1.0, 12.0, 26.0]), rows))
+    segments, _ = segments_of(located, track)
+    assert [s.distance_m for s in segments] == pytest.approx([30.0, 40.0], rel=1e-4)
+
+
+@pytest.mark.parametrize("wrong", [float("nan"), -1.0, "1"])
+def test_a_recording_std_that_cannot_be_is_refused_by_name(walk: tuple[Recording, Track], wrong: float) -> None:
+    recording, track = walk
+    with pytest.raises(ValueError, match=r"recording_std must be a number from 0 to 1, got .*usual"):
+        calibrate(recording, tracks=[track], recording_std=wrong)
+
+
 def test_waypoints_on_two_floors_are_no_segment(walk: tuple[Recording, Track]) -> None:
     recording, track = walk
     points = table(

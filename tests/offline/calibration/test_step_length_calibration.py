@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -397,6 +399,22 @@ def test_any_model_has_a_weak_prior_that_leaves_the_data_to_decide() -> None:
     assert regressors @ found.k["walking"] == pytest.approx(regressors @ k, rel=0.02)
 
 
+@pytest.mark.parametrize(("errors", "name"), [((3.00, 2.99, 5.0), "bounce"), ((3.0, 2.0, 5.0), "eq12")])
+def test_another_form_is_chosen_only_if_it_is_clearly_better(
+    monkeypatch: pytest.MonkeyPatch, errors: tuple[float, ...], name: str
+) -> None:
+    def held_out(some: Sequence[Any], priors: Mapping[str, Any], *_: object) -> tuple[dict[str, Any], Any]:
+        each = (*errors, *[max(errors)] * len(priors))
+        return {n: np.full(len(some), e / 100) for n, e in zip(priors, each, strict=False)}, np.ones(len(some), bool)
+
+    monkeypatch.setattr(forms, "left_out_errors", held_out)
+    rng = np.random.default_rng(1)
+    walked = [segment(rng, KimStepLength(), np.array([0.55]), f"p{i % 8}") for i in range(40)]
+    found, (note,) = forms.best_form(walked, forms.forms_of(), "gnc", 0.025)
+    assert found == name
+    assert "clearly better" in note
+
+
 @pytest.mark.parametrize(
     ("name", "model", "theta"),
     [("kim", KimStepLength(), [0.55]), ("eq12", FrequencyVarianceStepLength(), [0.1, 0.2, 0.06])],
@@ -411,7 +429,7 @@ def test_enough_segments_choose_the_form_that_made_them_and_few_keep_the_default
     ]
     found = calibrate_segments(segments)
     assert type(found.models["walking"]) is type(model)
-    assert any(f"walking by {name}, the best of 5 forms" in note for note in found.notes)
+    assert any(f"walking by {name} (5 forms" in note and "clearly better than" in note for note in found.notes)
     assert "6 recordings" in found.report()
     few = calibrate_segments(segments[:29])
     in_one = calibrate_segments([replace(s, recording="r") for s in segments])

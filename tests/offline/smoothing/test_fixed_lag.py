@@ -9,6 +9,7 @@ from simulated_steps import Walk, simulated_walk
 import pdr_filter as pdr
 from pdr_filter import serialise
 from pdr_filter.filter.motion import MotionNoise
+from pdr_filter.gnss import independent
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
@@ -59,6 +60,32 @@ def test_with_a_lag_longer_than_the_walk_it_is_the_smoother_of_the_whole_walk() 
     mean, cov = whole(walk, fixes, smoother)
     np.testing.assert_allclose(np.concatenate([o.mean for o in outputs]), mean, atol=1e-9)
     np.testing.assert_allclose(np.concatenate([o.cov for o in outputs]), cov, atol=1e-9)
+
+
+@pytest.mark.parametrize("correlation_s", [20.0, 1e4])
+def test_correlated_fixes_count_as_in_the_smoother_of_the_whole_walk(correlation_s: float) -> None:
+    rng = np.random.default_rng(1)
+    walk = simulated_walk(120, rng, any_rotation=True)
+    fixes = [replace(fix, correlation_s=correlation_s) for fix in walk.fixes(15, 2.0, rng)]
+    smoother = FixedLagSmoother((), NOISE, lag_s=1e4)
+    outputs, _ = run(smoother, walk, fixes, at_a_time=40)
+    mean, cov = whole(walk, list(independent(fixes)), smoother)
+    np.testing.assert_allclose(np.concatenate([o.mean for o in outputs]), mean, atol=1e-9)
+    np.testing.assert_allclose(np.concatenate([o.cov for o in outputs]), cov, atol=1e-9)
+    short, _ = run(FixedLagSmoother((), NOISE, lag_s=5.0, memory_s=10.0), walk, fixes, at_a_time=5)
+    alone, _ = run(FixedLagSmoother((), NOISE, lag_s=5.0, memory_s=10.0), walk, walk.fixes(15, 2.0, rng), at_a_time=5)
+    ends = [float(np.trace(out[-1].cov[-1, :2, :2])) for out in (short, alone)]
+    assert ends[0] > 1.5 * ends[1]
+
+
+def test_a_fix_that_repeats_the_last_position_is_not_used() -> None:
+    rng = np.random.default_rng(6)
+    walk = simulated_walk(200, rng)
+    fixes = walk.fixes(10, 2.0, rng)
+    held = [replace(f, position_m=fixes[9].position_m) if k > 9 else f for k, f in enumerate(fixes)]
+    outputs, _ = run(FixedLagSmoother((), NOISE, lag_s=10.0, memory_s=20.0), walk, held, at_a_time=5)
+    rejected = [f.time_s for o in outputs for f in o.rejected]
+    assert rejected == [f.time_s for f in held[10:]]
 
 
 def test_each_step_comes_once_in_order_and_the_window_stays_short() -> None:
@@ -144,7 +171,7 @@ def test_updates_of_the_online_filter_go_in_as_they_come() -> None:
 
 
 def test_impossible_times_are_refused() -> None:
-    with pytest.raises(ValueError, match="must not be negative"):
+    with pytest.raises(ValueError, match="lag_s of FixedLagSmoother must be 0 or more"):
         FixedLagSmoother((), NOISE, lag_s=-1.0)
 
 
@@ -213,6 +240,19 @@ def test_a_loop_closure_that_cannot_be_is_rejected_and_one_in_the_window_counts(
     too_late = LoopClosure(0.5, state.start_s - 1.0, 0.5)
     state, out = smoother.step_increments(state, walk.steps.part(210, 211), (), [too_late])
     assert too_late in out.rejected
+
+
+def test_loop_closures_of_near_times_and_copies_carry_no_information() -> None:
+    rng = np.random.default_rng(4)
+    walk = simulated_walk(150, rng)
+    at_s, fixes = float(walk.steps.time_s[60]), walk.fixes(15, 2.0, rng)
+    near = [LoopClosure(at_s, at_s + gap_s, 0.5) for gap_s in (0.1, 0.6, 1.0)]
+    smoother = FixedLagSmoother((), NOISE, lag_s=1e4)
+    state, _ = smoother.step_increments(smoother.init(), walk.steps, fixes, near)
+    _, with_them = smoother.finish(state)
+    _, without = smoother.finish(smoother.step_increments(smoother.init(), walk.steps, fixes)[0])
+    np.testing.assert_array_equal(with_them.mean, without.mean)
+    assert [c for c in with_them.rejected if isinstance(c, LoopClosure)] == near
 
 
 def test_loop_closures_within_the_window_are_those_of_the_smoother_of_the_whole_walk() -> None:

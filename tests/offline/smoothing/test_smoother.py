@@ -225,6 +225,36 @@ def test_a_loop_closure_alone_brings_the_ends_together() -> None:
     assert np.trace(cov[150, :2, :2]) < 0.8 * np.trace(open_cov[150, :2, :2])
 
 
+@pytest.mark.parametrize("std_m", [0.1, 0.5])
+@pytest.mark.parametrize("gap_s", [0.1, 0.5, 1.0])
+def test_a_loop_closure_of_near_times_changes_nothing_and_says_so(gap_s: float, std_m: float) -> None:
+    found, alone = smooth(WALKED, loop_closures=[LoopClosure(20.0, 20.0 + gap_s, std_m)]), smooth_alone()
+    np.testing.assert_allclose(found.track.position_m, alone.track.position_m, atol=1e-6)
+    assert len(found.rejected) == 1
+    assert any("so near that the way between them" in note for note in found.notes)
+
+
+def test_copies_of_a_wrong_loop_closure_do_not_confirm_each_other() -> None:
+    wrong = [LoopClosure(20.0, 32.0, 0.5)] * 1000
+    found, alone = smooth(WALKED, loop_closures=wrong), smooth_alone()
+    assert len(found.rejected) == 1000
+    assert found.scale == pytest.approx(alone.scale, abs=1e-6)
+
+
+def smooth_alone() -> pdr.Smoothed:
+    """Without an observation, by the same least squares."""
+    return smooth(WALKED, loop_closures=[LoopClosure(20.0, 20.1)])
+
+
+def test_observations_may_come_from_iterators_and_keep_their_numbers() -> None:
+    fixes = [replace(fix, correlation_s=20.0) for fix in fixes_of(WALKED)]
+    closures = [LoopClosure(20.0, 20.1)]
+    found = smooth(WALKED, iter(fixes[::-1]), loop_closures=iter(closures))
+    assert (found.observations.kind == "fix").sum() == len(fixes)
+    np.testing.assert_array_equal(found.observations.time_s[: len(fixes)], [fix.time_s for fix in fixes[::-1]])
+    np.testing.assert_allclose(found.track.position_m, smooth(WALKED, fixes).track.position_m, atol=1e-6)
+
+
 def test_known_headings_turn_the_track_into_the_map() -> None:
     rng = np.random.default_rng(8)
     walk = simulated_walk(100, rng, any_rotation=True)
@@ -351,6 +381,13 @@ def test_bad_input_is_refused_in_words() -> None:
         smooth(WALKED, loop_closures=[LoopClosure(1.0, 900.0)])
     with pytest.raises(ValueError, match="first_s < second_s"):
         LoopClosure(5.0, 4.0)
+    for wrong in (0.0, -1.0, np.nan, "1"):
+        with pytest.raises(ValueError, match=r"start_heading_std_rad must be a number .* leave it out"):
+            smooth(WALKED, fixes, start_heading_std_rad=wrong)  # pyright: ignore[reportArgumentType]
+    with pytest.raises(ValueError, match="anchor_interval_s must be a number"):
+        smooth(WALKED, fixes, anchor_interval_s=0.0)
+    with pytest.raises(ValueError, match="std_m > 0"):
+        LoopClosure(1.0, 2.0, "0.5")  # pyright: ignore[reportArgumentType]
     with pytest.raises(ValueError, match="start_s < end_s"):
         KnownHeading(5.0, 4.0, 0.0)
     points = table({"time_s": np.array([1.0, 9.0, 4.0]), "east_m": np.zeros(3), "north_m": np.zeros(3)})

@@ -1,0 +1,87 @@
+"""Covariance of the errors of position fixes: correlated ones, independent ones, and mixtures of both.
+
+The correlation of two errors is that of two Ornstein-Uhlenbeck processes driven by one white noise. With time constants
+T_i, T_j and t the time from the earlier fix to the later one, whose time constant is T:
+
+    r_ij = (1 - e) s g c exp(-t / T),  c = 2 sqrt(T_i T_j) / (T_i + T_j),
+    s = min(v_i, v_j) / sqrt(v_i v_j),  g = exp(-log(T_i / T_j)^2 / 2)
+
+Two errors share at most the variance of the better fix, v = min(v_i, v_j). Fixes with very different time constants
+come from different sources, whose errors share little: g. A share e of each error is independent, so that fixes of one
+time do not make the covariance singular. A fix with T = 0 is independent of all others. The matrix is positive definite
+for any times, time constants and variances, as an elementwise product of covariances (of the two processes, of a random
+walk, and a Gaussian kernel) plus a diagonal. Equal time constants and variances give exp(-t / T) but for e.
+`exp(-t / min(T_i, T_j))` would have negative eigenvalues.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from pdr_filter.values.arrays import FloatArray
+from pdr_filter.values.fixes import PositionFix
+
+# Two fixes of one moment: a hundredth of the second one's variance is its own.
+INDEPENDENT_SHARE = 0.01
+# Earlier fixes whose errors the next one is compared with. Those before them add less than a thousandth at intervals
+# of a fiftieth of the time constant, where the independent share matters most.
+N_BEFORE = 8
+# A fix that repeats the ones before says nothing: its variance grows up to this factor.
+_MAX_REPETITION = 1e6
+
+
+def error_correlation(time_s: FloatArray, correlation_s: FloatArray, var_m2: FloatArray) -> FloatArray:
+    """Correlation matrix (N, N) of the errors of fixes (N,) along one axis, positive definite."""
+    apart_s = time_s[:, None] - time_s
+    later_s = np.where(apart_s >= 0, correlation_s[:, None], correlation_s)
+    shorter_s, longer_s = np.minimum(correlation_s[:, None], correlation_s), np.maximum(correlation_s[:, None], 1e-300)
+    ratio = shorter_s / np.maximum(longer_s, correlation_s)
+    with np.errstate(over="ignore"):
+        decay = np.exp(-np.abs(apart_s) / np.maximum(later_s, 1e-300))
+    std = np.sqrt(var_m2)
+    shared = np.minimum(std[:, None], std) / np.maximum(std[:, None], std)
+    alike = 2.0 * np.sqrt(ratio) / (1.0 + ratio) * np.exp(-0.5 * np.log(np.maximum(ratio, 1e-300)) ** 2)
+    result = (1.0 - INDEPENDENT_SHARE) * shared * alike * decay
+    np.fill_diagonal(result, 1.0)
+    return result
+
+
+def error_given_before(fix: PositionFix, before: Sequence[PositionFix]) -> tuple[FloatArray, FloatArray]:
+    """Matrices A_i (m, 2, 2) and a covariance R (2, 2): the error of a fix is sum_i A_i e_i + w, R that of w.
+
+    e_i are the errors of fixes before it, and w has no part in common with them. With r the correlations, S S = cov_m2:
+    A_i = (r_n r^-1)_i S_n S_i^-1 and R = (1 - r_n r^-1 r_n') cov_m2.
+    """
+    every = (*before, fix)
+    correlation = error_correlation(
+        np.array([f.time_s for f in every]),
+        np.array([f.correlation_s for f in every]),
+        np.array([f.var_m2 for f in every]),
+    )
+    share = np.linalg.solve(correlation[:-1, :-1], correlation[:-1, -1])
+    own = 1.0 - float(share @ correlation[:-1, -1])
+    root = _root(fix.cov_m2)
+    by_error = [s * root @ np.linalg.inv(_root(f.cov_m2)) for s, f in zip(share, before, strict=True)]
+    return np.array(by_error).reshape(-1, 2, 2), own * fix.cov_m2
+
+
+def repeated_cov_m2(fix: PositionFix, before: Sequence[PositionFix]) -> FloatArray:
+    """Covariance (2, 2) with which a fix counts as independent of fixes before it.
+
+    The weighted mean of a person who stands is then as sure as with the full covariance. At even intervals t the
+    variance is (1 + r) / (1 - r) times as large, r = exp(-t / T).
+    """
+    if fix.correlation_s == 0 or not before:
+        return fix.cov_m2
+    by_error, own_cov = error_given_before(fix, before)
+    new = max(1.0 - 0.5 * float(np.trace(by_error.sum(axis=0))), 1e-9)
+    share = 0.5 * float(np.trace(np.linalg.solve(fix.cov_m2, own_cov)))
+    return min(max(share / new**2, 1.0), _MAX_REPETITION) * fix.cov_m2
+
+
+def _root(cov: FloatArray) -> FloatArray:
+    """Symmetric square root of a covariance (2, 2): (P + sqrt(det) I) / sqrt(tr + 2 sqrt(det))."""
+    det = np.sqrt(max(float(np.linalg.det(cov)), 0.0))
+    return (cov + det * np.eye(2)) / np.sqrt(float(np.trace(cov)) + 2.0 * det)
