@@ -78,14 +78,14 @@ class SensedWalk:
                 outcomes.append(outcome)
                 used += 1
             if isinstance(event, WindowContext):
-                state, output = tracker.on_window(state, event)
+                state, updates = tracker.on_window(state, event)
             elif isinstance(event, Gap):
-                state, output = tracker.on_gap(state, event.duration_s)
+                state, updates = tracker.on_gap(state, event.duration_s)
             elif event is not None:
-                state, output = tracker.on_step(state, event)
+                state, updates = tracker.on_step(state, event)
             else:
                 break
-            rows += [(u.step.time_s, u.position_m, u.position_cov_m2) for u in output.updates if u.is_final]
+            rows += [(u.step.time_s, u.position_m, u.position_cov_m2) for u in updates if u.is_final]
         times, places, covs = (np.array(column) for column in zip(*rows, strict=True))
         return Tracked(times, places, covs, tuple(waiting), tuple(outcomes), state.pedestrian)
 

@@ -74,8 +74,8 @@ def whole_recording() -> Recording:
 # Data sets whose truth is waypoints only.
 WITHOUT_LABELS = ("ipin2023", "ipin21")
 # Data sets with times that repeat or go back, as published: clocks of 10 ms (oxiod, on the floor), a packet that was
-# sent twice (ipol).
-WITH_ODD_TIMES = ("oxiod", "ipol")
+# sent twice (ipol), a light sensor that gave one value twice (ipin2023).
+WITH_ODD_TIMES = ("oxiod", "ipol", "ipin2023")
 
 
 def odd_times(path: Path) -> set[str]:
