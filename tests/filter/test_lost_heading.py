@@ -79,7 +79,7 @@ def test_fixes_after_a_lost_heading_turn_the_track_and_it_stays_inside_its_ellip
     assert "rejected" not in after
     assert nees(walk, track.time_s, track.position_m, track.position_cov_m2).max() < chi2.isf(1e-3, 2)
     error_m = np.linalg.norm(track.position_m - truth_m(walk, track.time_s), axis=1)
-    assert error_m[track.time_s > GAP_END_S + 40.0].max() < 6.0
+    assert error_m[track.time_s > GAP_END_S + 40.0].max() < 8.0
 
 
 def test_a_heading_fix_after_a_lost_heading_turns_the_track_at_once(walk: Recording) -> None:
