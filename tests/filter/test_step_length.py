@@ -41,6 +41,7 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.papers.guo2018.recipe import chen_fit
 from pdr_filter.papers.martinelli2018.steps import WaveletStepDetector
 from pdr_filter.papers.tian2016.recipe import recipe_fit, tian_fit
+from pdr_filter.recipes import default
 from pdr_filter.sensing.steps.detector import unknown_contexts
 from pdr_filter.sensing.steps.step_log import amplitude as amplitude_of
 from pdr_filter.serialise import from_bytes, to_bytes
@@ -457,3 +458,9 @@ def test_the_default_model_carries_over_to_another_site_and_its_people(data_dir:
     assert (
         abs(np.log(scale("humolire", lambda h: KimStepLength()) / scale("ms_indoor", lambda h: KimStepLength()))) > 0.2
     )
+
+
+def test_a_step_faster_than_any_sprinter_is_no_longer_than_the_fastest_possible_step() -> None:
+    running = next(mode for mode in default().model.modes if mode.name == "running").step_length
+    length_m, _ = running.predict(step_of(frequency_hz=6.0))
+    assert length_m == running.predict(step_of(frequency_hz=4.5))[0] < 1.6
