@@ -47,6 +47,7 @@ from pdr_filter.recording_run import collected, given_or_default, outputs
 from pdr_filter.recording_run import track as pdr_track
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.device import Device
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
 from pdr_filter.tracks import Track
 from pdr_filter.values import (
     BoolArray,
@@ -188,7 +189,7 @@ def smooth(
     if calibration is not None:
         calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
         config = calibration.config(config, recording.subject)
-    config = _knowing_the_device(recording, config)
+    config = _with_first_pass(recording, config)
     if plan is not None and any(not isinstance(fix, GridFix) for fix in fixes):
         config = config.in_world_frame()
     config = on_plan(config, plan, start)
@@ -209,16 +210,24 @@ def smooth(
     return smooth_track(track, modes, config.model.noise, observed, start_heading_std_rad, anchor_interval_s)
 
 
-def _knowing_the_device(recording: Recording, config: Config) -> Config:
-    """Return the configuration with the gyroscope bias that the axes of a building show, for the first seconds too.
+def _with_first_pass(recording: Recording, config: Config) -> Config:
+    """Return the configuration with the walking directions and the gyroscope bias of a first pass over the recording.
 
-    Its covariance counts double: the second pass sees the same samples. Without axes a second pass costs as often as it
-    gains, because straight walking, seen twice, is taken for straighter than it is.
+    Strides show a walking direction better at the end of a place of the phone than at its start, and the axes of a
+    building show the bias only after some corners. The second pass has both from the first step. The covariance of the
+    bias counts double, because the second pass sees the same samples. Without axes the bias is not used: straight
+    walking that is seen twice is taken for straighter than it is, and costs as often as it gains.
     """
-    if "gyroscope" not in recording.streams or config.sensing.attitude.bias.device is not None:
+    if "gyroscope" not in recording.streams:
         return config
     found = pdr_track(recording, config, gnss="off")
-    if found.device is None or not (found.n_steps and found.steps.on_axes[-1]):
+    if not found.n_steps:
+        return config
+    heading = config.sensing.heading
+    if isinstance(heading, WalkingHeading):
+        heading = replace(heading, known_places=known_places(found.steps))
+        config = replace(config, sensing=replace(config.sensing, heading=heading))
+    if found.device is None or config.sensing.attitude.bias.device is not None or not found.steps.on_axes[-1]:
         return config
     return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))
 

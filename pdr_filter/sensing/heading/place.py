@@ -40,6 +40,7 @@ class Place:
     old_mode: int  # of the place before, which is still said of this one for some seconds; -1 none
     up: Vector  # mean up direction of its strides, sensor frame
     n_strides: int = 0
+    n_read: int = 0  # strides during which the phone may have been read
     # Sums over strides of vectors forward and right of the axis: motion at stride frequency in phase, at step frequency
     # in phase and 90 degrees ahead.
     vectors: tuple[_Plane, _Plane, _Plane] = ((0.0, 0.0), (0.0, 0.0), (0.0, 0.0))

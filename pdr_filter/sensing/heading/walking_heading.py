@@ -19,9 +19,11 @@ from __future__ import annotations
 
 import cmath
 import math
+from bisect import bisect_right
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -47,6 +49,7 @@ from pdr_filter.values import (
     FloatArray,
     HeadingDrift,
     Step,
+    Table,
     check_numbers,
     replace,
     wrap_angle,
@@ -84,6 +87,24 @@ _LABEL_LAG_S = 10.0
 _NOWHERE = (0.0, 0.0, 0.0)
 # People turn while nothing is known of it: 3 degrees in a second, as a random walk.
 _TURN_VAR_RAD2_PER_S = math.radians(3.0) ** 2
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class KnownPlace:
+    """Walking direction in the phone's axes while it is carried in one place, estimated from all strides there."""
+
+    start_s: float
+    shown_rad: float  # walking direction, clockwise from the zero of the device heading
+    var_rad2: float
+
+
+def known_places(steps: Table) -> tuple[KnownPlace, ...]:
+    """Return the places of the phone in the steps of a track, each with the direction after its last stride."""
+    since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
+    shown_rad = np.asarray(steps.shown_offset_rad)
+    (in_place,) = np.isfinite(since_s + std_rad).nonzero()
+    last = in_place[np.flatnonzero(np.diff(since_s[in_place], append=np.inf))]
+    return tuple(KnownPlace(float(since_s[k]), float(shown_rad[k]), float(std_rad[k]) ** 2) for k in last)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -161,6 +182,8 @@ class WalkingHeading:
         A phone that within this time is found tilted as in a former place is as it was there, this well.
     corridors : Corridors
         What the axes of a building say of the drift.
+    known_places : tuple of KnownPlace
+        Directions from a first pass over the same recording, in order of time. Strides are not used in these places.
     drift : HeadingDrift
         That of the filter behind (`MotionNoise.heading_drift`); `Config` refuses another one.
     """
@@ -179,6 +202,7 @@ class WalkingHeading:
     away_s: float = 30.0
     return_std_rad: float = math.radians(20.0)
     corridors: Corridors = field(default_factory=Corridors)
+    known_places: tuple[KnownPlace, ...] = ()
     drift: HeadingDrift = field(default_factory=HeadingDrift)
 
     def __post_init__(self) -> None:
@@ -318,10 +342,14 @@ class WalkingHeading:
             return replace(state, reported=reported), loss | heard | _shown(state)
         stride = stride.about(stride.axis if state.up is None else carry_axis(state.axis, state.up, stride.up))
         offset, formers, place, change_std_rad = self._settle(state, stride, step.time_s, carrying_mode)
-        place = self.strides.learn(place, stride, step.duration_s)
+        known = self._known(step.time_s)
+        if known is not None and (change_std_rad > 0 or state.place is None):
+            offset = offset.seen(OF_AXIS, cmath.rect(1.0, known.shown_rad), known.var_rad2)
+        may_read = place.carrying_mode == _TEXTING or (place.carrying_mode < 0 and stride.up[2] > 0.5)
+        place = self.strides.learn(replace(place, n_read=place.n_read + may_read), stride, step.duration_s)
         elapsed_s = step.duration_s if math.isnan(state.walking_s) else step.time_s - state.walking_s
         offset, shown, trust = self._believe(place, offset, stride, elapsed_s)
-        shown = self._with_axis(place, shown, stride, trust)
+        shown = self._with_axis(place, shown, stride, trust) if known is None else offset
         angle_rad = shown.shown_rad - stride.axis_offset_rad
         offset_rad = shown.offset_rad
         walking_rad = stride.device_heading_rad + offset_rad
@@ -464,6 +492,11 @@ class WalkingHeading:
             formers = (*formers, former)[-_N_FORMERS:]
         return offset, formers, place, UNKNOWN_STD_RAD
 
+    def _known(self, time_s: float) -> KnownPlace | None:
+        """Place of the first pass that holds at a time; None without a first pass."""
+        i = bisect_right(self.known_places, time_s, key=attrgetter("start_s"))
+        return self.known_places[i - 1] if i else None
+
     def _came_back(self, formers: tuple[Former, ...], stride: Stride, time_s: float) -> float | None:
         """The direction learnt in a former place, if this looks like it: a hand takes the phone up and swings on."""
         alike = [
@@ -482,8 +515,7 @@ class WalkingHeading:
 
     def _with_axis(self, place: Place, offset: Offset, stride: Stride, trust: float) -> Offset:
         """What is believed for the moment: the phone's own axis counts as long as somebody reads on it."""
-        is_reading = place.carrying_mode == _TEXTING
-        if not (is_reading or (place.carrying_mode < 0 and stride.up[2] > 0.5)):
+        if 2 * place.n_read < place.n_strides:
             return offset
         pointing_rad = stride.axis_offset_rad + stride.pointing_rad
         if trust > _OVERRULES_AXIS and abs(wrap_angle(pointing_rad - offset.shown_rad)) > _AGAINST_AXIS_RAD:
@@ -501,7 +533,7 @@ class WalkingHeading:
         offset = offset.wandered(wandered_rad2, stay, self._systematic_rad2(stride))
         mix = self.strides.mix(place)
         length2, share = self.strides.agreement(place, mix)
-        if length2 == 0:
+        if length2 == 0 or self.known_places:
             return offset, offset, share
         # half of what is not shared is across the direction, and two overlapping strides count as one
         is_young = place.n_strides <= _YOUNG_STRIDES
@@ -524,4 +556,5 @@ def _shown(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
         "shown_offset_rad": state.shown.shown_rad,
         "shown_offset_std_rad": math.sqrt(state.shown.shown_var_rad2),
         "direction_trust": state.trust,
+        "carried_since_s": math.nan if state.place is None else state.place.start_s,
     }

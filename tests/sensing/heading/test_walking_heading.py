@@ -32,7 +32,7 @@ from pdr_filter.sensing.heading.strides import (
     pointing_axis,
     strides_of,
 )
-from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState
+from pdr_filter.sensing.heading.walking_heading import WalkingHeading, WalkingHeadingState, known_places
 from pdr_filter.sensing.steps.detector import ContextBlock
 from pdr_filter.serialise import from_bytes, to_bytes
 from pdr_filter.simulate import Gait, Leg, phone_motion, simulate
@@ -44,6 +44,7 @@ from pdr_filter.values import (
     HeadingDrift,
     Step,
     circular_mean,
+    step_table,
     wrap_angle,
 )
 
@@ -289,6 +290,34 @@ def test_a_reader_walks_where_the_phone_points_and_a_pocket_has_no_such_axis() -
     assert_allclose(error_deg(annotated(still, "texting"), 0.0)[2:], 0.0, atol=3.0)
     assert shown_std_deg(annotated(still, "texting"))[-1] < 13.0
     assert shown_std_deg(annotated(still, "pocket")).min() > 35.0
+
+
+def test_a_phone_that_is_read_during_most_strides_keeps_its_axis_when_some_labels_differ() -> None:
+    """The strides point 30 degrees to the side of the axis; one label of twenty must not turn the direction there."""
+    parts = body(Rotation.from_euler("x", np.radians(35.0)), np.radians(30.0), seconds=40.0)
+    labels = np.full(4000, CARRYING_MODES.index("texting"))
+    labels[3000:3200] = CARRYING_MODES.index("calling")
+    _, result = STAGE.step(STAGE.init(), *parts[:2], ContextBlock(np.full(4000, -1), labels), parts[2])
+    learnt_deg = np.degrees([s.shown_offset_rad for _, s in result if s.time_s > 25.0])
+    assert np.ptp(learnt_deg) < 2.0
+
+
+def test_a_second_pass_has_the_direction_of_all_strides_from_the_first_stride_of_each_place() -> None:
+    """The push points backward for three seconds after the phone is moved, and forward for the rest of the walk."""
+    pushes = np.where((np.arange(6000) > 2000) & (np.arange(6000) < 2300), -1.2, 1.2)
+    block, attitude, steps = body(Rotation.from_euler("x", 1.5), 0.6, seconds=60.0, forward_mps2=pushes)
+    for vectors in (block.specific_force_mps2, attitude.up_sensor):
+        vectors[2000:] = Rotation.from_euler("x", -60, degrees=True).apply(vectors[2000:])
+    first = annotated((block, attitude, steps), "pocket")
+    places = known_places(step_table(first))
+    assert [place.start_s for place in places] == sorted({s.carried_since_s for s in first if s.carried_since_s > 0})
+    assert len(places) == 2
+    again = replace(STAGE, known_places=places)
+    _, result = again.step(again.init(), block, attitude, modes(6000, "pocket"), steps)
+    for found, is_right in ((first, False), ([s for _, s in result], True)):
+        early = [s.shown_offset_rad for s in found if 21.0 < s.time_s < 23.0]
+        assert (np.abs(np.array(early) - found[-1].shown_offset_rad).max() < 0.05) == is_right
+    assert result[-1][1].shown_offset_std_rad == pytest.approx(first[-1].shown_offset_std_rad, rel=0.1)
 
 
 def test_acceleration_corrects_the_axis_of_a_reader_in_part() -> None:
