@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from pdr_filter.filter.person import Person
-from pdr_filter.io import writers
 from pdr_filter.report import trust
 from pdr_filter.sensing.device import Device
 from pdr_filter.values import Origin, TrackRows
@@ -47,32 +46,46 @@ class Track(TrackRows):
 
     def to_csv(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write one line for each step and return the path; see `pdr_filter.io.writers.write_csv`."""
+        from pdr_filter.io import writers
+
         return writers.write_csv(self, path, origin)
 
     def to_parquet(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write the columns of `to_csv` with all digits and return the path; needs the extra `parquet`."""
+        from pdr_filter.io import writers
+
         return writers.write_parquet(self, path, origin)
 
     def to_geojson(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write a GeoJSON line in WGS 84 and return the path; a track without `origin` needs (lat_deg, lon_deg)."""
+        from pdr_filter.io import writers
+
         return writers.write_geojson(self, path, origin)
 
     def to_local_geojson(self, path: str | Path) -> Path:
         """Write the shape of a track that has no `origin` and return the path, which ends in .local.geojson."""
+        from pdr_filter.io import writers
+
         return writers.write_local_geojson(self, path)
 
     def to_kml(self, path: str | Path, origin: Origin | tuple[float, float] | None = None) -> Path:
         """Write a KML document for Google Earth and return the path; a track without `origin` needs one."""
+        from pdr_filter.io import writers
+
         return writers.write_kml(self, path, origin)
 
     def to_gpx(
         self, path: str | Path, origin: Origin | tuple[float, float] | None = None, epoch_s: float = 0.0
     ) -> Path:
         """Write a GPX 1.1 track and return the path; `epoch_s` is the unix time of time zero."""
+        from pdr_filter.io import writers
+
         return writers.write_gpx(self, path, origin, epoch_s)
 
     def to_tum(self, path: str | Path) -> Path:
         """Write TUM lines (timestamp tx ty tz qx qy qz qw) and return the path."""
+        from pdr_filter.io import writers
+
         return writers.write_tum(self, path)
 
     def plot(self, path: str | Path | None = None) -> Figure:

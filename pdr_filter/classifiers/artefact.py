@@ -20,7 +20,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from pdr_filter.io import limits
-from pdr_filter.io.files import read_small, write_files
 from pdr_filter.values import check_whole
 
 Arrays = dict[str, NDArray[Any]]
@@ -41,6 +40,8 @@ class ArtefactFormat:
         TypeError, before anything is written, for a description that JSON cannot hold; ValueError for more than `read`
         takes.
         """
+        from pdr_filter.io.files import write_files  # only when called: classifiers are arrays, and open no files
+
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)
         if packed is not None:
@@ -62,6 +63,8 @@ class ArtefactFormat:
         ValueError if a file is missing, damaged, of another kind or version, or if `build` fails or makes something
         whose fields are not what they are declared as.
         """
+        from pdr_filter.io.files import read_small
+
         json_path, npz_path = file_pair(path)
         for needed in (npz_path if str(path).endswith(".npz") else json_path, json_path):
             if not needed.is_file():
@@ -125,6 +128,8 @@ def _packed(arrays: Arrays) -> bytes:
 
 def _unpacked(path: Path, checksum: str) -> Arrays:
     """Return the arrays of a .npz; ValueError if it is another one, damaged, or holds anything but plain arrays."""
+    from pdr_filter.io.files import read_small
+
     if not path.is_file():
         raise ValueError(f"{path.name} is missing beside it, copy both files")
     content = read_small(path, limits.MAX_WHOLE_BYTES)

@@ -16,7 +16,6 @@ from pdr_filter.filter.motion import LOG_SCALE, Mode
 from pdr_filter.filter.pedestrian import PedestrianState
 from pdr_filter.filter.step_length import RECORDING_STD, TYPICAL_STEP, StepLengthFit, length_and_jacobian
 from pdr_filter.io import limits
-from pdr_filter.io.files import read_json, write_text
 from pdr_filter.values import check_numbers, check_whole
 
 # Fixes that leave nine tenths of the variance have said nothing.
@@ -81,12 +80,16 @@ class Person:
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
+        from pdr_filter.io.files import write_text  # only when called: the filter opens no files
+
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
         return write_text(path, json.dumps(content, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Person:
         """Read what `save` wrote; ValueError that names the file if it is none."""
+        from pdr_filter.io.files import read_json
+
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_person"] != 1:

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from pdr_filter.io import limits
-from pdr_filter.io.files import read_json, write_text
 from pdr_filter.values import FloatArray, pickled, read_only
 
 # How far the bias of a phone wanders from a day to the next, and with each kelvin. Data sheets of phone gyroscopes
@@ -57,12 +56,16 @@ class Device:
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
+        from pdr_filter.io.files import write_text  # only when called: sensing opens no files
+
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
         return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")
 
     @classmethod
     def load(cls, path: str | Path) -> Device:
         """Read what `save` wrote; ValueError that names the file if it is none."""
+        from pdr_filter.io.files import read_json
+
         try:
             content = read_json(Path(path), limits.MAX_SMALL_BYTES)
             if content["pdr_filter_device"] != 1:
