@@ -14,7 +14,6 @@ from threadpoolctl import threadpool_limits
 from pdr_filter.classifiers.familiarity import unknown_share
 from pdr_filter.classifiers.model import ContextModel, not_told_apart
 from pdr_filter.classifiers.probability_calibration import fit_calibration, slipped, tempered
-from pdr_filter.io.formats import read
 from pdr_filter.papers.martinelli2018 import features as martinelli
 from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.features import invariant, stride
@@ -32,6 +31,7 @@ from pdr_filter.training.protocol import (
     TextArray,
     in_order,
     label_of,
+    read_recording,
     score,
     silent,
     source_of,
@@ -222,7 +222,7 @@ def labelled_windows(
     stage = FeatureWindows(features=FEATURE_SETS[feature_set])
     rows: list[tuple[FloatArray, str, str, str, str, str, bool]] = []
     for i, path in enumerate(paths):
-        recording = read(path)
+        recording = read_recording(path)
         if not with_gyroscope:
             recording = replace(recording, gyroscope=None)
         dataset, person = source_of(recording)

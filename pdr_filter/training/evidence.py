@@ -17,14 +17,13 @@ import numpy as np
 from pdr_filter.classifiers.model import ContextModel, load_model
 from pdr_filter.classifiers.transitions import Transitions
 from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, with_context_model
 from pdr_filter.recording_run import sensed_events
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.training.contexts import DEFAULT_MODEL
-from pdr_filter.training.protocol import Progress, TextArray, provenance, silent, source_of
+from pdr_filter.training.protocol import Progress, TextArray, provenance, read_recording, silent, source_of
 from pdr_filter.training.sequences import (
     PRIOR_STEPS,
     UNKNOWN,
@@ -85,7 +84,7 @@ def changing_recordings(paths: Sequence[Path]) -> dict[Path, str]:
     """
     found: dict[Path, str] = {}
     for path in dict.fromkeys(path.resolve() for path in paths):
-        recording = read(path)
+        recording = read_recording(path)
         labels = recording.truth.labels
         known = set() if labels is None else {str(c) for c in labels["context"]} & set(CONTEXTS)
         if recording.gyroscope is not None and len(known) > 1:
@@ -116,7 +115,7 @@ def labelled_sequences(
     for fold in (people[k::N_FOLDS] for k in range(min(N_FOLDS, len(people)))):
         model = model_without(fold)
         for path in (path for path, person in changing.items() if person in fold):
-            recording, person = read(path), changing[path]
+            recording, person = read_recording(path), changing[path]
             sensing = with_context_model(default(recording.subject), model).sensing
             for number, (found_steps, found_windows) in enumerate(_stretches(sensing, recording)):
                 sequence = f"{n_done}/{number}"

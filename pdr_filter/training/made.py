@@ -15,10 +15,9 @@ from zlib import crc32
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.simulate.people import EAR_PITCH_RAD, EAR_ROLL_RAD, MODES, simulated_person
-from pdr_filter.training.protocol import Progress, TextArray, in_parallel, source_of
+from pdr_filter.training.protocol import Progress, TextArray, in_parallel, read_recording, source_of
 from pdr_filter.values import FloatArray
 
 R = TypeVar("R")
@@ -45,7 +44,7 @@ def from_sources(
 
 def _on_source(work: Callable[[Recording, str, str], R], source: Source) -> R:
     if isinstance(source, Path):
-        recording = read(source)
+        recording = read_recording(source)
         return work(recording, *source_of(recording))
     recording = simulated_person(*source)
     return work(recording, SIMULATED, f"{SIMULATED}/{recording.name}")

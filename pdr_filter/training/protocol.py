@@ -60,6 +60,13 @@ def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
     return [path for path in found if path.stem not in DUPLICATES]
 
 
+def read_recording(path: Path) -> Recording:
+    """Read a recording to train on."""
+    from pdr_filter.io.formats import read  # only when called: fitting works on recordings, whatever their files
+
+    return read(path)
+
+
 def source_of(recording: Recording) -> tuple[str, str]:
     """Data set and person, "data set/subject", of a recording."""
     dataset = str(recording.meta.get("dataset", ""))
