@@ -118,7 +118,8 @@ def smooth(
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
     from pdr_filter.gnss import fixes_of
-    from pdr_filter.offline.smoothing.observations import fixes_of_file, loop_closures_of_file, waypoint_fixes
+    from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
+    from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 
     before: dict[Path, int] = {}

@@ -49,6 +49,11 @@ MAX_SENTENCES = 50
 MAX_NAME_CHARS = 200
 MAX_TEXT_CHARS = 500
 
+# A pause longer than this in a sensor that samples faster is a gap: within it a step can be missed.
+GAP_S = 0.3
+# A slow sensor (1 Hz GNSS) has a gap only where samples are missing, so where an interval is this many usual ones.
+GAP_INTERVALS = 2.5
+
 # Nothing measured is larger; up to here squares and sums of squares stay finite.
 LARGEST_VALUE = 1e30
 MAX_INT64 = 2**63 - 1

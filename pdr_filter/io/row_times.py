@@ -6,7 +6,7 @@ from collections.abc import Mapping
 
 import numpy as np
 
-from pdr_filter.io.describe import GAP_INTERVALS, GAP_S
+from pdr_filter.io.limits import GAP_INTERVALS, GAP_S
 from pdr_filter.values import FloatArray, IntArray, how_many
 
 Streams = Mapping[str, tuple[FloatArray, FloatArray]]

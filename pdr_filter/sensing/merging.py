@@ -20,7 +20,7 @@ from typing import Literal, NamedTuple, get_args
 
 import numpy as np
 
-from pdr_filter.io.describe import GAP_INTERVALS
+from pdr_filter.io.limits import GAP_INTERVALS
 from pdr_filter.sensing.conditioning import at_times
 from pdr_filter.values import FloatArray, ImuBlock, check_numbers, replace
 

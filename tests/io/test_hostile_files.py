@@ -22,9 +22,9 @@ from pdr_filter import batch
 from pdr_filter.io import limits
 from pdr_filter.io.detection import detect
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.fix_files import fixes_of_file
 from pdr_filter.io.folders import recordings_in
 from pdr_filter.io.formats import read
-from pdr_filter.offline.smoothing.observations import fixes_of_file
 from pdr_filter.values import Samples
 
 ROWS = "time_s,x,y,z\n" + "".join(f"{i / 100},0.1,0.2,9.8\n" for i in range(50))
