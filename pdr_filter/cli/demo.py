@@ -111,7 +111,8 @@ def _placed(result: Track) -> str:
 
 def _true_way(recording: Recording) -> FloatArray:
     position = recording.truth.position
-    assert position is not None  # of every simulated recording
+    if position is None:
+        raise ValueError(f"{recording.name} has no true positions: give a simulated recording")
     return np.column_stack([position.east_m, position.north_m])
 
 
@@ -133,7 +134,8 @@ def _facts(demo: Demo) -> Table:
 def _true_facts(recording: Recording, result: Track) -> tuple[str, str, str]:
     """True steps and distance, and the end error of the report, after the true way was turned and shifted to fit."""
     truth = recording.truth
-    assert truth.steps is not None and truth.segments is not None  # of every simulated recording
+    if truth.steps is None or truth.segments is None:
+        raise ValueError(f"{recording.name} has no true steps and segments: give a simulated recording")
     apart_m = track_data(result, recording, None, 1)["from_truth"][-1]
     distance_m = float(truth.segments.distance_m.sum())
     return (

@@ -199,7 +199,8 @@ class Frame:
 
     def most_probable(self, n_steps: int) -> Alignment:
         """The alignment of a turn that stays open, for what comes after."""
-        assert self._open is not None
+        if self._open is None:
+            raise ValueError("the rotation of this frame is settled: use its alignment")
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._open.alignment(n_steps)
 
     def moved(self, alignment: Alignment) -> Frame:

@@ -91,7 +91,8 @@ class Altitude:
 
         One that is not as expected counts less, as with Student's t (`turn.scatter`).
         """
-        assert fix.altitude_m is not None and fix.altitude_std_m is not None
+        if fix.altitude_m is None or fix.altitude_std_m is None:
+            raise ValueError(f"the fix has no altitude, got {fix}: give altitude_m and altitude_std_m")
         var = repetition(fix, self.last_s) * fix.altitude_std_m**2 + height_var_m2
         altitude_m = fix.altitude_m - height_m
         if math.isinf(self.var_m2):

@@ -328,7 +328,8 @@ def step_update(
 ) -> StepUpdate:
     """What is reported of a step that led from one state to the next with this `shared_cov`, see `with_step`."""
     x, P = combined
-    assert after.speed is not None
+    if after.speed is None:
+        raise ValueError("the state after a step must have a walking speed: use the state that with_step returns")
     own = Place(frozen(x[:2].copy()), position_cov(P, shared_m2), walked.heading_rad, before.n_final)
     place = own if after.frame.is_joined else after.frame.world(own)
     return StepUpdate(

@@ -205,8 +205,7 @@ def _number(message: Message) -> int:
 
 def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
     """Samples of one message, each sensor in order of time."""
-    kind = state.kind
-    assert kind is not None
+    kind = _kind_of(state)
     state, times_s = _on_one_clock(state, message, kind)
     found: Streams = {}
     for name, time_s in times_s.items():
@@ -229,8 +228,14 @@ def _samples(state: Assembly, message: Message) -> tuple[Assembly, Streams]:
 
 def _whole(state: Assembly, force: Samples) -> Streams:
     """Specific force in m/s2 with the sign of Android; empty without samples."""
-    assert state.kind is not None
-    return {FORCE: Samples(force.time_s, state.kind.scale * force.values)} if len(force) else {}
+    return {FORCE: Samples(force.time_s, _kind_of(state).scale * force.values)} if len(force) else {}
+
+
+def _kind_of(state: Assembly) -> Kind:
+    """The kind of acceleration that was found in the first samples."""
+    if state.kind is None:
+        raise ValueError("no samples are assembled before the kind of the acceleration is known")
+    return state.kind
 
 
 def _latest_s(time_s: FloatArray) -> float:
@@ -349,7 +354,8 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
         return f"{PRELUDE_S:g} s of samples are needed, {span_s:.1f} s are there"
     first = {name: _together(messages, name) for name in (FORCE, LINEAR, GRAVITY, RAW, "attitude")}
     force = next((name for name in (FORCE, LINEAR, RAW) if _is_usable(name, first)), None)
-    if force is None:
+    rows = None if force is None else first[force]
+    if force is None or rows is None:
         words = (
             f"no acceleration with gravity in it (sent: {sensors}); switch on Accelerometer and Gravity, or Total "
             "Acceleration, in the app"
@@ -357,8 +363,6 @@ def _kind(messages: Sequence[Message], platform: str, is_last: bool = False) -> 
         if span_s < _NO_FORCE_S and not is_last:
             return words
         raise SessionError(words)
-    rows = first[force]
-    assert rows is not None
     platform = next((m.platform for m in messages if m.platform), platform)
     scale, how = _scale(force, first, platform)
     zero_ns = 0 if rows.time.dtype.kind == "f" else int(rows.time[rows.time >= recent.min()].min())
@@ -394,7 +398,8 @@ def _scale(force: str, first: Mapping[str, Rows | None], platform: str) -> tuple
     if force == FORCE:
         return (-1.0, "iOS: sign turned") if platform == "ios" else (1.0, "as it is")
     rows = first[GRAVITY] if force == LINEAR else first[RAW]
-    assert rows is not None
+    if rows is None:
+        raise SessionError(f"no samples of {GRAVITY if force == LINEAR else RAW}: switch the sensor on")
     unit, size = 1.0, float(np.nanmedian(np.linalg.norm(rows.values, axis=1)))
     if force == RAW and limits.G_RANGE[0] <= size <= limits.G_RANGE[1]:
         return -STANDARD_GRAVITY_MPS2, "g, so iOS: sign turned"

@@ -182,7 +182,8 @@ class Session:
     def _begun(self, samples: assembly.Streams) -> Config:
         """Configuration for the sensors of the first seconds."""
         kind = self.assembly.kind
-        assert kind is not None
+        if kind is None:
+            raise ValueError("no filter begins before the kind of the acceleration is known")
         meta: dict[str, Any] = {"name": f"{self.device} {self.session}".strip()[: limits.MAX_NAME_CHARS] or self.id}
         meta["name"] = file_name(meta["name"])
         meta |= {"source": "pdr-filter live", "accelerometer": f"{kind.force}, {kind.how}"}

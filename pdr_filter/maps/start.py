@@ -46,7 +46,8 @@ def start_of(plan: FloorPlan, start: PositionFix | str) -> Start:
         if len(plan.storeys) > 1 and plan.storey(0) is None:
             raise ValueError('start="anywhere" is on storey 0, which the plan does not have: give a place or a name')
         storey = plan.storeys[0] if len(plan.storeys) == 1 else plan.storey(0)
-        assert storey is not None
+        if storey is None:
+            raise ValueError(f"the plan has no storey, got {plan.name!r}: draw one")
         where = storey.cells <= LIFT
     else:
         found = [(s, f) for s in plan.storeys for f in s.features if f.name == start and f.is_area]

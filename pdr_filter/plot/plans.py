@@ -61,7 +61,8 @@ def _write_names(axes: Axes, storey: Storey) -> None:
     named = [f for f in storey.features if f.name and f.kind != "floor"]
     written = list[Bbox]()
     figure = axes.get_figure(root=True)
-    assert figure is not None
+    if figure is None:
+        raise ValueError("the axes belong to no figure: make them with Figure.subplots")
     figure.draw_without_rendering()
     for feature in sorted(named, key=lambda f: -float(np.ptp(f.lines[0], axis=0).prod())):
         middle = 0.5 * (feature.lines[0].min(axis=0) + feature.lines[0].max(axis=0))
