@@ -22,7 +22,7 @@ import numpy as np
 from pdr_filter.values import check_declared
 
 _PACKAGE = "pdr_filter"
-_FORMAT = 2
+_FORMAT = 3  # 2 named modules of an older layout of the package
 # A filter with its models has some MB, nearly all of it arrays, and some thousand values.
 _MAX_BYTES = 64 << 20
 _MAX_VALUES = 2_000_000
@@ -46,7 +46,9 @@ def from_bytes(blob: object) -> Any:
         _check_size(text)
         content = json.loads(text)
         if content["format"] != _FORMAT:
-            raise ValueError(f"format {content['format']}, this version reads {_FORMAT}")
+            raise ValueError(
+                f"saved by another version of {_PACKAGE}: its format is {content['format']}, not {_FORMAT}"
+            )
         return _decode(content["value"])
     except Exception as error:  # whatever damaged bytes provoke
         raise ValueError(
