@@ -10,18 +10,17 @@ from pdr_filter.filter.frame import UNKNOWN_FRAME
 from pdr_filter.filter.imm_tracker import ImmTracker
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.filter.person import Person
+from pdr_filter.filter.plan_stage import PlanStage
 from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.filter.weighting import HC, WEIGHTINGS
-from pdr_filter.maps.floor_plan import FloorPlan
-from pdr_filter.maps.particles import ParticleFilter
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import ClimbRate
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.sensing.heading.north import MagneticNorth
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading
 from pdr_filter.sensing.merging import StreamMerger
-from pdr_filter.values import DECLINATION_STD_RAD, Note, PositionFix
+from pdr_filter.values import DECLINATION_STD_RAD, Note, Plan, PositionFix
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,7 +46,7 @@ class Config:
     notes: tuple[Note, ...] = ()
     on_foot: bool = False  # made for a sensor on the foot, not for a carried phone
     person: Person | None = None  # whose step lengths the modes have
-    on_plan: ParticleFilter | None = None  # keeps the track on a floor plan
+    on_plan: PlanStage | None = None  # keeps the track on a floor plan
     merger: StreamMerger = field(default_factory=StreamMerger)  # of sensors that arrive apart
 
     def __post_init__(self) -> None:
@@ -108,12 +107,14 @@ class Config:
         north = MagneticNorth(rate_hz, declination_rad, declination_std_rad)
         return replace(self, sensing=replace(self.sensing, north=north)).in_world_frame()
 
-    def with_plan(self, plan: FloorPlan, start: PositionFix | str | None = None, seed: int = 0) -> Config:
+    def with_plan(self, plan: Plan, start: PositionFix | str | None = None, seed: int = 0) -> Config:
         """The same for a walk on a floor plan, in whose frame tracks are then.
 
         Where it begins: a `PositionFix`, the name of an area of the plan, or "anywhere"; if not given, where fixes or
         the frame of the configuration put it. The same `seed` gives the same bits.
         """
+        from pdr_filter.maps.particles import ParticleFilter  # only when called: a filter without a plan needs no maps
+
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))
 
@@ -147,7 +148,7 @@ def check_config(config: object) -> None:
         )
 
 
-def on_plan(config: Config, plan: FloorPlan | None, start: PositionFix | str | None) -> Config:
+def on_plan(config: Config, plan: Plan | None, start: PositionFix | str | None) -> Config:
     """The configuration with a floor plan, if one is given; ValueError for a start without one."""
     if plan is not None:
         return config.with_plan(plan, start)

@@ -16,9 +16,9 @@ from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
 from pdr_filter.filter.pedestrian import StepUpdate, heading_std_rad, moved_by_heading_m
 from pdr_filter.filter.person import Person, session_of
+from pdr_filter.filter.plan_stage import PlanState
 from pdr_filter.filter.tracker import TrackerState
 from pdr_filter.gnss import LocationState, position_fixes
-from pdr_filter.maps.particles import ParticleState
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
@@ -65,7 +65,7 @@ class State:
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
-    particles: ParticleState = field(default_factory=ParticleState)  # on the floor plan, if there is one
+    particles: PlanState | None = None  # on the floor plan, if there is one
     merger: MergerState = field(default_factory=StreamMerger().init)  # of sensors that arrive apart
     window: WindowContext | None = None  # the last one
     last_fixes: tuple[FixResult, ...] = ()  # what became of them

@@ -124,7 +124,7 @@ def now(config: Config, state: State) -> Now:
     place = place if frame.is_joined else frame.world(place)
     reckoned = present_position(pedestrian)
     on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
-    if on_plan is not None:
+    if on_plan is not None and state.particles is not None:
         base = replace(own_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
         base = base if frame.is_joined else frame.world(base)
         ahead = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]

@@ -30,7 +30,6 @@ from pdr_filter.filtering import (
 from pdr_filter.io.limits import MIN_SAMPLES
 from pdr_filter.io.recording import Subject
 from pdr_filter.io.units import unit_of_rate, wrong_rate, wrong_time
-from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.notes import notes_of
 from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
@@ -44,6 +43,7 @@ from pdr_filter.values import (
     ImuBlock,
     OnPlan,
     Origin,
+    Plan,
     PositionFix,
     as_floats,
     check_cov,
@@ -90,7 +90,7 @@ class OnlineFilter:
         self,
         config: Config | None = None,
         height_m: float | None = None,
-        plan: FloorPlan | None = None,
+        plan: Plan | None = None,
         start: PositionFix | str | None = None,
         weighting: str | None = None,
     ) -> None:

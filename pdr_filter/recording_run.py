@@ -28,7 +28,6 @@ from pdr_filter.filtering import (
 )
 from pdr_filter.gnss import rides
 from pdr_filter.io.recording import MissingSensorError, Recording
-from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.notes import notes_of
 from pdr_filter.placing import GnssUse, NorthUse, is_placed, uses_location, with_north, with_north_of_attitude
 from pdr_filter.sensing.clock import one_clock
@@ -47,6 +46,7 @@ from pdr_filter.values import (
     ImuBlock,
     IntArray,
     Origin,
+    Plan,
     PositionFix,
     Samples,
     Step,
@@ -76,7 +76,7 @@ def track(
     origin: Origin | tuple[float, float] | None = None,
     heading_rad: float | None = None,
     north: NorthUse | None = None,
-    plan: FloorPlan | None = None,
+    plan: Plan | None = None,
     start: PositionFix | str | None = None,
 ) -> Track:
     """Track of a recording, the same that `OnlineFilter` gives for its samples.
@@ -384,7 +384,7 @@ def _track(name: str, config: Config, updates: Sequence[StepUpdate], windows: Wi
     )
 
 
-def _on_plan(track: Track, plan: FloorPlan, updates: Sequence[StepUpdate]) -> Track:
+def _on_plan(track: Track, plan: Plan, updates: Sequence[StepUpdate]) -> Track:
     places = [u.on_plan for u in updates]
     return replace(
         track,

@@ -59,6 +59,7 @@ from pdr_filter.values import (
     IntArray,
     Note,
     OnPlan,
+    Plan,
     PositionFix,
     check_numbers,
     repetition,
@@ -149,9 +150,9 @@ class ParticleFilter:
             raise ValueError(f"n_least must not be above n_most, got {self.n_least} and {self.n_most}")
 
     @classmethod
-    def of(cls, plan: FloorPlan, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
+    def of(cls, plan: Plan, start: PositionFix | str | None = None, seed: int = 0) -> ParticleFilter:
         """The filter on a plan from a start: a place, the name of an area, or "anywhere"."""
-        if not isinstance(plan, FloorPlan):  # pyright: ignore[reportUnnecessaryIsInstance]
+        if not isinstance(plan, FloorPlan):
             raise ValueError(
                 f"plan must be a FloorPlan, got {plan!r}: pdr_filter.FloorPlan.read(path) makes one of a file"
             )

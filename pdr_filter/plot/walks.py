@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Ellipse, Patch
 from matplotlib.patheffects import withStroke
 
-from pdr_filter.maps.floor_plan import FloorPlan
+from pdr_filter.maps.floor_plan import FloorPlan, plan_of
 from pdr_filter.plot.figures import AS_IT_IS, beside, given_or_new, lined, new_figure, save
 from pdr_filter.plot.plans import draw_storey
 from pdr_filter.report import palette
@@ -75,7 +75,7 @@ def way(
     frame of the track. Where a plan leaves several places for the end, each is drawn with its probability.
     """
     axes = given_or_new(ax, (5.6, 5.0))
-    for storey in storeys_of(plan or track.plan, track.floor):
+    for storey in storeys_of(plan or plan_of(track), track.floor):
         draw_storey(axes, storey)
     way_m = np.vstack([track.start_position_m, track.position_m])
     if reference_m is not None:

@@ -41,6 +41,7 @@ from pdr_filter.values.notes import Note, NoteSubject
 from pdr_filter.values.on_plan import Cluster, OnPlan
 from pdr_filter.values.origin import DECLINATION_STD_RAD, Origin
 from pdr_filter.values.plain import as_plain
+from pdr_filter.values.plan import Plan
 from pdr_filter.values.replace import replace
 from pdr_filter.values.rigid import rigid_fit
 from pdr_filter.values.samples import STANDARD_GRAVITY_MPS2, ImuBlock, Samples
@@ -79,6 +80,7 @@ __all__ = [
     "NoteSubject",
     "OnPlan",
     "Origin",
+    "Plan",
     "PositionFix",
     "Samples",
     "SpeedFix",

@@ -26,24 +26,13 @@ from pdr_filter.io.recording import Recording
 from pdr_filter.maps.clusters import moments, reaching
 from pdr_filter.maps.moves import EAST, NORTH, OFFSET, SCALE, backwards
 from pdr_filter.maps.particles import ParticleFilter, ParticleState
+from pdr_filter.offline.smoothing.plan_result import Hindsight
 from pdr_filter.recording_run import a_step_before, collected, outputs
-from pdr_filter.tracks import Track
 from pdr_filter.values import Cluster, Fix, FixOutcome, FloatArray, FloorPassage, read_only, wrap_angle
 
 _MORE = 4
 # How well a plan shows where somebody is: edges are drawn, and kept away from, to some decimetres.
 _PLAN_STD_M = 0.2
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Hindsight:
-    """A smoothed track on a plan, and what was learnt on the way."""
-
-    track: Track
-    heading_offset_rad: FloatArray  # (K,)
-    heading_offset_std_rad: FloatArray  # (K,)
-    log_scale: FloatArray  # (K,)
-    log_scale_std: FloatArray  # (K,)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -103,7 +92,8 @@ class _Remembering(ParticleFilter):
 def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...]) -> Hindsight:
     """The track of a configuration with a floor plan, each step as the whole recording shows it."""
     online = config.on_plan
-    assert online is not None
+    if not isinstance(online, ParticleFilter):
+        raise ValueError(f"smoothing on a plan needs a particle filter, got {online!r}: use Config.with_plan")
     n_least = _MORE * online.n_least
     on_plan = _Remembering(
         online.plan, online.start, online.terrain, n_least, max(n_least, online.n_most), seed=online.seed

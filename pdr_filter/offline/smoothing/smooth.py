@@ -28,7 +28,6 @@ from pdr_filter.filter.motion import (
 )
 from pdr_filter.gnss import independent
 from pdr_filter.io.recording import Recording
-from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
@@ -37,8 +36,7 @@ from pdr_filter.offline.smoothing.observations import (
     check_options,
     says_nothing,
 )
-from pdr_filter.offline.smoothing.on_plan import Hindsight as OnPlanHindsight
-from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
+from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
@@ -55,6 +53,7 @@ from pdr_filter.values import (
     FloatArray,
     GridFix,
     IntArray,
+    Plan,
     PositionFix,
     Table,
     all_fixes,
@@ -126,7 +125,7 @@ def smooth(
     floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
-    plan: FloorPlan | None = None,
+    plan: Plan | None = None,
     start: PositionFix | str | None = None,
 ) -> Smoothed:
     """The walk of a recording as everything that is known of it says, with a covariance at every step.
@@ -196,6 +195,8 @@ def smooth(
     places = [fix for fix in fixes if isinstance(fix, PositionFix)]
     observed = Observations(tuple(places), tuple(loop_closures), known_headings, floor_changes)
     if config.on_plan is not None:
+        from pdr_filter.offline.smoothing.on_plan import smooth_on_plan  # only when called: a plan is an application
+
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     config = config.in_hindsight()
     track = collected(recording, config, outputs(recording, config))
