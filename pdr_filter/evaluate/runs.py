@@ -95,7 +95,7 @@ def threshold_sweep(recording: Recording, config: Config, thresholds: Sequence[f
 
 
 def epoch_distances(track: TrackRows, modes: Sequence[Mode]) -> tuple[FloatArray, FloatArray]:
-    """What `pdr_filter.filter.weighting.weighted_distances` takes: (K, C) and (K + 1, C), for a track of K + 1 windows.
+    """Arguments of `pdr_filter.filter.weighting.weighted_distances`: (K, C) and (K + 1, C), of K + 1 windows.
 
     Distances in m between one window's end and the next if every step had been of a context (Martinelli et al. 2018,
     eq. 17 and 18), and the probabilities of all windows; the modes are `config.model.modes`, one for each context.

@@ -28,9 +28,9 @@ class PlanState(Protocol):
 
 
 class PlanStage(Protocol):
-    """A stage that follows the tracker's events on a floor plan, such as `pdr_filter.maps.particles.ParticleFilter`.
+    """A stage that follows the tracker's events on a floor plan.
 
-    Each method returns the state after one event. `known` is what the tracker knows then.
+    `pdr_filter.maps.particles.ParticleFilter` is one. Each method returns the state after one event. `known` is what the tracker knows then.
     """
 
     @property
