@@ -30,7 +30,8 @@ class PlanState(Protocol):
 class PlanStage(Protocol):
     """A stage that follows the tracker's events on a floor plan.
 
-    `pdr_filter.maps.particles.ParticleFilter` is one. Each method returns the state after one event. `known` is what the tracker knows then.
+    `pdr_filter.maps.particles.ParticleFilter` is one. Each method returns the state after one event, and `known` is
+    what the tracker knows then.
     """
 
     @property
