@@ -6,6 +6,7 @@ window begins. Positions are therefore in the frame of the fixes, and a wild fix
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
@@ -136,6 +137,18 @@ class FixedLagSmoother:
         )
 
     def step(
+        self,
+        state: FixedLagState,
+        updates: Iterable[StepUpdate],
+        fixes: Iterable[PositionFix] = (),
+        gap_before_s: float = 0.0,
+        loop_closures: Iterable[LoopClosure] = (),
+    ) -> tuple[FixedLagState, LateSteps]:
+        """Return the result of `update`, which is the new name: a step is a footstep here. Deprecated."""
+        warnings.warn("FixedLagSmoother.step is now FixedLagSmoother.update", DeprecationWarning, stacklevel=2)
+        return self.update(state, updates, fixes, gap_before_s, loop_closures)
+
+    def update(
         self,
         state: FixedLagState,
         updates: Iterable[StepUpdate],
