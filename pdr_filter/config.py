@@ -113,7 +113,8 @@ class Config:
         Where it begins: a `PositionFix`, the name of an area of the plan, or "anywhere"; if not given, where fixes or
         the frame of the configuration put it. The same `seed` gives the same bits.
         """
-        from pdr_filter.maps.particles import ParticleFilter  # only when called: a filter without a plan needs no maps
+        # Only when called: a filter without a plan needs no maps.
+        from pdr_filter.maps.particles import ParticleFilter
 
         placed = self if start is None else self.in_world_frame()
         return replace(placed, on_plan=ParticleFilter.of(plan, start, seed))

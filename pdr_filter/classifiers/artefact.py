@@ -40,7 +40,8 @@ class ArtefactFormat:
         TypeError, before anything is written, for a description that JSON cannot hold; ValueError for more than `read`
         takes.
         """
-        from pdr_filter.io.files import write_files  # only when called: classifiers are arrays, and open no files
+        # Only when called: classifiers are arrays, and open no files.
+        from pdr_filter.io.files import write_files
 
         content: dict[str, Any] = {"format_version": self.version, "kind": self.kind, **description}
         packed = None if arrays is None else _packed(arrays)

@@ -80,7 +80,8 @@ class Person:
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
-        from pdr_filter.io.files import write_text  # only when called: the filter opens no files
+        # Only when called: the filter opens no files.
+        from pdr_filter.io.files import write_text
 
         content = {"pdr_filter_person": 1, "sessions": [asdict(session) for session in self.sessions]}
         return write_text(path, json.dumps(content, indent=1) + "\n")

@@ -107,7 +107,8 @@ class Recording:
         Times get 6 decimals and values 7 significant digits (latitude and longitude 9). The same recording always gives
         the same bytes. Notes of the reader are not written. A recording that is already there is replaced.
         """
-        from pdr_filter.io.own_writer import write_own_format  # only when called: values write no files
+        # Only when called: values write no files.
+        from pdr_filter.io.own_writer import write_own_format
 
         truth = {name: getattr(self.truth, name) for name in self.truth.present()}
         return write_own_format(path, self.streams, truth, {**self.meta, "name": self.name}, self.wifi)

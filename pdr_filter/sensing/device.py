@@ -56,7 +56,8 @@ class Device:
 
     def save(self, path: str | Path) -> Path:
         """Write it as JSON and return the path."""
-        from pdr_filter.io.files import write_text  # only when called: sensing opens no files
+        # Only when called: sensing opens no files.
+        from pdr_filter.io.files import write_text
 
         content = {"bias_radps": self.bias_radps.tolist(), "bias_cov_radps2": self.bias_cov_radps2.tolist()}
         return write_text(path, json.dumps({"pdr_filter_device": 1, **content}, indent=1) + "\n")

@@ -62,7 +62,8 @@ def recordings_of(data_dir: Path, datasets: Iterable[str]) -> list[Path]:
 
 def read_recording(path: Path) -> Recording:
     """Read a recording to train on."""
-    from pdr_filter.io.formats import read  # only when called: fitting works on recordings, whatever their files
+    # Only when called: fitting works on recordings, whatever their files.
+    from pdr_filter.io.formats import read
 
     return read(path)
 

@@ -105,7 +105,8 @@ class Origin:
 
     def east_north_m(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike) -> FloatArray:
         """Positions (..., 2) in the frame, in the plane that touches the ellipsoid at the origin."""
-        import pymap3d  # only when called: `pdr-filter --help` imports values
+        # Only when called: `pdr-filter --help` imports values.
+        import pymap3d
 
         latitude, longitude = np.asarray(latitude_deg), np.asarray(longitude_deg)
         east_m, north_m, _ = pymap3d.geodetic2enu(latitude, longitude, self._here[2], *self._here)

@@ -195,7 +195,8 @@ def smooth(
     places = [fix for fix in fixes if isinstance(fix, PositionFix)]
     observed = Observations(tuple(places), tuple(loop_closures), known_headings, floor_changes)
     if config.on_plan is not None:
-        from pdr_filter.offline.smoothing.on_plan import smooth_on_plan  # only when called: a plan is an application
+        # Only when called: a plan is an application.
+        from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 
         return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
     config = config.in_hindsight()
