@@ -36,7 +36,7 @@ from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import Climb
-from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.tracks import Track
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -273,7 +273,7 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     True
     """
     config = given_or_default(recording, config)
-    return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
+    return step_table([e for e in run_sensing(config.sensing, recording)[1] if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
@@ -289,7 +289,7 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     config = given_or_default(recording, config)
     recording, _ = one_clock(recording)
     climbs = _climbs(config, recording)
-    events = sensed_events(config.sensing, recording)
+    _, events = run_sensing(config.sensing, recording)
     windows = [event for event in events if isinstance(event, WindowContext)]
     return _windows(with_climbs(windows, [climb_at(climbs, window.time_s) for window in windows]))
 
@@ -319,13 +319,14 @@ def default_config(recording: Recording) -> Config:
     return default(recording.subject)
 
 
-def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
-    """Steps, contexts and gaps of a recording in the order in which they became known."""
-    state = sensing.init()
+def run_sensing(sensing: Sensing, recording: Recording) -> tuple[SensingState, list[Event]]:
+    """Return the final state of sensing, and the steps, contexts and gaps in the order in which they became known."""
+    state, found = sensing.init(), list[tuple[int, Event]]()
     for part in _parts(merge_streams(recording), None):
         state, events = sensing.step(state, part)
-        yield from (event for _, event in events)
-    yield from (event for _, event in sensing.finish(state)[1])
+        found += events
+    state, events = sensing.finish(state)
+    return state, [event for _, event in found + events]
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:
