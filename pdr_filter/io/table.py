@@ -29,7 +29,7 @@ class NumberTable:
     """Columns of a table: one of whole numbers if asked for, the others as floats, NaN where empty."""
 
     whole: IntArray  # (N,) the column of whole numbers; zeros if none was asked for
-    values: FloatArray  # (N, d)
+    values: FloatArray  # (N, d), a column behind the other in memory: streams take columns
     texts: tuple[tuple[str, ...], ...] = ()  # (N,) of the columns of text, if any were asked for
 
     def __len__(self) -> int:
@@ -199,7 +199,7 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
     quote, kind = '"' if layout.separator != '"' else None, np.dtype(kinds)
     rows = np.loadtxt(lines, kind, None, layout.separator, usecols=columns, ndmin=1, quotechar=quote)
-    values = np.empty((len(rows), len(layout.picked)))
+    values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
     whole = np.zeros(len(rows), dtype=np.int64) if layout.whole is None else rows["f0"].copy()
@@ -259,7 +259,7 @@ def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
         return None
     if layout.whole is not None and rows.column(0).null_count:
         return None
-    values = np.empty((len(rows), len(layout.picked)))
+    values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows.column(len(names) - len(layout.picked) + i).to_numpy()
     whole = np.zeros(len(rows), np.int64) if layout.whole is None else rows.column(0).to_numpy().copy()
