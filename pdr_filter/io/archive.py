@@ -147,12 +147,12 @@ class Members:
         """Its `pieces` cut into blocks that end with a line feed, as all line ends; an unended last line is a block."""
         rest = b""
         for part in self.pieces(name):
-            block = rest + part
-            if b"\r" in block:
-                last = b"\r" if block.endswith(b"\r") else b""  # whose line feed may be in the next piece
-                block = block.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
-            cut = block.rfind(b"\n") + 1
-            block, rest = block[:cut], block[cut:]
+            if b"\r" in part or rest.endswith(b"\r"):
+                part, rest = rest + part, b""
+                last = b"\r" if part.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                part = part.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
+            cut = part.rfind(b"\n") + 1
+            block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
             if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
                     f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -259,7 +259,9 @@ def _n_known(text: str) -> int:
 def _layout(lines: list[str], separator: str) -> _Found | None:
     """Where the table begins if this separates its fields; None if it does not."""
     # Line ends that were converted twice leave a blank line after each.
-    places = [i for i, line in enumerate(lines) if line.strip()][: _LINES_TRIED + _LINES_COMPARED]
+    places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
+    if separator != " " and not any(separator in lines[i] for i in places):
+        return None
     split = [_split(lines[i], separator) for i in places]
     for first, (row, after) in enumerate(pairwise([*split, None][: _LINES_TRIED + 1])):
         n = len(row or ())
