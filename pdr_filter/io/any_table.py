@@ -237,8 +237,3 @@ def sensors_of(members: Members, name: str) -> set[str]:
         return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
     except RecordingError:  # columns of an accelerometer in an unknown unit or without an axis: reading says so
         return {ACCELERATION}
-
-
-def is_of_sensors(members: Members, name: str) -> bool:
-    """Whether a text is a table of a sensor."""
-    return bool(sensors_of(members, name))
