@@ -126,7 +126,7 @@ class Members:
 
     def pieces(self, name: str) -> Iterator[bytes]:
         """The bytes of a member in pieces that end anywhere, without byte order mark."""
-        for i, part in enumerate(self.parts(name, limits.BLOCK_BYTES)):
+        for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
                 raise RecordingError(
@@ -153,7 +153,7 @@ class Members:
         if rest:
             yield rest.replace(b"\r", b"\n")
 
-    def parts(self, name: str, size: int) -> Iterator[bytes]:
+    def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
         """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""
         where = self.where(name)
         try:

@@ -192,11 +192,11 @@ def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: flo
         declared = dialect.units.get(group.quantity, "")
     is_time_declared = bool(group.time is None or group.time_unit or group.time in data.sheet.dates)
     if group.time is None:
-        unit, time_s = "s", ticks / rate_hz
+        unit, time_s = "s", ticks.astype(np.float64) / rate_hz
     else:
         is_date = group.time in data.sheet.dates
         unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks, dtype=np.float64))
-        time_s = ticks * TIME_UNITS[unit]
+        time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
     known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_place(values)

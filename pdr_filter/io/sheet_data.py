@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -25,13 +25,15 @@ class SheetData:
     """A sheet with the columns of it that are used; each is parsed once for each column of exact times."""
 
     sheet: Sheet
-    places: tuple[int, ...]
+    places: Set[int | None]  # negative or None of what is not there
     notes: list[str]
+    _numbers: list[int] = field(default_factory=list[int])  # the columns to parse as numbers
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
 
     def __post_init__(self) -> None:
-        beside = {nanoseconds_of(self.sheet.fields, place) for place in self.places}
-        self.places = tuple(sorted({*self.places, *(place for place in beside if place is not None)}))
+        used = {place for place in self.places if place is not None and place >= 0}
+        beside = {place for p in used if (place := nanoseconds_of(self.sheet.fields, p)) is not None}
+        self._numbers = sorted((used | beside) - self.sheet.dates)
 
     def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
         """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
@@ -40,7 +42,7 @@ class SheetData:
         different rates in one table leave fields empty.
         """
         exact = time if time is not None and time in self.sheet.dates | self.sheet.exact else None
-        numbers = [p for p in self.places if p not in self.sheet.dates]
+        numbers = self._numbers
         if exact not in self._parsed:
             self._parsed[exact] = self.sheet.table(numbers, exact, self.notes)
         table = self._parsed[exact]
@@ -57,7 +59,13 @@ class SheetData:
 
 
 def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
-    """Put the streams of a mapping into what becomes the recording."""
+    """Put the streams of a mapping into what becomes the recording, and what is known of their times."""
+    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
+    if mapping.rate_hz and not times:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
     found: dict[str, tuple[IntArray | FloatArray, float, FloatArray]] = {}
     for stream in mapping.streams:
         at = _sheet_of(stream, mapping, data)
@@ -102,17 +110,15 @@ def is_new_place(values: FloatArray) -> BoolArray:
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
-def interpolated(
-    time_s: FloatArray, known_s: FloatArray, values: FloatArray, gap_s: float = GRAVITY_GAP_S
-) -> FloatArray:
-    """Values interpolated linearly, NaN where there is none within the gap."""
+def interpolated(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Values interpolated linearly, NaN where there is none within `GRAVITY_GAP_S`."""
     if len(known_s) == 0 or len(time_s) == 0:
         return np.full((len(time_s), values.shape[1]), np.nan)
     result = at_times(time_s, known_s, values)
     known_s = np.sort(known_s)
     right = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
     left = np.maximum(right - 1, 0)
-    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > gap_s
+    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > GRAVITY_GAP_S
     result[far] = np.nan
     return result
 

@@ -59,7 +59,7 @@ def _check_claims(members: Members) -> None:
     for name in members.names:
         n_cells = last_row = last_column = 0
         rest = b""
-        for part in members.parts(name, limits.BLOCK_BYTES):
+        for part in members.parts(name):
             text = rest + part
             for column, row in _CELL.findall(text):
                 n_cells += 1

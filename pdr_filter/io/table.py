@@ -7,7 +7,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
@@ -72,18 +72,13 @@ class TextTable:
     Its text comes in blocks that end with a line feed, except perhaps the last. `where` is for messages.
     """
 
-    def __init__(
-        self,
-        blocks: Iterable[bytes],
-        where: str,
-        separator_of: Callable[[str], str] = find_separator,
-    ) -> None:
+    def __init__(self, blocks: Iterable[bytes], where: str, separator: str = "") -> None:
         self.where = where
         self._rest = iter(blocks)
         head, _, first_rows = next(self._rest, b"").partition(b"\n")
         self.first_rows = first_rows or next(self._rest, b"")  # the first block of them
         self.header = decode(head, where)
-        self.separator = separator_of(self.header)
+        self.separator = separator or find_separator(self.header)
         self.fields = header_fields(self.header, self.separator)
         if len(self.fields) > limits.MAX_COLUMNS:
             raise RecordingError(
