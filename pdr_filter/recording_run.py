@@ -26,7 +26,6 @@ from pdr_filter.filtering import (
     person_of,
     step,
 )
-from pdr_filter.gnss import rides
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.notes import notes_of
@@ -48,7 +47,6 @@ from pdr_filter.values import (
     IntArray,
     Origin,
     PositionFix,
-    Samples,
     Step,
     Table,
     Windows,
@@ -164,8 +162,6 @@ def track(
     recording = with_north_of_attitude(recording, north)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
-    if with_location and recording.location is not None:
-        result = replace(result, notes=(*result.notes, *_of_rides(result, recording.location)))
     if has_place and recording.location is not None and gnss is None:
         words = "the recording's own locations are not used: its place or heading was given"
         result = replace(result, notes=(*result.notes, words))
@@ -230,6 +226,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     start_m = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
     if updates and updates[0].on_plan is not None:  # which knows nothing of before
         start_m = a_step_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
+    vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
     return replace(
         track,
         start_time_s=start_s,
@@ -241,20 +238,8 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
-        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
+        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state, vertices))),
     )
-
-
-def _of_rides(track: Track, location: Samples) -> Iterator[str]:
-    """Notes of the rides during a track, with the place where it stopped."""
-    places_m = np.vstack([track.start_position_m, track.position_m])
-    for ride in rides(location, track.time_s):
-        east_m, north_m = places_m[np.searchsorted(track.time_s, ride.begin_s, side="right")]
-        yield (
-            f"the locations move {ride.way_m:.0f} m without steps from {ride.begin_s:.0f} to {ride.end_s:.0f} s, as in "
-            f"a vehicle: the track does not follow them and stops at {east_m:z.1f} m east, {north_m:z.1f} m north; cut "
-            "the recording into the walks before and after the ride"
-        )
 
 
 def a_step_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
