@@ -21,8 +21,8 @@ from pdr_filter.live.settings import BusyError, Event, Settings, part_of
 # A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
 _SAVE_S = 30.0
 # A pass of the filter over 0.2 s of samples costs two thirds of one over a second. So passes of a worker take turns:
-# each session has one in this time, and none waits longer than this.
-_PASS_S, _LONGEST_WAIT_S = 0.2, 0.9
+# each session has one in this time for each session, and none waits for longer than this.
+_PASS_S, _LONGEST_WAIT_S = 0.2, 2.0
 # A phone that sends nothing for so long is forgotten until it sends again.
 _IDLE_S = 600.0
 # Folder with a file for each session, which holds the names of its device and session.
