@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pdr_filter.io.texts import printable
@@ -57,22 +57,18 @@ class Devices:
         MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
         messages before it are taken.
         """
-        content, keys = self.accept(body, device, session, platform, received_s)
+        content, keys = self.accept(parse(body, device, session, platform), received_s)
         failed = self.settle(is_all=True)
         for key in keys & failed.keys():
             raise failed[key]
         return content
 
-    def accept(
-        self, body: bytes, device: str, session: str, platform: str, received_s: float
-    ) -> tuple[Event, set[str]]:
-        """Number of samples of a body, and the sessions that it is of; `settle` filters and writes them."""
+    def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
+        """Number of samples of messages, and the sessions that they are of; `settle` filters and writes them."""
         n, keys = 0, set[str]()
-        for message in parse(body, device, session, platform):
+        for message in messages:
             if not message.device:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
-            if part_of(message.device, self.n_parts) != self.part:
-                raise MessageError("one body is of one device; send messages of different devices apart")
             taken_by = self._session(message, received_s)
             self._taken.add(taken_by.id)
             for event in taken_by.take(message, received_s):
