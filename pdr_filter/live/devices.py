@@ -87,7 +87,7 @@ class Devices:
                 for event in session.advance():
                     self.emit(event)
                 self._taken.discard(key)
-            if session.refused and not session.has_ended:
+            if session.refused:
                 failed[key] = SessionError(session.refused)
             try:
                 session.recorder.flush()

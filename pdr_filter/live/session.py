@@ -46,8 +46,6 @@ _PART_S = 10.0
 _LOAD_MESSAGES = 100
 _FIX_STD_RANGE_M = (0.01, 1000.0)
 
-_ENDED = "this session has ended; begin a new one"
-
 
 @cache
 def plain_config(settings: Settings) -> Config:
@@ -77,7 +75,7 @@ class Session:
         self.recorder = Recorder(folder / self.id)
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
-        self.refused = ""  # reason why the session cannot be tracked, or takes no more messages
+        self.refused = ""  # reason why the session cannot be tracked
         self.has_ended = False
         self.begun_unix_s: float | None = None  # when the first message came
         self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
@@ -104,7 +102,7 @@ class Session:
         session has ended.
         """
         if self.has_ended:
-            raise SessionError(self.refused)
+            raise SessionError("this session has ended; begin a new one")
         self._received_s = received_s
         events = self._took(message)
         self.recorder.journal(message)
@@ -174,7 +172,7 @@ class Session:
             return events
         if self.online is not None:
             events += self._stepped(self.online.finish())
-        self.refused, self.has_ended = _ENDED, True
+        self.has_ended = True
         told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._now(is_due=True)]
         return [*events, *told]
 
@@ -341,7 +339,7 @@ class Session:
 
     def save(self) -> None:
         """Write the state of a session that is tracked; any other one goes on from its journal."""
-        if self.online is None or (self.refused and not self.has_ended):
+        if self.online is None or self.refused:
             self.recorder.flush()
         else:
             self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
@@ -357,8 +355,7 @@ class Session:
             self.assembly = saved["assembly"]
             self.online = OnlineFilter(self.recorder.config())
             self.online.state = saved["state"]
-            if self.online.state.finished:
-                self.refused, self.has_ended = _ENDED, True
+            self.has_ended = self.online.state.finished
             self._judged = self.online.state.last_fixes
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
