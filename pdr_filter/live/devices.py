@@ -144,20 +144,20 @@ class Devices:
         """Filter, tell and save the rest, and forget silent phones; to be called about once a second."""
         self.settle()
         for key, session in list(self.sessions.items()):
-            for event in session.rest():
-                self.emit(event)
-            silent_s = time.monotonic() - session.seen_at
-            if silent_s > _IDLE_S:
-                for event in session.release():
-                    self.emit(event)
-                session.save()
+            events = session.rest()
+            is_gone = time.monotonic() - session.seen_at > _IDLE_S
+            if is_gone:
+                events += session.release()
+            if is_gone or session.unsaved_s > _SAVE_S:
+                events += session.save()
+            if is_gone:
                 del self.sessions[key]
-                self.emit({"event": "gone", "id": key})
-            elif session.unsaved_s > _SAVE_S:
-                session.save()
+                events.append({"event": "gone", "id": key})
+            for event in events:
+                self.emit(event)
 
     def close(self) -> None:
         """Save everything."""
-        self.settle(is_all=True)
         for session in self.sessions.values():
-            session.save()
+            for event in session.save():
+                self.emit(event)

@@ -31,7 +31,7 @@ from pdr_filter.online import OnlineFilter
 from pdr_filter.placing import live_config
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.merging import Sensor
-from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
+from pdr_filter.values import FixResult, PositionFix, Samples
 
 # Newest positions that the page shows: three hours of walking.
 _MAX_PATH = 20_000
@@ -337,13 +337,18 @@ class Session:
         """Time since the first change that is not in the saved state."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
-    def save(self) -> None:
-        """Write the state of a session that is tracked; any other one goes on from its journal."""
+    def save(self) -> list[Event]:
+        """Filter what waits, and write the state of a session that is tracked; any other one goes on from its journal.
+
+        A saved state ends the journal, so that samples which it does not know would be missing in the track.
+        """
+        events = self.advance()
         if self.online is None or self.refused:
             self.recorder.flush()
         else:
             self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
         self._unsaved_at = math.inf
+        return events
 
     @classmethod
     def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
@@ -367,9 +372,8 @@ class Session:
                     self._took(message)
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
-        self.advance()
-        self._turned(is_due=True)
         self.save()
+        self._turned(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
         return self
 

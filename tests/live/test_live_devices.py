@@ -17,6 +17,7 @@ from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
+from pdr_filter.live import devices as live_devices
 from pdr_filter.live import session as live_session
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.devices import Devices
@@ -198,6 +199,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
     assert lines[0] == "time_s,east_m,north_m,std_m"
     assert len(lines) == 2
+    assert {"fixes.csv", "steps.jsonl"} <= exported(session.recorder.folder).keys()
 
 
 @pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
@@ -297,6 +299,27 @@ def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
     assert len(spans_s) >= 8
     assert min(spans_s) > 1.9
     assert max(spans_s) < 2.5
+
+
+def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)
+    expected, _ = taken(tmp_path / "whole", bodies)
+    monkeypatch.setattr(live_devices, "_PASS_S", 1000.0)
+    monkeypatch.setattr(live_devices, "_LONGEST_WAIT_S", 1000.0)
+    for number, body in enumerate(bodies):
+        if number % 30 == 0:  # the process before has died
+            devices = Devices(Settings(), tmp_path / "broken", lambda _: None)
+        devices.accept(parse(body), 0.0)
+        devices.settle()
+        if number % 30 == 20:
+            monkeypatch.setattr(live_devices, "_SAVE_S", -1.0)
+            devices.tick()
+            monkeypatch.setattr(live_devices, "_SAVE_S", 1000.0)
+    devices.close()
+    (session,) = devices.sessions.values()
+    np.testing.assert_array_equal(positions(session), positions(expected))
 
 
 def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:

@@ -333,5 +333,5 @@ def test_sensors_that_come_in_one_message_give_the_bits_of_those_that_come_apart
 
 def test_a_stream_that_the_filter_does_not_know_is_refused() -> None:
     samples = Samples(np.zeros(1), np.zeros((1, 3)))
-    with pytest.raises(ValueError, match="streams must be of accelerometer, .*got 'light'"):
+    with pytest.raises(ValueError, match=r"streams must be of accelerometer, .*got 'light'"):
         pdr.OnlineFilter().push_streams({"light": samples})  # type: ignore[dict-item]
