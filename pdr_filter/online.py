@@ -408,7 +408,8 @@ _TRIAL_FIELD_UT = np.tile([0.0, 20.0, -40.0], (len(_TRIAL_S), 1))
 def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:
     """Times and pressures (N,) of a barometer; ValueError for other units or shapes."""
     columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
-    return checked_pressure(*(np.atleast_1d(as_floats(values, name)) for name, values in columns.items()))
+    time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
+    return checked_pressure(time, pressure)
 
 
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
