@@ -409,7 +409,8 @@ def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[Float
     """Times and pressures (N,) of a barometer; ValueError for other units or shapes."""
     columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
     time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
-    return checked_pressure(time, pressure)
+    time, pressure = checked_pressure(time, pressure)
+    return time, pressure
 
 
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:
