@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
 from operator import attrgetter
@@ -122,12 +122,12 @@ def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
 
 
 def arrive(
-    config: Config, state: State, sensor: Sensor, time_s: FloatArray, values: FloatArray
+    config: Config, state: State, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
 ) -> tuple[State, Output]:
-    """New state and output after samples (N,), (N, d) of one sensor, which wait for those of the others."""
+    """New state and output after samples (N,), (N, d) of some sensors, which wait for those of the others."""
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
-    merger, merged = config.merger.step(state.merger, sensor, time_s, values)
+    merger, merged = config.merger.together(state.merger, samples)
     return _with_merged(config, replace(state, merger=merger), merged)
 
 
