@@ -17,7 +17,7 @@ from pdr_filter.filter.height import HeightState
 from pdr_filter.filter.pedestrian import StepUpdate
 from pdr_filter.filter.turn import PairedPoint, agreed_turn, align, centre_weights
 from pdr_filter.filtering import Output, State
-from pdr_filter.gnss import INTERVAL_S, LocationState, position_fixes
+from pdr_filter.gnss import INTERVAL_S, LocationState, Rides, position_fixes
 from pdr_filter.io.recording import Recording
 from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples, read_only
 
@@ -88,9 +88,13 @@ def aligned(recording: Recording, brought: Iterable[tuple[State, Output]]) -> It
         if known.frame.alignment is not None:
             whole.updates[:] = _with_own_errors(finals, way, agreeing)
     tracker = replace(cast(Any, last.tracker), pedestrian=known)
+    rides, step_s = Rides(), np.array([update.step.time_s for update in finals])
+    for fix in fixes:
+        rides = rides.plus(fix, step_s)
     n_rejected = sum(fix.outcome == "rejected" for fix in whole.fixes)
     height = _with_altitudes(last.height, fixes, finals)
-    yield replace(last, tracker=tracker, height=height, locations=locations, n_rejected_fixes=n_rejected), whole
+    last = replace(last, tracker=tracker, height=height, locations=locations, rides=rides)
+    yield replace(last, n_rejected_fixes=n_rejected), whole
 
 
 def _even_fixes(location: Samples, first_s: float, last_s: float) -> tuple[LocationState, tuple[PositionFix, ...]]:

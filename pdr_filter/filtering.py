@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from bisect import bisect_right, insort
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import repeat
 from operator import attrgetter
@@ -14,11 +14,11 @@ from pdr_filter.config import Config
 from pdr_filter.counts import StepCounts, WindowCounts
 from pdr_filter.filter import height, pedestrian
 from pdr_filter.filter.height import HeightState, initial_height
-from pdr_filter.filter.pedestrian import StepUpdate, heading_std_rad, moved_by_heading_m
+from pdr_filter.filter.pedestrian import TRAIL_TIME, StepUpdate, heading_std_rad, moved_by_heading_m
 from pdr_filter.filter.person import Person, session_of
 from pdr_filter.filter.plan_stage import PlanState
 from pdr_filter.filter.tracker import TrackerState
-from pdr_filter.gnss import LocationState, position_fixes
+from pdr_filter.gnss import LocationState, Rides, position_fixes
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.features.barometric import Climb, ClimbState
 from pdr_filter.sensing.front_end import Event, Gap, SensingState
@@ -62,6 +62,7 @@ class State:
     n_lost_climbs: int = 0  # that waited too long for their windows
     n_climbs_used: int = 0  # of these, by the height
     locations: LocationState = field(default_factory=LocationState)
+    rides: Rides = field(default_factory=Rides)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
     n_length_fixes: int = 0  # used ones that say how long steps are: positions and speeds
@@ -121,12 +122,12 @@ def step(config: Config, state: State, block: ImuBlock) -> tuple[State, Output]:
 
 
 def arrive(
-    config: Config, state: State, sensor: Sensor, time_s: FloatArray, values: FloatArray
+    config: Config, state: State, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
 ) -> tuple[State, Output]:
-    """New state and output after samples (N,), (N, d) of one sensor, which wait for those of the others."""
+    """New state and output after samples (N,), (N, d) of some sensors, which wait for those of the others."""
     if state.finished:
         raise ValueError("the filter is finished: start a new one for further samples")
-    merger, merged = config.merger.step(state.merger, sensor, time_s, values)
+    merger, merged = config.merger.together(state.merger, samples)
     return _with_merged(config, replace(state, merger=merger), merged)
 
 
@@ -364,6 +365,8 @@ def _use_fix(config: Config, state: State, fix: Fix, now_s: float) -> tuple[Stat
     else:
         tracker, outcome, nis = config.tracker.on_fix(state.tracker, fix)
         state = replace(state, tracker=tracker)
+        if isinstance(fix, PositionFix):
+            state = replace(state, rides=state.rides.plus(fix, tracker.pedestrian.trail[:, TRAIL_TIME]))
         if config.on_plan is not None:
             floor = state.height.known.floors.floor
             particles = config.on_plan.on_fix(state.particles, fix, outcome, tracker.pedestrian, config.model, floor)

@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 
@@ -30,6 +29,9 @@ INTERVAL_S = 10.0
 _UPWARDS = 2.0
 # Faster than a walk, which has more than one step a second: a run has more than two.
 _RIDE_MPS, _RIDE_STEPS_HZ = 2.5, 0.5
+# Net distance of an outlier against the way there and back.
+_OUTLIER_SHARE = 0.25
+_MOST_RIDES = 16  # that are remembered: a filter may run for days
 # A country: more is no location, and its square must stay a number.
 MAX_ACCURACY_M = 1e5
 
@@ -142,28 +144,43 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
 
 @dataclass(frozen=True, slots=True)
 class Ride:
-    """Stretch of time in which the locations move faster than a walk and the pedestrian makes no steps."""
+    """Stretch of time in which position fixes move faster than a walk and the pedestrian makes no steps."""
 
     begin_s: float
     end_s: float
-    way_m: float
+    way_m: float  # sum of the distances between its fixes
+    first: PositionFix
+    last: PositionFix
+
+    @property
+    def is_outlier(self) -> bool:
+        """True of fixes that went off and came back, as after a reflection of satellite signals."""
+        return float(np.linalg.norm(self.last.position_m - self.first.position_m)) < _OUTLIER_SHARE * self.way_m
 
 
-def rides(location: Samples, step_time_s: FloatArray) -> tuple[Ride, ...]:
-    """Rides between the fixes of a whole stream of locations; steps are given by their times (K,)."""
-    found: list[Ride] = []
-    for before, after in pairwise(fixes_of(location)[1]):
-        duration_s = after.time_s - before.time_s
-        way_m = float(np.linalg.norm(after.position_m - before.position_m))
-        n_steps = np.count_nonzero((step_time_s > before.time_s) & (step_time_s <= after.time_s))
-        is_sure = way_m > 3 * math.sqrt(before.var_m2 + after.var_m2)
+@dataclass(frozen=True, slots=True)
+class Rides:
+    """The last rides between position fixes, and the last fix."""
+
+    found: tuple[Ride, ...] = ()
+    last: PositionFix | None = None
+
+    def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
+        """Return the rides with one more fix; steps are given by their times (K,)."""
+        before = self.last
+        if before is None or fix.time_s <= before.time_s:
+            return self if before is not None else Rides((), fix)
+        duration_s = fix.time_s - before.time_s
+        way_m = float(np.linalg.norm(fix.position_m - before.position_m))
+        n_steps = np.count_nonzero((step_time_s > before.time_s) & (step_time_s <= fix.time_s))
+        is_sure = way_m > 3 * math.sqrt(before.var_m2 + fix.var_m2)
         if not is_sure or way_m < _RIDE_MPS * duration_s or n_steps > _RIDE_STEPS_HZ * duration_s:
-            continue
-        if found and found[-1].end_s == before.time_s:
-            found[-1] = Ride(found[-1].begin_s, after.time_s, found[-1].way_m + way_m)
-        else:
-            found.append(Ride(before.time_s, after.time_s, way_m))
-    return tuple(found)
+            return Rides(self.found, fix)
+        if self.found and self.found[-1].end_s == before.time_s:
+            ride = self.found[-1]
+            ride = Ride(ride.begin_s, fix.time_s, ride.way_m + way_m, ride.first, fix)
+            return Rides((*self.found[:-1], ride), fix)
+        return Rides((*self.found, Ride(before.time_s, fix.time_s, way_m, before, fix))[-_MOST_RIDES:], fix)
 
 
 def _is_place(latitude_deg: float, longitude_deg: float) -> bool:

@@ -11,7 +11,7 @@ from pdr_filter.counts import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
 from pdr_filter.filter import height
 from pdr_filter.filtering import State
 from pdr_filter.sensing.merging import SENSORS
-from pdr_filter.values import Note, how_many
+from pdr_filter.values import FloatArray, Note, how_many
 
 # Share of all windows, and number, above which it is worth saying that something is odd about them.
 _NOTABLE_SHARE, _NOTABLE_NUMBER = 0.05, 3
@@ -22,8 +22,11 @@ _UNKNOWN_NUMBER = 20
 _KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earlier recording of the phone or fixes"
 
 
-def notes_of(config: Config, state: State) -> list[Note]:
-    """What to keep in mind about the track so far: the same for a whole recording and for an app."""
+def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -> list[Note]:
+    """What to keep in mind about the track so far: the same for a whole recording and for an app.
+
+    `vertices` (K, 3) of a whole track, time, east and north, say where it stopped during a ride.
+    """
     notes = [Note("samples", text) for text in state.sensing.conditioner.notes()]
     if state.finished and state.tracker.pedestrian.n_final == 0:
         notes.append(Note("steps", "no steps found: dead reckoning does not apply here"))
@@ -31,7 +34,7 @@ def notes_of(config: Config, state: State) -> list[Note]:
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
-    return [*notes, *_of_frame(state), *_of_fixes(state)]
+    return [*notes, *_of_frame(state), *_of_rides(state, vertices), *_of_fixes(state)]
 
 
 def _of_sensors(config: Config, state: State) -> Iterator[Note]:
@@ -111,6 +114,21 @@ def _of_frame(state: State) -> Iterator[Note]:
     if state.finished and frame.name == "north" and frame.compass is not None:
         words = f"north is where the magnetic field says, give or take {np.degrees(frame.compass.std_rad):.0f} degrees"
         yield Note("heading", words)
+
+
+def _of_rides(state: State, vertices: FloatArray | None) -> Iterator[Note]:
+    for ride in state.rides.found:
+        if ride.is_outlier:
+            continue
+        place = ""
+        if vertices is not None:
+            _, east_m, north_m = vertices[max(np.searchsorted(vertices[:, 0], ride.begin_s, side="right") - 1, 0)]
+            place = f" at {east_m:z.1f} m east, {north_m:z.1f} m north"
+        words = (
+            f"the position fixes move {ride.way_m:.0f} m without steps from {ride.begin_s:.0f} to {ride.end_s:.0f} s, "
+            f"as in a vehicle: the track does not follow them and stops{place}; "
+        )
+        yield Note("fixes", words + "take the walks before and after the ride apart, each with a filter of its own")
 
 
 def _of_fixes(state: State) -> Iterator[Note]:

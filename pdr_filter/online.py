@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import replace
 
 import numpy as np
@@ -35,7 +36,7 @@ from pdr_filter.now import Now, now
 from pdr_filter.sensing.clock import moved
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import checked_pressure
-from pdr_filter.sensing.merging import Sensor
+from pdr_filter.sensing.merging import SENSORS, Sensor
 from pdr_filter.values import (
     STANDARD_GRAVITY_MPS2,
     Fix,
@@ -45,6 +46,7 @@ from pdr_filter.values import (
     Origin,
     Plan,
     PositionFix,
+    Samples,
     as_floats,
     check_cov,
     check_fix,
@@ -157,15 +159,37 @@ class OnlineFilter:
         """
         if self.state.finished:
             raise ValueError("the filter is finished: start a new one for further samples")
-        columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
-        time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
-        time, pressure = checked_pressure(time, pressure)
+        time, pressure = _checked_pressure(time_s, pressure_hpa)
         if not self.state.merger.is_used:
             self.state = add_pressure(self.config, self.state, time, pressure)
             return []
-        return self._took(*arrive(self.config, self.state, "barometer", time, pressure[:, None]))
+        return self._took(*arrive(self.config, self.state, {"barometer": (time, pressure[:, None])}))
+
+    def push_streams(self, streams: Mapping[Sensor, Samples]) -> list[StepUpdate]:
+        """Updates of the steps that became known, after samples of several sensors, such as those of one message.
+
+        The track is that of `push_accelerometer`, `push_gyroscope` and the others, for the cost of one call. Keys of
+        `streams` are "accelerometer", "gyroscope", "magnetometer" and "barometer". Raises ValueError for other keys,
+        and as those methods do.
+        """
+        arrived: dict[Sensor, tuple[FloatArray, FloatArray]] = {}
+        for sensor, samples in streams.items():
+            if sensor not in SENSORS:
+                raise ValueError(f"streams must be of {', '.join(SENSORS)}, got {sensor!r}: leave it out")
+            if sensor == "barometer":
+                time_s, pressure_hpa = _checked_pressure(samples.time_s, samples.values[:, 0])
+                arrived[sensor] = time_s, pressure_hpa[:, None]
+            else:
+                arrived[sensor] = self._checked(sensor, samples.time_s, samples.values, f"values of {sensor}")
+        return self._took(*arrive(self.config, self.state, arrived))
 
     def _arrive(self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str) -> list[StepUpdate]:
+        return self._took(*arrive(self.config, self.state, {sensor: self._checked(sensor, time_s, values, name)}))
+
+    def _checked(
+        self, sensor: Sensor, time_s: ArrayLike, values: ArrayLike, name: str
+    ) -> tuple[FloatArray, FloatArray]:
+        """Times (N,) and values (N, 3) of one sensor; ValueError if the filter cannot take them."""
         time, rows = np.atleast_1d(as_floats(time_s, "time_s")), as_floats(values, name)
         rows = rows.reshape(-1, 3) if rows.shape in ((3,), (0,)) else rows
         if time.ndim != 1 or rows.shape != (len(time), 3):
@@ -176,7 +200,7 @@ class OnlineFilter:
             )
         recent_s = self.state.merger.stream(sensor).recent_s if sensor == "accelerometer" else time[:0]
         _check_times(time, recent_s, self.state)
-        return self._took(*arrive(self.config, self.state, sensor, time, rows))
+        return time, rows
 
     def _took(self, state: State, output: Output) -> list[StepUpdate]:
         """The updates, with the new state; ValueError, once, if no specific force yet was in the right unit."""
@@ -379,6 +403,14 @@ _PHASE = 2 * np.pi * 2.0 * _TRIAL_S
 _TRIAL_FORCE_MPS2 = np.column_stack([np.cos(_PHASE / 2), np.cos(_PHASE), STANDARD_GRAVITY_MPS2 + 3 * np.sin(_PHASE)])
 _TRIAL_RATE_RADPS = 0.3 * np.column_stack([np.sin(_PHASE / 2), np.cos(_PHASE), np.cos(_PHASE / 2)])
 _TRIAL_FIELD_UT = np.tile([0.0, 20.0, -40.0], (len(_TRIAL_S), 1))
+
+
+def _checked_pressure(time_s: ArrayLike, pressure_hpa: ArrayLike) -> tuple[FloatArray, FloatArray]:
+    """Times and pressures (N,) of a barometer; ValueError for other units or shapes."""
+    columns = {"time_s": time_s, "pressure_hpa": pressure_hpa}
+    time, pressure = (np.atleast_1d(as_floats(values, name)) for name, values in columns.items())
+    time, pressure = checked_pressure(time, pressure)
+    return time, pressure
 
 
 def _check_times(time_s: FloatArray, before_s: FloatArray, state: State) -> None:

@@ -26,7 +26,6 @@ from pdr_filter.filtering import (
     person_of,
     step,
 )
-from pdr_filter.gnss import rides
 from pdr_filter.io.recording import MissingSensorError, Recording
 from pdr_filter.notes import notes_of
 from pdr_filter.placing import GnssUse, NorthUse, is_placed, uses_location, with_north, with_north_of_attitude
@@ -35,7 +34,7 @@ from pdr_filter.sensing.conditioning import merge_streams
 from pdr_filter.sensing.contexts.stage import WindowContext, with_climbs
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.features.barometric import Climb
-from pdr_filter.sensing.front_end import Event, Sensing
+from pdr_filter.sensing.front_end import Event, Sensing, SensingState
 from pdr_filter.tracks import Track
 from pdr_filter.values import (
     CARRYING_MODES,
@@ -48,7 +47,6 @@ from pdr_filter.values import (
     Origin,
     Plan,
     PositionFix,
-    Samples,
     Step,
     Table,
     Windows,
@@ -164,8 +162,6 @@ def track(
     recording = with_north_of_attitude(recording, north)
     brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
     result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
-    if with_location and recording.location is not None:
-        result = replace(result, notes=(*result.notes, *_of_rides(result, recording.location)))
     if has_place and recording.location is not None and gnss is None:
         words = "the recording's own locations are not used: its place or heading was given"
         result = replace(result, notes=(*result.notes, words))
@@ -230,6 +226,7 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
     start_m = frame.world(Place(np.zeros(2), np.zeros((2, 2)), 0.0, 0)).position_m
     if updates and updates[0].on_plan is not None:  # which knows nothing of before
         start_m = a_step_before(track.position_m[0], track.step_length_m[0], track.walking_heading_rad[0])
+    vertices = np.vstack([[start_s, *start_m], np.column_stack([track.time_s, track.position_m])])
     return replace(
         track,
         start_time_s=start_s,
@@ -241,20 +238,8 @@ def collected(recording: Recording, config: Config, brought: Iterable[tuple[Stat
         floor_passages=tuple(whole.floor_passages),
         device=config.sensing.device(state.sensing),
         person=person_of(config, state),
-        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state))),
+        notes=(*recording.notes, *misplaced, *(note.text for note in notes_of(config, state, vertices))),
     )
-
-
-def _of_rides(track: Track, location: Samples) -> Iterator[str]:
-    """Notes of the rides during a track, with the place where it stopped."""
-    places_m = np.vstack([track.start_position_m, track.position_m])
-    for ride in rides(location, track.time_s):
-        east_m, north_m = places_m[np.searchsorted(track.time_s, ride.begin_s, side="right")]
-        yield (
-            f"the locations move {ride.way_m:.0f} m without steps from {ride.begin_s:.0f} to {ride.end_s:.0f} s, as in "
-            f"a vehicle: the track does not follow them and stops at {east_m:z.1f} m east, {north_m:z.1f} m north; cut "
-            "the recording into the walks before and after the ride"
-        )
 
 
 def a_step_before(position_m: FloatArray, length_m: float, heading_rad: float) -> FloatArray:
@@ -273,7 +258,7 @@ def detect_steps(recording: Recording, config: Config | None = None) -> Table:
     True
     """
     config = given_or_default(recording, config)
-    return step_table([e for e in sensed_events(config.sensing, recording) if isinstance(e, Step)])
+    return step_table([e for e in run_sensing(config.sensing, recording)[1] if isinstance(e, Step)])
 
 
 def classify(recording: Recording, config: Config | None = None) -> Windows:
@@ -289,7 +274,7 @@ def classify(recording: Recording, config: Config | None = None) -> Windows:
     config = given_or_default(recording, config)
     recording, _ = one_clock(recording)
     climbs = _climbs(config, recording)
-    events = sensed_events(config.sensing, recording)
+    _, events = run_sensing(config.sensing, recording)
     windows = [event for event in events if isinstance(event, WindowContext)]
     return _windows(with_climbs(windows, [climb_at(climbs, window.time_s) for window in windows]))
 
@@ -319,13 +304,14 @@ def default_config(recording: Recording) -> Config:
     return default(recording.subject)
 
 
-def sensed_events(sensing: Sensing, recording: Recording) -> Iterator[Event]:
-    """Steps, contexts and gaps of a recording in the order in which they became known."""
-    state = sensing.init()
+def run_sensing(sensing: Sensing, recording: Recording) -> tuple[SensingState, list[Event]]:
+    """Return the final state of sensing, and the steps, contexts and gaps in the order in which they became known."""
+    state, found = sensing.init(), list[tuple[int, Event]]()
     for part in _parts(merge_streams(recording), None):
         state, events = sensing.step(state, part)
-        yield from (event for _, event in events)
-    yield from (event for _, event in sensing.finish(state)[1])
+        found += events
+    state, events = sensing.finish(state)
+    return state, [event for _, event in found + events]
 
 
 def _parts(block: ImuBlock, progress: Callable[[float], None] | None) -> Iterator[ImuBlock]:

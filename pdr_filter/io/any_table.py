@@ -13,7 +13,7 @@ from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.columns import ACCELERATION, LINEAR, SENSOR_CODES, VECTORS, letters, quantity_of_file, words_of
 from pdr_filter.io.dialects import dialect_of, said_platform
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.groups import Group, groups_of
+from pdr_filter.io.groups import groups_of
 from pdr_filter.io.guess import Guess, columns_by_content, guess
 from pdr_filter.io.json_tables import SUFFIXES, json_fields, json_sheets, looks_like
 from pdr_filter.io.mapping import Mapping, mapping_beside, read_mapping
@@ -57,7 +57,10 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
         groups = [group for i, sheet in enumerate(sheets) for group in groups_of(sheet, i)]
         if not groups:
             raise RecordingError(f"{where}: {_nothing(sheets, path)}")
-        data = [SheetData(sheet, _places_of(groups, i), parsed.notes) for i, sheet in enumerate(sheets)]
+        used = [
+            {p for group in groups if group.sheet == i for p in (*group.places, group.time)} for i in range(len(sheets))
+        ]
+        data = [SheetData(sheet, places, parsed.notes) for sheet, places in zip(sheets, used, strict=True)]
         shown = "\n".join([*(f"{s.about}\n{','.join(s.fields)}" for s in sheets), *members.names[:100]])
         dialect = dialect_of(shown)
         if dialect is None or dialect.sign is None:
@@ -68,7 +71,7 @@ def read_guessed(path: Path, platform: str | None = None) -> Tables:
                 )
             platform = platform or said or None
         found = guess(data, groups, dialect, platform, where)
-        _fill(parsed, found.mapping, data)
+        fill(parsed, found.mapping, data)
         parsed.source = found.source
         read_experiment(members, parsed)
     parsed.found += found.evidence
@@ -104,10 +107,10 @@ def read_mapped(path: Path, mapping: Mapping, source: str = "generic CSV") -> Re
             sheets = [replace(s, decimal=mapping.decimal) if isinstance(s, TextSheet) else s for s in sheets]
         names = {name for stream in mapping.streams for name in (stream.time, *stream.columns)}
         data = [
-            SheetData(sheet, tuple(i for i, name in enumerate(sheet.fields) if name in names), parsed.notes)
+            SheetData(sheet, {i for i, name in enumerate(sheet.fields) if name in names}, parsed.notes)
             for sheet in sheets
         ]
-        _fill(parsed, mapping, data)
+        fill(parsed, mapping, data)
     for stream in mapping.streams:
         columns = ", ".join(stream.columns)
         unit = stream.unit or "unit as it is"
@@ -186,22 +189,6 @@ def _is_text(name: str, members: Members) -> bool:
     return not members.is_container or (pure.suffix.lower() in (*TEXTS, *SUFFIXES) and pure.parent.name != "meta")
 
 
-def _places_of(groups: Sequence[Group], sheet: int) -> tuple[int, ...]:
-    """The columns of a table that are used."""
-    used = {place for group in groups if group.sheet == sheet for place in (*group.places, group.time)}
-    return tuple(sorted(place for place in used if place is not None and place >= 0))
-
-
-def _fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
-    fill(parsed, mapping, data)
-    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
-    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
-    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
-    parsed.rate_hz = mapping.rate_hz if times else 0.0
-    if mapping.rate_hz and not times:
-        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
-
-
 def _nothing(sheets: Sequence[Sheet], path: Path) -> str:
     """Why tables without a sensor that is known cannot be read, and the mapping to write."""
     sheet = sheets[0]
@@ -237,8 +224,3 @@ def sensors_of(members: Members, name: str) -> set[str]:
         return {group.quantity for sheet in sheets for group in groups_of(sheet, 0)}
     except RecordingError:  # columns of an accelerometer in an unknown unit or without an axis: reading says so
         return {ACCELERATION}
-
-
-def is_of_sensors(members: Members, name: str) -> bool:
-    """Whether a text is a table of a sensor."""
-    return bool(sensors_of(members, name))

@@ -97,26 +97,21 @@ class Members:
 
     def head(self, name: str, most: int = limits.HEAD_BYTES) -> bytes:
         """The first bytes of a member, `most` of them at most."""
-        return next(self._parts(name, most), b"")
+        return next(self.parts(name, most), b"")
 
     def small(self, name: str) -> bytes:
         """The bytes of a member that is small in every recording; RecordingError if it is not."""
-        content = self.head(name, limits.MAX_SMALL_BYTES + 1)
-        if len(content) > limits.MAX_SMALL_BYTES:
-            raise RecordingError(
-                f"{self.where(name)}: more than {limits.MAX_SMALL_BYTES} bytes; take out of it what is not needed"
-            )
-        return content
+        return self.whole(name, limits.MAX_SMALL_BYTES, "take out of it what is not needed")
 
-    def whole(self, name: str, most: int) -> bytes:
+    def whole(self, name: str, most: int, remedy: str = "cut the recording") -> bytes:
         """The bytes of a member that can only be read as a whole; RecordingError if there are more than `most`."""
         parts: list[bytes] = []
         n_bytes = 0
-        for part in self._parts(name, limits.BLOCK_BYTES):
+        for part in self.parts(name, min(limits.BLOCK_BYTES, most + 1)):
             parts.append(part)
             n_bytes += len(part)
             if n_bytes > most:
-                raise RecordingError(f"{self.where(name)}: more than {most} bytes; cut the recording")
+                raise RecordingError(f"{self.where(name)}: more than {most} bytes; {remedy}")
         return b"".join(parts)
 
     def file(self, most: int) -> bytes:
@@ -129,13 +124,9 @@ class Members:
             raise RecordingError(f"{self.path}: more than {most} bytes; cut the recording")
         return content
 
-    def parts(self, name: str) -> Iterator[bytes]:
-        """The bytes of a member as they are, in parts."""
-        return self._parts(name, limits.BLOCK_BYTES)
-
     def pieces(self, name: str) -> Iterator[bytes]:
         """The bytes of a member in pieces that end anywhere, without byte order mark."""
-        for i, part in enumerate(self._parts(name, limits.BLOCK_BYTES)):
+        for i, part in enumerate(self.parts(name)):
             # UTF-16 without byte order mark, UTF-32 and binary files have zero bytes
             if i == 0 and b"\x00" in part[:4096]:
                 raise RecordingError(
@@ -147,12 +138,12 @@ class Members:
         """Its `pieces` cut into blocks that end with a line feed, as all line ends; an unended last line is a block."""
         rest = b""
         for part in self.pieces(name):
-            block = rest + part
-            if b"\r" in block:
-                last = b"\r" if block.endswith(b"\r") else b""  # whose line feed may be in the next piece
-                block = block.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
-            cut = block.rfind(b"\n") + 1
-            block, rest = block[:cut], block[cut:]
+            if b"\r" in part or rest.endswith(b"\r"):
+                part, rest = rest + part, b""
+                last = b"\r" if part.endswith(b"\r") else b""  # whose line feed may be in the next piece
+                part = part.removesuffix(last).replace(b"\r\n", b"\n").replace(b"\r", b"\n") + last
+            cut = part.rfind(b"\n") + 1
+            block, rest = (rest + part[:cut], part[cut:]) if cut else (b"", rest + part)
             if len(rest) > limits.MAX_LINE_BYTES:
                 raise RecordingError(
                     f"{self.where(name)}: a line of more than {limits.MAX_LINE_BYTES} bytes; this is no table"
@@ -162,7 +153,7 @@ class Members:
         if rest:
             yield rest.replace(b"\r", b"\n")
 
-    def _parts(self, name: str, size: int) -> Iterator[bytes]:
+    def parts(self, name: str, size: int = limits.BLOCK_BYTES) -> Iterator[bytes]:
         """The bytes of a member in parts of this size: no more is unpacked at once; the CRC is checked at the end."""
         where = self.where(name)
         try:
@@ -205,15 +196,11 @@ def open_members(path: Path) -> Generator[Members]:
             return
         with open_regular(path) as file:
             begin = file.read(2)
-            if not begin:
-                raise RecordingError(f"{path}: the file is empty (0 bytes); copy or export the recording again")
+            _check_any(path, "the file", begin)
             if begin == _GZIP:
                 packed = Members(path, is_gzip=True)
                 begin = packed.head(packed.names[0], 2)
-                if not begin:
-                    raise RecordingError(
-                        f"{path}: the file in it is empty (0 bytes); copy or export the recording again"
-                    )
+                _check_any(path, "the file in it", begin)
                 if begin == _ZIP:
                     file = io.BytesIO(packed.whole(packed.names[0], limits.MAX_UNPACKED_BYTES))
                 else:
@@ -249,6 +236,11 @@ def _in_zip(file: IO[bytes], path: Path, inside: str, is_inner: bool = False) ->
             path, inside = path / named[0], inside.removeprefix(named[0]).lstrip("/")
         with _in_zip(content, path, inside, is_inner=True) as members:
             yield members
+
+
+def _check_any(path: Path, what: str, begin: bytes) -> None:
+    if not begin:
+        raise RecordingError(f"{path}: {what} is empty (0 bytes); copy or export the recording again")
 
 
 def _refuse_others(path: Path, head: bytes) -> None:

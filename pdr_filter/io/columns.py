@@ -11,6 +11,7 @@ import re
 import unicodedata
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 from pdr_filter.values import STANDARD_GRAVITY_MPS2
 
@@ -212,6 +213,7 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
     return known or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
 
 
+@lru_cache(maxsize=256)
 def quantity_of_file(name: str) -> tuple[str, int]:
     """Quantity that the name of a file or a sheet contains anywhere, and its preference; "" if none."""
     words = words_of(name)
@@ -258,6 +260,7 @@ def _accuracy(name: str, unit: str) -> int | None:
     return 3 if _HORIZONTAL.search(rest) or "h" in words or "hor" in words else 2
 
 
+@lru_cache(maxsize=256)  # detection and reading ask for the same names
 def column_of(place: int, name: str) -> Column:
     """Quantity, axis and unit that the name of a column says; see the examples above."""
     unit_found = _UNIT.search(name) or _UNIT_WORD.search(name.rstrip())

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import re
 from datetime import date
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -52,32 +53,29 @@ def _found_in(text: str) -> re.Match[str] | None:
     return next((found for kind in _KINDS if (found := kind.fullmatch(text))), None)
 
 
-def as_nanoseconds(rows: bytes, separator: bytes) -> bytes:
-    """Rows of text with every date in them as nanoseconds since 1970, and clock times since midnight.
+def nanoseconds_of(text: str) -> int:
+    """One date as whole nanoseconds since 1970, or a clock time since midnight; ValueError if it is none."""
+    found = _found_in(text.strip())
+    if found is None:
+        raise ValueError(f"{text[:_WIDEST]!r} is no date that is known; write dates as 2023-03-16 14:00:39.412")
+    year, month, day, hour, minute, second, part, zone = found.groups()
+    hours = int(hour or 0)
+    if zone and zone[0] in "AaPp":
+        hours = hours % 12 + 12 * (zone[0] in "Pp")
+    ns = _day_ns(year, month, day) + ((hours * 60 + int(minute or 0)) * 60 + int(second or 0)) * 10**9
+    return ns + int((part or "0").ljust(9, "0")) - _zone_ns(zone or "")
 
-    ValueError if what looks like a date is none.
-    """
-    # A comma before the parts of a second would be taken for the one between two fields.
-    comma = b"" if separator == b"," else b","
-    patterns = [_compiled(kind, comma) for kind in _KINDS]
-    days: dict[tuple[bytes, bytes, bytes], int] = {}
 
-    def nanoseconds(found: re.Match[bytes]) -> bytes:
-        year, month, day, hour, minute, second, part, zone = found.groups()
-        key = (year, month, day)
-        if key not in days:
-            days[key] = _day_ns(*(text.decode() for text in key))
-        hours = int(hour or 0)
-        if zone and zone[:1] in b"AaPp":
-            hours = hours % 12 + 12 * (zone[:1] in b"Pp")
-        ns = days[key] + ((hours * 60 + int(minute or 0)) * 60 + int(second or 0)) * 10**9
-        ns += int(part.ljust(9, b"0")) if part else 0
-        return b"%d" % (ns - _zone_ns(zone) if zone else ns)
+def as_nanoseconds(rows: bytes, separator: bytes, place: int) -> bytes:
+    """Rows of text with the dates of one column as `nanoseconds_of`; what is no date stays as it is."""
+    mark = re.escape(separator)
+    column = re.compile(rb'(?m)^((?:[^\n%b]*%b){%d})"?([^\n"%b]*)"?' % (mark, mark, place, mark))
 
-    for pattern in patterns:
-        if pattern.search(rows[:4096]):
-            return pattern.sub(nanoseconds, rows)
-    return rows
+    def replaced(found: re.Match[bytes]) -> bytes:
+        text = found[2].decode("latin-1")
+        return found[1] + b"%d" % nanoseconds_of(text) if is_date(text) else found[0]
+
+    return column.sub(replaced, rows)
 
 
 def column_nanoseconds(rows: bytes, separator: bytes, place: int) -> IntArray | None:
@@ -144,11 +142,6 @@ def _days(fields: NDArray[np.uint8], found: re.Match[str]) -> IntArray | None:
     return None if fields.shape[1] and left.any() else days
 
 
-def nanoseconds_of(text: str) -> int:
-    """One date as whole nanoseconds; ValueError if it is none."""
-    return int(as_nanoseconds(text.strip().encode(), b";"))
-
-
 def without_midnights(ns: IntArray) -> IntArray:
     """Clock times that go on where the clock begins anew at midnight, or at the full hour; dates as they are."""
     if len(ns) == 0 or ns.max() >= _NS_OF_DAY:
@@ -158,12 +151,7 @@ def without_midnights(ns: IntArray) -> IntArray:
     return ns + np.cumsum(falls) * period
 
 
-def _compiled(pattern: re.Pattern[str], comma: bytes) -> re.Pattern[bytes]:
-    """For any place in a row; a comma is one of the numbers only where no field ends with it."""
-    text = pattern.pattern.encode().replace(b"[.:_,]", b"[.:_" + comma + b"]").replace(b"[.,]", b"[." + comma + b"]")
-    return re.compile(rb"(?<![\d:.])" + text + rb"(?![\d:])")
-
-
+@lru_cache(maxsize=1000)
 def _day_ns(first: str, middle: str, last: str) -> int:
     """Nanoseconds from 1970 to the begin of a day; zero of a clock time without one."""
     if not first:
@@ -179,9 +167,9 @@ def _day_ns(first: str, middle: str, last: str) -> int:
         raise ValueError(f"{first}-{middle}-{last} is no date that is known; write dates as 2023-03-16") from error
 
 
-def _zone_ns(zone: bytes) -> int:
-    digits = zone.lstrip(b"+-").replace(b":", b"")
+def _zone_ns(zone: str) -> int:
+    digits = zone.lstrip("+-").replace(":", "")
     if not digits.isdigit():
         return 0
     ns = (int(digits[:2]) * 60 + int(digits[2:])) * 60 * 10**9
-    return -ns if zone.startswith(b"-") else ns
+    return -ns if zone.startswith("-") else ns

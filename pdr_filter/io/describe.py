@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from dataclasses import asdict, dataclass
 from typing import Any, cast
 
@@ -88,7 +89,7 @@ class Description:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists that json can write."""
-        return _plain(asdict(self))
+        return json.loads(json.dumps(asdict(self)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -116,7 +117,7 @@ class ReadingReport:
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dicts and lists that json can write."""
-        return _plain(asdict(self))
+        return json.loads(json.dumps(asdict(self)))
 
 
 def describe(recording: Recording) -> Description:
@@ -200,10 +201,3 @@ def _unit_sentences(recording: Recording) -> tuple[str, ...]:
 def _dict_of(value: Any) -> dict[str, Any]:
     """The value if it is a dict; files of other people may hold anything in its place."""
     return cast("dict[str, Any]", value) if isinstance(value, dict) else {}
-
-
-def _plain(value: Any) -> Any:
-    """The same with lists in place of tuples."""
-    if isinstance(value, dict):
-        return {key: _plain(item) for key, item in cast("dict[str, Any]", value).items()}
-    return [_plain(item) for item in cast("list[Any]", value)] if isinstance(value, list | tuple) else value

@@ -14,7 +14,7 @@ from pdr_filter.io import (
     ros_bag,
     sensor_logger,
 )
-from pdr_filter.io.any_table import TEXTS, is_of_sensors
+from pdr_filter.io.any_table import TEXTS, sensors_of
 from pdr_filter.io.archive import Members, open_members
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.mapping import mapping_beside
@@ -103,7 +103,7 @@ def detect_file(members: Members, name: str) -> str:
     if sensor_logger.looks_like_export(head):
         return "sensor_logger"
     if json_tables.looks_like(head):
-        return "table" if is_of_sensors(members, name) else ""
+        return "table" if sensors_of(members, name) else ""
     if indoor_location.looks_like(head):
         return "indoor_location"
     if get_sensor_data.looks_like(head):
@@ -112,4 +112,4 @@ def detect_file(members: Members, name: str) -> str:
     if sensor_logger.looks_like(line):
         return "sensor_logger"
     is_own = line.startswith("time_s,")
-    return "table" if not is_own and name.lower().endswith(TEXTS) and is_of_sensors(members, name) else ""
+    return "table" if not is_own and name.lower().endswith(TEXTS) and sensors_of(members, name) else ""

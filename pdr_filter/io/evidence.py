@@ -50,8 +50,8 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
         return None
     step_s = 0.02
     grid_s = np.arange(begin, min(end, begin + 600.0), step_s)
-    u = _smoothed(_at(grid_s, time_s, force), round(TURN_S / step_s))
-    w = _smoothed(_at(grid_s, rate_time_s, rate), round(TURN_S / step_s))
+    u = _smoothed(at_times(grid_s, time_s, force), round(TURN_S / step_s))
+    w = _smoothed(at_times(grid_s, rate_time_s, rate), round(TURN_S / step_s))
     norm = np.linalg.norm(u, axis=1, keepdims=True)
     u = u / np.where(norm > 0, norm, 1.0)
     lag = round(TURN_S / step_s)
@@ -66,9 +66,10 @@ def turning(time_s: FloatArray, force: FloatArray, rate_time_s: FloatArray, rate
     return np.sign(correlation) * angle_rad / expected_rad if abs(correlation) > LEAST_CORRELATION else None
 
 
-def _at(grid_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+def at_times(at_s: FloatArray, time_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Values (M, d), interpolated linearly; before the first and after the last time those of that time."""
     order = np.argsort(time_s, kind="stable")
-    return np.column_stack([np.interp(grid_s, time_s[order], column[order]) for column in values.T])
+    return np.column_stack([np.interp(at_s, time_s[order], column[order]) for column in values.T])
 
 
 def _smoothed(values: FloatArray, n: int) -> FloatArray:

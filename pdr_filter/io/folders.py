@@ -40,7 +40,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
     """
     folder = Path(folder)
     if folder.is_file():
-        return _each_of(folder)
+        return [folder / part for part in _parts_in(folder)] or [folder]
     inside = sorted(path for path in folder.iterdir() if not path.name.startswith("."))
     parts = _parts_in(folder) if not any(map(_is_mapped, inside)) else []
     if "." in parts:
@@ -53,7 +53,7 @@ def recordings_in(folder: str | Path) -> list[Path]:
         elif (
             path.is_file() and (path.suffix.lower() in _FILES or _is_known(path)) and trial_of(path.name) not in trials
         ):
-            found += _each_of(path)
+            found += [path / part for part in _parts_in(path)] or [path]
     return found
 
 
@@ -147,20 +147,18 @@ def _of_one_sensor(folder: str, of_sensors: dict[str, set[str]], is_all: bool) -
     return [folder] if is_one else force if force_of == ACCELERATION else []
 
 
-def _parts_in(folder: Path) -> list[str]:
-    """Recordings among the files of a folder itself; "." if these are one, others being left out with a note."""
+def _parts_in(path: Path) -> list[str]:
+    """Recordings among the files of a folder itself, or in a file of several.
+
+    "." if those of a folder are one, others being left out with a note.
+    """
     try:
-        members = Members(folder)
+        if path.is_file():
+            return parts_of(path)
+        members = Members(path)
         return recordings_among(members, [name for name in members.names if name[0] != "."])
     except Exception:
         return []  # something is wrong with one of them, which its row will say
-
-
-def _each_of(path: Path) -> list[Path]:
-    try:
-        return [path / part for part in parts_of(path)] or [path]
-    except Exception:
-        return [path]  # something is wrong with it, which its row will say
 
 
 def _is_mapped(path: Path) -> bool:

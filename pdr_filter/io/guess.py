@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 
@@ -28,12 +27,12 @@ from pdr_filter.io.columns import (
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.dialects import Dialect
 from pdr_filter.io.errors import RecordingError
-from pdr_filter.io.evidence import constant_part, turning
+from pdr_filter.io.evidence import at_times, constant_part, turning
 from pdr_filter.io.groups import Group
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheet_data import SheetData, is_new_place
 from pdr_filter.io.sheets import Sheet
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, IntArray
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray
 
 # Of the constant part of an acceleration against its norm: gravity outweighs what walking adds.
 _GRAVITY_SHARE = 0.6
@@ -49,6 +48,11 @@ _RATE_SHARE = 0.25
 _NAMES = {
     **{"ut": "uT", "mt": "mT", "gauss": "G", "t": "T", "hpa": "hPa", "pa": "Pa", "kpa": "kPa", "lx": "lux", "i": "cm"},
     **{"m/s^2": "m/s2", "m/s/s": "m/s2", "\u00b0/s": "deg/s", "dps": "deg/s"},
+}
+# Where the median of a quantity lies, and the units in which it may be written.
+_BY_SIZE = {
+    FIELD: (limits.MAGNETIC_FIELD_RANGE_UT, ("ut", "gauss", "mt", "t")),
+    "barometer": (limits.PRESSURE_RANGE_HPA, ("hpa", "pa", "kpa")),
 }
 # Unix time from 2004 to 2039. Nanoseconds since a phone was started 20 minutes ago are as large as milliseconds of
 # that, but would then come less often than any sensor.
@@ -74,7 +78,7 @@ class _Stream:
     group: Group
     data: SheetData
     time_unit: str
-    time_s: FloatArray
+    time_s: FloatArray  # on the clock of the table
     values: FloatArray
     is_unit_declared: bool
     unit: str  # as in `UNITS`; empty if not known
@@ -182,20 +186,18 @@ def _rate_of_rows(data: Sequence[SheetData], groups: Sequence[Group], dialect: D
 
 
 def _stream(group: Group, data: SheetData, dialect: Dialect | None, rate_hz: float) -> _Stream:
-    values = data.values(group.places, group.time)
-    known = ~np.isnan(values).all(axis=1)
+    ticks, values = data.stream(group.places, group.time)
     declared = group.unit
     if not declared and dialect is not None:
         declared = dialect.units.get(group.quantity, "")
     is_time_declared = bool(group.time is None or group.time_unit or group.time in data.sheet.dates)
     if group.time is None:
-        unit, time_s = "s", np.arange(len(values)) / rate_hz
+        unit, time_s = "s", ticks.astype(np.float64) / rate_hz
     else:
-        ticks = data.ticks(group.time)
         is_date = group.time in data.sheet.dates
-        unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks[known], dtype=np.float64))
-        time_s = (ticks - _first(ticks)).astype(np.float64) * TIME_UNITS[unit]
-        known &= np.isfinite(time_s)
+        unit = "ns" if is_date else group.time_unit or _time_unit(np.asarray(ticks, dtype=np.float64))
+        time_s = ticks.astype(np.float64) * TIME_UNITS[unit]
+    known = np.isfinite(time_s)
     if group.quantity == "location":
         known &= is_new_place(values)
     return _Stream(group, data, unit, time_s[known], values[known], bool(declared), declared, is_time_declared)
@@ -233,7 +235,14 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
     with_gravity = [s for s in (of[ACCELERATION] or of[LINEAR]) if s.unit and _has_gravity(s)]
     rates = [s for s in streams if s.group.quantity == RATE]
     if with_gravity:
-        best = max(with_gravity, key=lambda s: (s.group.preference, _overlap_s(s, rates), len(s.values)))
+        best = max(
+            with_gravity,
+            key=lambda s: (
+                s.group.preference,
+                max([_common_s(s, other) for other in rates], default=0.0),
+                len(s.values),
+            ),
+        )
         result.evidence.append(_force_words(best))
         return [best]
     linear = [s for s in (*of[LINEAR], *of[ACCELERATION]) if not _has_gravity(s) or not s.unit]
@@ -301,16 +310,11 @@ def _with_unit(s: _Stream, force: FloatArray, time_s: FloatArray, result: Guess)
             s = replace(s, unit="deg/s" if is_deg else "rad/s")
         result.evidence.append(f"gyroscope: {name}, {_NAMES.get(s.unit, s.unit)}; {turns}")
         return s
-    if not s.unit and quantity == FIELD:
+    if not s.unit and quantity in _BY_SIZE:
+        (low, high), units = _BY_SIZE[quantity]
         norm = median_norm(s.values)
-        low, high = limits.MAGNETIC_FIELD_RANGE_UT
-        fits = [u for u in ("ut", "gauss", "mt", "t") if low <= norm * UNITS[FIELD][u] <= high]
-        s = replace(s, unit=fits[0] if fits else "ut")
-    elif not s.unit and quantity == "barometer":
-        low, high = limits.PRESSURE_RANGE_HPA
-        norm = float(np.nanmedian(s.values))
-        fits = [u for u in ("hpa", "pa", "kpa") if low <= norm * UNITS[quantity][u] <= high]
-        s = replace(s, unit=fits[0] if fits else "hpa")
+        fits = [unit for unit in units if low <= norm * UNITS[quantity][unit] <= high]
+        s = replace(s, unit=fits[0] if fits else units[0])
     elif not s.unit:
         s = replace(s, unit={"light": "lux", "proximity": "cm", ANGLES: "rad"}.get(quantity, ""))
     result.evidence.append(f"{quantity}: {name}, {_NAMES.get(s.unit, s.unit) or 'degrees and metres'}")
@@ -332,7 +336,12 @@ def _as_rate(s: _Stream, forces: Sequence[_Stream]) -> _Stream:
 
 def _force(forces: Sequence[_Stream]) -> FloatArray:
     """The specific force in m/s2, the sum where gravity is apart."""
-    return np.asarray(sum(s.factor * _like(s, forces[0]) for s in forces))
+    at_s = forces[0].time_s
+    same = [np.array_equal(s.time_s, at_s) for s in forces]
+    values = [
+        s.values if is_same else at_times(at_s, s.time_s, s.values) for s, is_same in zip(forces, same, strict=True)
+    ]
+    return np.asarray(sum(s.factor * v for s, v in zip(forces, values, strict=True)))
 
 
 def _is_of_earth(s: _Stream) -> bool:
@@ -366,33 +375,6 @@ def _sign(dialect: Dialect | None, platform: str | None, forces: Sequence[_Strea
     return 1
 
 
-def _like(s: _Stream, first: _Stream) -> FloatArray:
-    """Values at the times of another stream."""
-    if s is first or len(s.time_s) == 0:
-        return s.values
-    order = np.argsort(s.time_s, kind="stable")
-    return np.column_stack([np.interp(first.time_s, s.time_s[order], column[order]) for column in s.values.T])
-
-
-def _overlap_s(s: _Stream, others: Sequence[_Stream]) -> float:
-    """For how long a stream is beside one of the others of the same table or clock."""
-    return max((_common_s(s, other) for other in others), default=0.0)
-
-
 def _common_s(s: _Stream, other: _Stream) -> float:
-    begin, end = _span(s), _span(other)
-    return round(min(begin[1], end[1]) - max(begin[0], end[0]))
-
-
-def _span(s: _Stream) -> tuple[float, float]:
-    """First and last time of a stream on the clock of its table, in s."""
-    if s.group.time is None or len(s.time_s) == 0:
-        return 0.0, float(len(s.values))
-    first = float(_first(s.data.ticks(s.group.time))) * TIME_UNITS[s.time_unit]
-    return first + float(s.time_s.min()), first + float(s.time_s.max())
-
-
-def _first(ticks: IntArray | FloatArray) -> Any:
-    """The first time that is known; zero if none is."""
-    known = ticks[np.isfinite(ticks)]
-    return known[0] if len(known) else 0
+    """For how long two streams are beside each other on one clock, in whole s."""
+    return round(min(s.time_s.max(), other.time_s.max()) - max(s.time_s.min(), other.time_s.min()))

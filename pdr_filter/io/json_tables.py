@@ -167,26 +167,23 @@ class _Columns:
     def sheet(self, name: str) -> ArraySheet | None:
         """The table; None without a column of numbers."""
         self._keep_rows()
-        fields = list(dict.fromkeys(key for part in self._parts for key in part))
-        columns: dict[str, _Column] = {}
-        for field in fields:
-            parts = [part.get(field) for part in self._parts]
-            of_unknown = [(np.full(n, np.nan), "") for n in self._lengths]
-            known = [part or unknown for part, unknown in zip(parts, of_unknown, strict=True)]
+        columns: dict[str, FloatArray | IntArray] = {}
+        places: dict[str, list[int]] = {"": [], "date": [], "exact": []}
+        for i, field in enumerate(dict.fromkeys(key for part in self._parts for key in part)):
+            parts = zip(self._parts, self._lengths, strict=True)
+            known = [part.get(field, (np.full(n, np.nan), "")) for part, n in parts]
             kinds = {kind for _, kind in known}
-            columns[field] = np.concatenate([column for column, _ in known]), kinds.pop() if len(kinds) == 1 else ""
-        columns = {field: (c if kind else c.astype(np.float64), kind) for field, (c, kind) in columns.items()}
-        if not columns:
-            return None
-        of_kind = {
-            wanted: frozenset(i for i, (_, kind) in enumerate(columns.values()) if kind == wanted)
-            for wanted in ("date", "exact")
-        }
-        arrays = tuple(
-            without_midnights(column.astype(np.int64)) if kind == "date" else column
-            for column, kind in columns.values()
+            kind = kinds.pop() if len(kinds) == 1 else ""
+            column = np.concatenate([column for column, _ in known])
+            whole = column.astype(np.int64) if kind else None
+            columns[field] = (
+                column.astype(float) if whole is None else without_midnights(whole) if kind == "date" else whole
+            )
+            places[kind].append(i)
+        dates, exact = frozenset(places["date"]), frozenset(places["exact"])
+        return (
+            ArraySheet(name, self._where, tuple(columns), (*columns.values(),), "", dates, exact) if columns else None
         )
-        return ArraySheet(name, self._where, tuple(columns), arrays, "", of_kind["date"], of_kind["exact"])
 
     def _keep_rows(self) -> None:
         if self._rows:

@@ -7,23 +7,23 @@ from pathlib import Path
 from typing import Any, cast
 
 from pdr_filter.io.archive import read_toml
-from pdr_filter.io.columns import ACCELERATION, ANGLES, FIELD, GRAVITY, LINEAR, RATE, TIME_UNITS, UNITS
+from pdr_filter.io.columns import ACCELERATION, ANGLES, GRAVITY, LINEAR, TIME_UNITS, UNITS, normal_unit
 from pdr_filter.io.errors import RecordingError
 from pdr_filter.io.files import beside
 
-# For each stream: how many columns, and its units with the factor to the one of `Recording`; "" if none is needed.
-STREAMS: dict[str, tuple[int, dict[str, float]]] = {
-    **dict.fromkeys(("accelerometer", GRAVITY, LINEAR), (3, {u: UNITS[ACCELERATION][u] for u in ("m/s2", "g", "mg")})),
-    "gyroscope": (3, {unit: UNITS[RATE][unit] for unit in ("rad/s", "deg/s", "mdps")}),
-    "magnetometer": (3, {"uT": 1.0, "mT": 1000.0, "G": UNITS[FIELD]["gauss"], "T": 1e6}),
-    "barometer": (1, {"hPa": 1.0, "mbar": 1.0, "Pa": 0.01, "kPa": 10.0}),
-    "light": (1, {"lux": 1.0, "": 1.0}),
-    "proximity": (1, {"cm": 1.0, "mm": 0.1, "m": 100.0, "": 1.0}),
-    "attitude": (4, {"": 1.0}),
-    ANGLES: (3, {"rad": 1.0, "deg": UNITS[RATE]["deg/s"]}),
-    "location": (4, {"": 1.0}),
-}
 _SIGNED = ("accelerometer", GRAVITY, LINEAR)
+# For each stream: how many columns, and its units; the first if none is given.
+STREAMS: dict[str, tuple[int, tuple[str, ...]]] = {
+    **dict.fromkeys(_SIGNED, (3, ("m/s2", "g", "mg"))),
+    "gyroscope": (3, ("rad/s", "deg/s", "mdps")),
+    "magnetometer": (3, ("uT", "mT", "G", "T")),
+    "barometer": (1, ("hPa", "mbar", "Pa", "kPa")),
+    "light": (1, ("lux", "")),
+    "proximity": (1, ("cm", "mm", "m", "")),
+    "attitude": (4, ("",)),
+    ANGLES: (3, ("rad", "deg")),
+    "location": (4, ("",)),
+}
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,7 +41,8 @@ class StreamMap:
     @property
     def factor(self) -> float:
         """To the unit of `Recording`, with the sign."""
-        return STREAMS[self.stream][1][self.unit] * self.sign
+        quantity = ACCELERATION if self.stream == "accelerometer" else self.stream
+        return UNITS.get(quantity, {}).get(normal_unit(self.unit), 1.0) * self.sign
 
 
 @dataclass(frozen=True, slots=True)
@@ -119,7 +120,7 @@ def _stream(path: Path, name: str, settings: dict[str, Any], time: dict[str, Any
     columns: Any = settings.get("columns")
     if not isinstance(columns, list) or len(cast("list[Any]", columns)) != n:
         raise RecordingError(f"{path}: [{name}] needs columns = [...] with {n} names, got {columns!r}")
-    unit = str(settings.get("unit", next(iter(units))))
+    unit = str(settings.get("unit", units[0]))
     if unit not in units:
         raise RecordingError(f"{path}: [{name}] unit {unit!r}; known are {', '.join(units)}")
     sign: Any = settings.get("sign", 1)

@@ -136,7 +136,7 @@ def _read_stream(
     members: Members, name: str, columns: tuple[str, ...], notes: list[str]
 ) -> tuple[FloatArray, FloatArray]:
     """Times and values of one sensor; none of an empty file."""
-    rows = TextTable(members.blocks(name), members.where(name), lambda _: ",")
+    rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty and PurePosixPath(name).name != REQUIRED:
         return np.empty(0), np.empty((0, len(columns)))
     numbers = rows.parse(rows.places(("time_s", *columns)), notes).values
@@ -145,7 +145,7 @@ def _read_stream(
 
 def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
     """Access points that were heard; None of an empty file."""
-    rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), lambda _: ",")
+    rows = TextTable(with_whole_addresses(members.blocks(name)), members.where(name), ",")
     if rows.is_empty:
         return None
     numbers = rows.parse(rows.places(("time_s", *WIFI_COLUMNS)), notes).values
@@ -154,7 +154,7 @@ def _read_wifi(members: Members, name: str, notes: list[str]) -> Wifi | None:
 
 def _read_truth(members: Members, name: str, columns: tuple[str, ...], notes: list[str]) -> Table | None:
     """The rows of a truth table that have a time; None of an empty file."""
-    rows = TextTable(members.blocks(name), members.where(name), lambda _: ",")
+    rows = TextTable(members.blocks(name), members.where(name), ",")
     if rows.is_empty:
         return None
     numeric = [column for column in columns if column not in TEXT_COLUMNS]

@@ -271,16 +271,22 @@ def _read_tables(members: Members) -> _Export:
             if table.is_empty:
                 export.notes.append(f"{sensor}.csv: empty, left out")
                 continue
-            time, *places = table.places(("time", *columns))
-            first = _first_times(table)
+            has_elapsed = table.fields.count("seconds_elapsed") == 1
+            time, *places = table.places(("time", *columns, *["seconds_elapsed"][:has_elapsed]))
             decimal = "," if table.separator != "," and b"," in table.first_rows.split(b"\n", 1)[0] else "."
             rows = table.parse(places, export.notes, whole=time, decimal=decimal)
-            if first and 2 * np.count_nonzero(np.diff(rows.whole)) < len(rows) - 1:
-                export.sensors[sensor] = _by_elapsed(members, name, columns, decimal)
+            elapsed_s = rows.values[:, len(columns) :]
+            rows = NumberTable(rows.whole, rows.values[:, : len(columns)])
+            if has_elapsed and 2 * np.count_nonzero(np.diff(rows.whole)) < len(rows) - 1:
+                known = np.abs(elapsed_s[:, 0]) < limits.MAX_ELAPSED_S
+                whole = np.round(elapsed_s[known, 0] * 1e9).astype(np.int64)
+                export.sensors[sensor] = NumberTable(whole, rows.values[known])
                 rounded.append(sensor)
                 continue
-            begun_ns = _begun_ns(first) or begun_ns
-            export.sensors[sensor] = _without_stale(rows, _begun_ns(first), sensor, export.notes)
+            first = zip(rows.whole[: limits.HEAD_ROWS], elapsed_s[: limits.HEAD_ROWS].ravel(), strict=False)
+            own_begun_ns = _begun_ns((str(time), str(elapsed)) for time, elapsed in first)
+            begun_ns = own_begun_ns or begun_ns
+            export.sensors[sensor] = _without_stale(rows, own_begun_ns, sensor, export.notes)
     for sensor in rounded:
         export.notes.append(f"{sensor}.csv: its column time was rounded, so seconds_elapsed is taken")
         rows = export.sensors[sensor]
@@ -301,15 +307,6 @@ def _member(names: Sequence[str], sensor: str, members: Members) -> str:
             else f"{members.path}: {' and '.join(found[:2])} are both {sensor}; keep one of them"
         )
     return found[0] if found else ""
-
-
-def _by_elapsed(members: Members, name: str, columns: tuple[str, ...], decimal: str) -> NumberTable:
-    """The rows of a table at the seconds since the recording began, which all sensors count alike."""
-    table = TextTable(members.blocks(name), members.where(name))
-    found = table.parse(table.places(("seconds_elapsed", *columns)), [], decimal=decimal).values
-    known = np.isfinite(found[:, 0]) & (np.abs(found[:, 0]) < limits.MAX_ELAPSED_S)
-    whole = np.round(found[known, 0] * 1e9).astype(np.int64)
-    return NumberTable(whole, found[known, 1:])
 
 
 def _read_json(members: Members, name: str) -> _Export:
@@ -337,16 +334,6 @@ def _read_json(members: Members, name: str) -> _Export:
         for sensor, found in parts.items()
     }
     return export
-
-
-def _first_times(table: TextTable) -> list[tuple[str, str]]:
-    """Time and seconds elapsed of the first rows, as they are written; none if there is no such column."""
-    if table.fields.count("seconds_elapsed") != 1:
-        return []
-    time, elapsed = table.places(("time", "seconds_elapsed"))
-    lines = table.first_rows[: limits.HEAD_BYTES].decode("utf-8", "replace").split("\n")[: limits.HEAD_ROWS]
-    rows = [line.split(table.separator) for line in lines]
-    return [(row[time], row[elapsed]) for row in rows if len(row) > max(time, elapsed)]
 
 
 def _begun_ns(times: Iterable[tuple[str, str]]) -> int | None:

@@ -37,7 +37,7 @@ class Objects:
 
     def items(self, most: int | None = None) -> list[dict[str, Any]]:
         """The first objects, as parsed."""
-        return self.parsed[:most] if self.parsed else json.loads(f"[{{{'},{'.join(self.texts[:most])}}}]")
+        return json.loads(f"[{{{'},{'.join(self.texts[:most])}}}]") if self.texts else self.parsed[:most]
 
     def table(self, columns: tuple[str, ...], where: str, notes: list[str]) -> NumberTable:
         """The key `time` as whole numbers, and these as floats; rows without a time are left out."""

@@ -16,8 +16,9 @@ import numpy as np
 from pdr_filter.io import limits
 from pdr_filter.io.archive import Members
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.sensor_logger_json import Objects
 from pdr_filter.io.sqlite_file import open_database
-from pdr_filter.io.table import NumberTable, finite, refuse_far_times, to_number, whole_number
+from pdr_filter.io.table import NumberTable
 
 Columns = Mapping[str, tuple[str, ...]]  # of each sensor, as its CSV files call them
 Message = dict[str, Any]
@@ -61,19 +62,20 @@ def push_tables(members: Members, name: str, columns: Columns) -> dict[str, Numb
             f"{where}: holds {len(sessions)} sessions ({', '.join(list(sessions)[:3])}); name one behind the path"
         )
     known = {sensor.lower(): sensor for sensor in columns}
-    rows: dict[str, list[tuple[int, list[float]]]] = {}
+    rows: dict[str, list[Message]] = {}
     for item in (item for message in sessions[wanted] for item in message["payload"] if isinstance(item, dict)):
         sensor = known.get(str(item.get("name")).lower())
         values: Any = item.get("values", item)
         if sensor is None or not isinstance(values, dict):
             continue
-        row = [_number(cast("Message", values).get(key), where, sensor) for key in columns[sensor]]
-        if (at := _whole(item.get("time"), where, sensor)) is not None:
-            rows.setdefault(sensor, []).append((at, row))
-    return {
-        sensor: _table(sorted(found, key=lambda row: row[0]), len(columns[sensor]), where)
-        for sensor, found in rows.items()
-    }
+        of_columns = {key: cast("Message", values).get(key) for key in columns[sensor]}
+        rows.setdefault(sensor, []).append({**of_columns, "time": item.get("time")})
+    tables: dict[str, NumberTable] = {}
+    for sensor, found in rows.items():
+        table = Objects(found).table(columns[sensor], f"{where}, {sensor}", [])
+        order = np.argsort(table.whole, kind="stable")
+        tables[sensor] = NumberTable(table.whole[order], table.values[order])
+    return tables
 
 
 def database_tables(
@@ -88,13 +90,11 @@ def database_tables(
         for table, found in database.columns.items():
             sensor = known.get(table.lower())
             if sensor is not None and {"time", *columns[sensor]} <= set(found):
-                rows = database.rows(table, ("time", *columns[sensor]))
-                whole = [_whole(row[0], where, sensor) for row in rows]
-                values = [[_number(v, where, sensor) for v in row[1:]] for row in rows]
-                kept = [(at, row) for at, row in zip(whole, values, strict=True) if at is not None]
-                if len(kept) < len(rows):
-                    notes.append(f"{table}: {len(rows) - len(kept)} rows without a time left out")
-                sensors[sensor] = _table(kept, len(columns[sensor]), where)
+                names = ("time", *columns[sensor])
+                rows = Objects([dict(zip(names, row, strict=True)) for row in database.rows(table, names)], names)
+                sensors[sensor] = rows.table(columns[sensor], f"{where}, {sensor}", notes)
+                if n_timeless := len(rows.parsed) - len(sensors[sensor]):
+                    notes.append(f"{table}: {n_timeless} rows without a time left out")
             elif table.lower() == "metadata" and found:
                 for row in database.rows(table, found)[:1]:
                     metadata = {key: str(value)[: limits.MAX_TEXT_CHARS] for key, value in zip(found, row, strict=True)}
@@ -105,27 +105,6 @@ def database_tables(
     return sensors, metadata
 
 
-def _table(rows: list[tuple[int, list[float]]], n_columns: int, where: str) -> NumberTable:
-    whole = np.array([at for at, _ in rows], dtype=np.int64)
-    refuse_far_times(whole, where)
-    values = np.array([row for _, row in rows], dtype=float)
-    return NumberTable(whole, finite(values.reshape(len(rows), n_columns), where, []))
-
-
 def _number_of(message: Message) -> float:
     number: Any = message.get("messageId")
     return float(number) if isinstance(number, int | float) and abs(number) < limits.MAX_INT64 else 0.0
-
-
-def _number(value: Any, where: str, sensor: str) -> float:
-    number = to_number("" if value is None else str(value)[:60])
-    if number is None:
-        raise RecordingError(f"{where}, {sensor}: {str(value)[:60]!r} is not a number; export it again")
-    return number
-
-
-def _whole(value: Any, where: str, sensor: str) -> int | None:
-    try:
-        return whole_number("" if value is None else str(value)[:60])
-    except ValueError as error:
-        raise RecordingError(f"{where}, {sensor}: {str(value)[:40]!r} is no time in nanoseconds") from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Sequence, Set
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -10,6 +10,7 @@ import numpy as np
 from pdr_filter.io.assemble import Parsed
 from pdr_filter.io.columns import ANGLES, GRAVITY, LINEAR, TIME_UNITS, nanoseconds_of
 from pdr_filter.io.errors import RecordingError
+from pdr_filter.io.evidence import at_times
 from pdr_filter.io.mapping import Mapping, StreamMap
 from pdr_filter.io.sheets import Sheet
 from pdr_filter.io.table import NumberTable
@@ -24,62 +25,59 @@ class SheetData:
     """A sheet with the columns of it that are used; each is parsed once for each column of exact times."""
 
     sheet: Sheet
-    places: tuple[int, ...]
+    places: Set[int | None]  # negative or None of what is not there
     notes: list[str]
+    _numbers: list[int] = field(default_factory=list[int])  # the columns to parse as numbers
     _parsed: dict[int | None, NumberTable] = field(default_factory=dict[int | None, NumberTable])
 
     def __post_init__(self) -> None:
-        beside = {nanoseconds_of(self.sheet.fields, place) for place in self.places}
-        self.places = tuple(sorted({*self.places, *(place for place in beside if place is not None)}))
+        used = {place for place in self.places if place is not None and place >= 0}
+        beside = {place for p in used if (place := nanoseconds_of(self.sheet.fields, p)) is not None}
+        self._numbers = sorted((used | beside) - self.sheet.dates)
 
-    def ticks(self, time: int) -> IntArray | FloatArray:
-        """A column of times, with the nanoseconds in the one beside it: whole numbers if only these hold it."""
-        if (nanoseconds := nanoseconds_of(self.sheet.fields, time)) is not None:
-            return self.values((time, nanoseconds), time) @ [1.0, 1e-9]
-        exact = self._exact(time)
-        return self._rows(exact).whole if exact is not None else self.values((time,), time)[:, 0]
+    def stream(self, places: Sequence[int], time: int | None) -> tuple[IntArray | FloatArray, FloatArray]:
+        """Times (N,) and values (N, d) of the rows with a value; NaN for a place that is not there (-1).
 
-    def values(self, places: Sequence[int], time: int | None) -> FloatArray:
-        """Columns, shape (N, d), of the rows that have this time; NaN for a place that is not there (-1)."""
-        table = self._rows(self._exact(time))
-        unknown = np.full(len(table), np.nan)
-        at = [unknown if p < 0 else table.values[:, self.places.index(p)] for p in places]
-        return np.column_stack(at) if at else np.empty((len(table), 0))
-
-    def _exact(self, time: int | None) -> int | None:
-        is_exact = time is not None and (time in self.sheet.dates or time in self.sheet.exact)
-        return time if is_exact else None
-
-    def _rows(self, exact: int | None) -> NumberTable:
+        Times are whole numbers if only these hold them, and numbers of rows if there is no column of times. Sensors of
+        different rates in one table leave fields empty.
+        """
+        exact = time if time is not None and time in self.sheet.dates | self.sheet.exact else None
+        numbers = self._numbers
         if exact not in self._parsed:
-            numbers = [p for p in self.places if p not in self.sheet.dates]
-            found = self.sheet.table(numbers, exact, self.notes)
-            values = np.full((len(found), len(self.places)), np.nan)
-            for i, p in enumerate(self.places):
-                if p in numbers:
-                    values[:, i] = found.values[:, numbers.index(p)]
-            self._parsed[exact] = NumberTable(found.whole, values)
-        return self._parsed[exact]
+            self._parsed[exact] = self.sheet.table(numbers, exact, self.notes)
+        table = self._parsed[exact]
+        unknown = np.full(len(table), np.nan)
+        values = np.array([table.values[:, numbers.index(p)] if p in numbers else unknown for p in places]).T
+        if time is None:
+            ticks = np.arange(len(values))
+        elif (nanoseconds := nanoseconds_of(self.sheet.fields, time)) is not None:
+            ticks = table.values[:, [numbers.index(time), numbers.index(nanoseconds)]] @ [1.0, 1e-9]
+        else:
+            ticks = table.whole if exact is not None else table.values[:, numbers.index(time)]
+        known = ~np.isnan(values).all(axis=1)
+        return (ticks, values) if known.all() else (ticks[known], values[known])
 
 
 def fill(parsed: Parsed, mapping: Mapping, data: Sequence[SheetData]) -> None:
-    """Put the streams of a mapping into what becomes the recording."""
+    """Put the streams of a mapping into what becomes the recording, and what is known of their times."""
+    times = sorted({f"{stream.time} ({stream.time_unit})" for stream in mapping.streams if stream.time})
+    parsed.clock = f"column {', '.join(times)}" if times else f"no time column: rows at {mapping.rate_hz:g} Hz"
+    parsed.is_clock = any(stream.time_unit == "date" for stream in mapping.streams)
+    parsed.rate_hz = mapping.rate_hz if times else 0.0
+    if mapping.rate_hz and not times:
+        parsed.requested_hz = {"accelerometer": mapping.rate_hz}
     found: dict[str, tuple[IntArray | FloatArray, float, FloatArray]] = {}
     for stream in mapping.streams:
         at = _sheet_of(stream, mapping, data)
         time = _place(stream.time, at.sheet, mapping) if stream.time else None
         places = [_place(name, at.sheet, mapping) if name else -1 for name in stream.columns]
-        values = at.values(places, time) * stream.factor
-        unit_s = TIME_UNITS.get(stream.time_unit, 1e-9)
-        if time is None:
-            ticks, unit_s = np.arange(len(values)), 1 / mapping.rate_hz
-        else:
-            ticks = at.ticks(time)
-        known = ~np.isnan(values).all(axis=1)  # sensors of different rates in one table leave fields empty
+        ticks, values = at.stream(places, time)
         if stream.stream == "location":
-            known &= is_new_place(values)
+            is_new = is_new_place(values)
+            ticks, values = ticks[is_new], values[is_new]
             values[values[:, 3] < 0, 3] = np.nan  # apps write -1 for unknown
-        found[stream.stream] = (ticks[known], unit_s, values[known])
+        unit_s = 1 / mapping.rate_hz if time is None else TIME_UNITS.get(stream.time_unit, 1e-9)
+        found[stream.stream] = (ticks, unit_s, values * stream.factor)
     if GRAVITY in found and LINEAR in found and "accelerometer" not in found:
         found["accelerometer"] = _summed(found[LINEAR], found[GRAVITY])
     if ANGLES in found:
@@ -112,20 +110,15 @@ def is_new_place(values: FloatArray) -> BoolArray:
     return changes & ~np.isnan(values[:, :2]).any(axis=1) & (values[:, :2] != 0).any(axis=1)
 
 
-def interpolated(
-    time_s: FloatArray, known_s: FloatArray, values: FloatArray, gap_s: float = GRAVITY_GAP_S
-) -> FloatArray:
-    """Values interpolated linearly, NaN where there is none within the gap."""
-    result = np.full((len(time_s), values.shape[1]), np.nan)
+def interpolated(time_s: FloatArray, known_s: FloatArray, values: FloatArray) -> FloatArray:
+    """Values interpolated linearly, NaN where there is none within `GRAVITY_GAP_S`."""
     if len(known_s) == 0 or len(time_s) == 0:
-        return result
-    order = np.argsort(known_s, kind="stable")
-    known_s = known_s[order]
-    for i in range(result.shape[1]):
-        result[:, i] = np.interp(time_s, known_s, values[order, i])
+        return np.full((len(time_s), values.shape[1]), np.nan)
+    result = at_times(time_s, known_s, values)
+    known_s = np.sort(known_s)
     right = np.clip(np.searchsorted(known_s, time_s), 0, len(known_s) - 1)
     left = np.maximum(right - 1, 0)
-    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > gap_s
+    far = np.minimum(np.abs(known_s[right] - time_s), np.abs(known_s[left] - time_s)) > GRAVITY_GAP_S
     result[far] = np.nan
     return result
 
@@ -137,6 +130,8 @@ def _summed(
     zero = linear[0][0].item() if len(linear[0]) else 0
     at_s = _seconds(linear[0], linear[1], zero, linear[1])
     known_s = _seconds(gravity[0], gravity[1], zero, linear[1])
+    if np.array_equal(at_s, known_s):
+        return linear[0], linear[1], linear[2] + gravity[2]
     known = ~np.isnan(known_s)
     return linear[0], linear[1], linear[2] + interpolated(at_s, known_s[known], gravity[2][known])
 

@@ -10,7 +10,7 @@ import re
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
-from itertools import pairwise
+from itertools import islice, pairwise
 
 import numpy as np
 
@@ -96,7 +96,7 @@ class TextSheet:
                 found = parse_blocks([rows], replace(layout, whole=None), self.where, notes, line)
                 if len(found) == len(ns):
                     return NumberTable(ns, found.values)
-            return parse_blocks([as_nanoseconds(rows, self.separator.encode())], layout, self.where, notes, line)
+            return parse_blocks([as_nanoseconds(rows, self.separator.encode(), dates)], layout, self.where, notes, line)
         except RecordingError:
             raise
         except ValueError as error:
@@ -164,12 +164,7 @@ def text_sheets(members: Members, member: str, separator: str | None = None) -> 
 
 def _begins(block: bytes, first: bytes) -> list[int]:
     """Places of the lines of a block that begin so."""
-    found = [0] if block.startswith(first) else []
-    at = block.find(b"\n" + first)
-    while at >= 0:
-        found.append(at + 1)
-        at = block.find(b"\n" + first, at + 1)
-    return found
+    return [found.start() for found in re.finditer(re.escape(b"\n" + first), b"\n" + block)]
 
 
 def _table_at(members: Members, member: str, first: bytes, n: int) -> Iterator[bytes]:
@@ -259,7 +254,9 @@ def _n_known(text: str) -> int:
 def _layout(lines: list[str], separator: str) -> _Found | None:
     """Where the table begins if this separates its fields; None if it does not."""
     # Line ends that were converted twice leave a blank line after each.
-    places = [i for i, line in enumerate(lines) if line.strip()][: _LINES_TRIED + _LINES_COMPARED]
+    places = [*islice((i for i, line in enumerate(lines) if line.strip()), _LINES_TRIED + _LINES_COMPARED)]
+    if separator != " " and not any(separator in lines[i] for i in places):
+        return None
     split = [_split(lines[i], separator) for i in places]
     for first, (row, after) in enumerate(pairwise([*split, None][: _LINES_TRIED + 1])):
         n = len(row or ())

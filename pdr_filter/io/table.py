@@ -7,7 +7,7 @@ import csv
 import io
 import math
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from decimal import Decimal
 from itertools import chain
@@ -29,7 +29,7 @@ class NumberTable:
     """Columns of a table: one of whole numbers if asked for, the others as floats, NaN where empty."""
 
     whole: IntArray  # (N,) the column of whole numbers; zeros if none was asked for
-    values: FloatArray  # (N, d)
+    values: FloatArray  # (N, d), a column behind the other in memory: streams take columns
     texts: tuple[tuple[str, ...], ...] = ()  # (N,) of the columns of text, if any were asked for
 
     def __len__(self) -> int:
@@ -72,18 +72,13 @@ class TextTable:
     Its text comes in blocks that end with a line feed, except perhaps the last. `where` is for messages.
     """
 
-    def __init__(
-        self,
-        blocks: Iterable[bytes],
-        where: str,
-        separator_of: Callable[[str], str] = find_separator,
-    ) -> None:
+    def __init__(self, blocks: Iterable[bytes], where: str, separator: str = "") -> None:
         self.where = where
         self._rest = iter(blocks)
         head, _, first_rows = next(self._rest, b"").partition(b"\n")
         self.first_rows = first_rows or next(self._rest, b"")  # the first block of them
         self.header = decode(head, where)
-        self.separator = separator_of(self.header)
+        self.separator = separator or find_separator(self.header)
         self.fields = header_fields(self.header, self.separator)
         if len(self.fields) > limits.MAX_COLUMNS:
             raise RecordingError(
@@ -199,7 +194,7 @@ def parse_lines(lines: Sequence[str], layout: Layout) -> NumberTable:
     kinds = [(f"f{i}", np.int64 if column == layout.whole and i == 0 else float) for i, column in enumerate(columns)]
     quote, kind = '"' if layout.separator != '"' else None, np.dtype(kinds)
     rows = np.loadtxt(lines, kind, None, layout.separator, usecols=columns, ndmin=1, quotechar=quote)
-    values = np.empty((len(rows), len(layout.picked)))
+    values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows[f"f{len(columns) - len(layout.picked) + i}"]
     whole = np.zeros(len(rows), dtype=np.int64) if layout.whole is None else rows["f0"].copy()
@@ -259,7 +254,7 @@ def _by_arrow(block: bytes, layout: Layout) -> NumberTable | None:
         return None
     if layout.whole is not None and rows.column(0).null_count:
         return None
-    values = np.empty((len(rows), len(layout.picked)))
+    values = np.empty((len(rows), len(layout.picked)), order="F")
     for i in range(len(layout.picked)):
         values[:, i] = rows.column(len(names) - len(layout.picked) + i).to_numpy()
     whole = np.zeros(len(rows), np.int64) if layout.whole is None else rows.column(0).to_numpy().copy()

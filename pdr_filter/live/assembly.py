@@ -10,14 +10,14 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
 
 from pdr_filter.io import limits
 from pdr_filter.live.messages import FORCE, GRAVITY, LINEAR, RAW, Message, Rows
-from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples
+from pdr_filter.values import STANDARD_GRAVITY_MPS2, FloatArray, Samples, replace
 
 PRELUDE_S = 2.0
 # A phone without acceleration is told so; sensors of one phone start within a second or two.
@@ -58,7 +58,7 @@ class Kind:
     has_location: bool
 
 
-@dataclass(frozen=True, slots=True, eq=False)
+@dataclass(frozen=True, eq=False)
 class Assembly:
     """State of a session between its messages, without the messages that wait."""
 

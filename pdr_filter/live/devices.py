@@ -8,7 +8,7 @@ from __future__ import annotations
 import json
 import logging
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from pdr_filter.io.texts import printable
@@ -21,8 +21,8 @@ from pdr_filter.live.settings import BusyError, Event, Settings, part_of
 # A state costs 15 ms and is saved so often. A server that starts again filters the journal of this time.
 _SAVE_S = 30.0
 # A pass of the filter over 0.2 s of samples costs two thirds of one over a second. So passes of a worker take turns:
-# each session has one in this time, and none waits longer than this.
-_PASS_S, _LONGEST_WAIT_S = 0.2, 0.9
+# each session has one in this time for each session, and none waits for longer than this.
+_PASS_S, _LONGEST_WAIT_S = 0.2, 2.0
 # A phone that sends nothing for so long is forgotten until it sends again.
 _IDLE_S = 600.0
 # Folder with a file for each session, which holds the names of its device and session.
@@ -57,22 +57,18 @@ class Devices:
         MessageError, SessionError, LateError, FixError or BusyError if one of its messages cannot be used; the
         messages before it are taken.
         """
-        content, keys = self.accept(body, device, session, platform, received_s)
+        content, keys = self.accept(parse(body, device, session, platform), received_s)
         failed = self.settle(is_all=True)
         for key in keys & failed.keys():
             raise failed[key]
         return content
 
-    def accept(
-        self, body: bytes, device: str, session: str, platform: str, received_s: float
-    ) -> tuple[Event, set[str]]:
-        """Number of samples of a body, and the sessions that it is of; `settle` filters and writes them."""
+    def accept(self, messages: Sequence[Message], received_s: float) -> tuple[Event, set[str]]:
+        """Number of samples of messages, and the sessions that they are of; `settle` filters and writes them."""
         n, keys = 0, set[str]()
-        for message in parse(body, device, session, platform):
+        for message in messages:
             if not message.device:
                 raise MessageError("no device named; give deviceId, or ?device=NAME in the address")
-            if part_of(message.device, self.n_parts) != self.part:
-                raise MessageError("one body is of one device; send messages of different devices apart")
             taken_by = self._session(message, received_s)
             self._taken.add(taken_by.id)
             for event in taken_by.take(message, received_s):
@@ -91,7 +87,7 @@ class Devices:
                 for event in session.advance():
                     self.emit(event)
                 self._taken.discard(key)
-            if session.refused and not session.has_ended:
+            if session.refused:
                 failed[key] = SessionError(session.refused)
             try:
                 session.recorder.flush()
@@ -148,20 +144,20 @@ class Devices:
         """Filter, tell and save the rest, and forget silent phones; to be called about once a second."""
         self.settle()
         for key, session in list(self.sessions.items()):
-            for event in session.rest():
-                self.emit(event)
-            silent_s = time.monotonic() - session.seen_at
-            if silent_s > _IDLE_S:
-                for event in session.release():
-                    self.emit(event)
-                session.save()
+            events = session.rest()
+            is_gone = time.monotonic() - session.seen_at > _IDLE_S
+            if is_gone:
+                events += session.release()
+            if is_gone or session.unsaved_s > _SAVE_S:
+                events += session.save()
+            if is_gone:
                 del self.sessions[key]
-                self.emit({"event": "gone", "id": key})
-            elif session.unsaved_s > _SAVE_S:
-                session.save()
+                events.append({"event": "gone", "id": key})
+            for event in events:
+                self.emit(event)
 
     def close(self) -> None:
         """Save everything."""
-        self.settle(is_all=True)
         for session in self.sessions.values():
-            session.save()
+            for event in session.save():
+                self.emit(event)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from pdr_filter.live.access import MAX_BODY_BYTES, Rates
 from pdr_filter.live.cluster import Cluster
-from pdr_filter.live.messages import MessageError, devices_of
+from pdr_filter.live.messages import MessageError, parse
 from pdr_filter.live.parts import Answer, Take
 from pdr_filter.live.settings import Event, Settings
 from pdr_filter.live.workers import Process, Starter, Workers
@@ -71,15 +71,16 @@ class Live:
         if len(body) > MAX_BODY_BYTES:
             return Answer(413, {"error": f"more than {MAX_BODY_BYTES} bytes in one message; send smaller ones"})
         try:
-            names = devices_of(body, device)
+            messages = parse(body, device, session, platform)
         except MessageError as error:
             return Answer(400, {"error": str(error)})
+        names = {message.device for message in messages}
         if len(names) > 1:
             return Answer(400, {"error": "one body is of one device; send messages of different devices apart"})
         name = next(iter(names), device)
         if not self.rates.allows(name, len(body)):
             return Answer(429, {"error": f"{name} sends too much; a phone may send 1 MB a second"})
-        return await self.workers.take(Take(body, name, session, platform, time.time()))
+        return await self.workers.take(Take(name, messages, time.time()))
 
     def _shown(self, text: str) -> None:
         """Pass an event of a worker on to all readers."""

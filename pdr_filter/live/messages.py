@@ -97,18 +97,6 @@ def parse(body: bytes, device: str = "", session: str = "", platform: str = "") 
 _ONE_LINE = bytes.maketrans(b"\r\n", b"  ")
 
 
-def devices_of(body: bytes, device: str = "") -> set[str]:
-    """Names of the devices of a body, as `parse` gives them; MessageError if the body is not JSON.
-
-    `device` is the name for a message that holds none.
-    """
-    names: set[str] = set()
-    for item in _items(body):
-        key = "deviceId" if isinstance(item, dict) and "payload" in item else "device"
-        names.add(_text(cast("dict[str, Any]", item), key, device) if isinstance(item, dict) else printable(device))
-    return names
-
-
 def _items(body: bytes) -> list[Any]:
     """JSON values of a body, which may be an array of them."""
     try:
@@ -324,6 +312,8 @@ def _unit_ns(time: Any, is_seconds: bool) -> int | None:
 
 def _nanoseconds(time: Any, unit_ns: int) -> IntArray:
     """Times in whole nanoseconds; those that are too large for an int64 become a time that `_plausible` drops."""
+    if unit_ns == 1 and time.dtype.kind != "f":
+        return time
     far = limits.MAX_WHOLE_TIME
     is_near = (time > -far / unit_ns) & (time < far / unit_ns)
     near = np.where(is_near, time, 0)

@@ -14,19 +14,17 @@ from pathlib import Path
 from typing import Any
 
 from pdr_filter.live.assembly import LateError
-from pdr_filter.live.messages import MessageError
+from pdr_filter.live.messages import Message, MessageError
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings
 
 
 @dataclass(frozen=True, slots=True)
 class Take:
-    """Body of a message as received, with the names of its address."""
+    """Messages of one body, all of one device, and when it was received."""
 
-    body: bytes
     device: str
-    session: str = ""
-    platform: str = ""
-    received_s: float = 0.0
+    messages: Sequence[Message]
+    received_s: float
 
 
 @dataclass(frozen=True, slots=True)
@@ -126,9 +124,7 @@ class Part:
 
     def _taken(self, request: Take) -> tuple[Answer, set[str]]:
         try:
-            content, keys = self._devices.accept(
-                request.body, request.device, request.session, request.platform, request.received_s
-            )
+            content, keys = self._devices.accept(request.messages, request.received_s)
         except (ValueError, BusyError, OSError) as error:
             return _refusal(error), set()
         return Answer(200, content), keys

@@ -5,7 +5,6 @@ from __future__ import annotations
 import asyncio
 import io
 import json
-import time
 import uuid
 import zipfile
 from collections.abc import AsyncIterator
@@ -25,7 +24,7 @@ from pdr_filter.live.access import LOOPBACK_NAMES, MAX_BODY_BYTES, TOKEN_COOKIE,
 from pdr_filter.live.certificate import NAMES
 from pdr_filter.live.geojson import geojson
 from pdr_filter.live.hub import Live
-from pdr_filter.live.parts import Answer, Take
+from pdr_filter.live.parts import Answer
 from pdr_filter.live.recorder import exported
 
 PAGE = Path(__file__).parent / "page"
@@ -106,7 +105,7 @@ class Site:
         except (ValueError, RecursionError):
             return JSONResponse({"error": "not JSON; send east_m, north_m and perhaps std_m"}, 400)
         body = json.dumps({"device": about["device"], "session": about["session"], "fix": content}).encode()
-        return _json(await self.live.workers.take(Take(body, about["device"], received_s=time.time())))
+        return _json(await self.live.take(body))
 
     # --- results ---
 

@@ -30,7 +30,8 @@ from pdr_filter.live.settings import Event, FixError, Settings
 from pdr_filter.online import OnlineFilter
 from pdr_filter.placing import live_config
 from pdr_filter.sensing.clock import moved
-from pdr_filter.values import FixResult, FloatArray, PositionFix, Samples
+from pdr_filter.sensing.merging import Sensor
+from pdr_filter.values import FixResult, PositionFix, Samples
 
 # Newest positions that the page shows: three hours of walking.
 _MAX_PATH = 20_000
@@ -39,13 +40,11 @@ _MAX_PATH = 20_000
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
 # Entries of the charts for a page that is opened late: five minutes.
 _HISTORY, _HISTORY_STEP_S = 300, 1.0
-# Much less than the delay between sensors that `sensing.merging` allows.
-_PART_S = 1.0
+# Samples that are pushed at once. `sensing.merging` keeps no more waiting rows of the fastest phones.
+_PART_S = 10.0
 # Messages of a journal that are filtered at once, so that their samples need little memory.
 _LOAD_MESSAGES = 100
 _FIX_STD_RANGE_M = (0.01, 1000.0)
-
-_ENDED = "this session has ended; begin a new one"
 
 
 @cache
@@ -76,11 +75,12 @@ class Session:
         self.recorder = Recorder(folder / self.id)
         self.assembly, self.held = Assembly(), list[Message]()
         self.online: OnlineFilter | None = None
-        self.refused = ""  # reason why the session cannot be tracked, or takes no more messages
+        self.refused = ""  # reason why the session cannot be tracked
         self.has_ended = False
         self.begun_unix_s: float | None = None  # when the first message came
         self.notes: tuple[str, ...] = ()  # about the session as a whole, besides those of the filter
         self._ready: list[assembly.Streams] = []  # samples that are not filtered yet
+        self._ready_s = 0.0  # time that they span
         self._received_s = math.nan  # unix time of the last message
         self._told: Event = {}  # by the last `session` event
         self.path: list[list[float]] = []
@@ -102,7 +102,7 @@ class Session:
         session has ended.
         """
         if self.has_ended:
-            raise SessionError(self.refused)
+            raise SessionError("this session has ended; begin a new one")
         self._received_s = received_s
         events = self._took(message)
         self.recorder.journal(message)
@@ -130,16 +130,19 @@ class Session:
         for samples in ready:
             for name, rows in samples.items():
                 self.recorder.samples(name, rows)
+            self._ready_s += float(np.ptp(samples[FORCE].time_s)) if FORCE in samples else 0.0
         self._ready += ready
 
     def is_due(self, wait_s: float) -> bool:
-        """Whether so much time has passed since the last call of `advance`, or samples of so much time wait."""
-        spans_s = (float(np.ptp(s[FORCE].time_s)) for s in self._ready if FORCE in s)
-        return time.monotonic() - self._advanced_at >= wait_s or sum(spans_s) >= wait_s
+        """Whether samples of so much time wait, or any since twice as long.
+
+        A worker that is behind so filters more at once, and needs less time for it.
+        """
+        return self._ready_s >= wait_s or time.monotonic() - self._advanced_at >= 2 * wait_s
 
     def advance(self) -> list[Event]:
         """Filter the samples of all messages that were taken; afterwards `refused` may hold a reason."""
-        ready, self._ready, self._advanced_at = self._ready, [], time.monotonic()
+        ready, self._ready, self._ready_s, self._advanced_at = self._ready, [], 0.0, time.monotonic()
         if self.refused:
             return []
         try:
@@ -169,7 +172,7 @@ class Session:
             return events
         if self.online is not None:
             events += self._stepped(self.online.finish())
-        self.refused, self.has_ended = _ENDED, True
+        self.has_ended = True
         told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._now(is_due=True)]
         return [*events, *told]
 
@@ -335,13 +338,18 @@ class Session:
         """Time since the first change that is not in the saved state."""
         return max(time.monotonic() - self._unsaved_at, 0.0)
 
-    def save(self) -> None:
-        """Write the state of a session that is tracked; any other one goes on from its journal."""
-        if self.online is None or (self.refused and not self.has_ended):
+    def save(self) -> list[Event]:
+        """Filter what waits, and write the state of a session that is tracked; any other one goes on from its journal.
+
+        A saved state ends the journal, so that samples which it does not know would be missing in the track.
+        """
+        events = self.advance()
+        if self.online is None or self.refused:
             self.recorder.flush()
         else:
             self.recorder.saved({"assembly": self.assembly, "state": self.online.state}, self.held)
         self._unsaved_at = math.inf
+        return events
 
     @classmethod
     def load(cls, device: str, session: str, settings: Settings, folder: Path) -> Session:
@@ -353,8 +361,7 @@ class Session:
             self.assembly = saved["assembly"]
             self.online = OnlineFilter(self.recorder.config())
             self.online.state = saved["state"]
-            if self.online.state.finished:
-                self.refused, self.has_ended = _ENDED, True
+            self.has_ended = self.online.state.finished
             self._judged = self.online.state.last_fixes
             for step in self.recorder.steps()[-_MAX_PATH:]:
                 self.path.append(_row(step["time_s"], step["position_m"], np.array(step["position_cov_m2"])))
@@ -366,45 +373,31 @@ class Session:
                     self._took(message)
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
-        self.advance()
-        self._turned(is_due=True)
         self.save()
+        self._turned(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
         return self
 
 
 def _pushed(online: OnlineFilter, samples: assembly.Streams) -> list[StepUpdate]:
-    """Updates after samples of all sensors.
-
-    Long stretches, such as after a minute without network, are pushed second by second. Otherwise the merger would
-    take the sensors that are pushed last for silent ones.
-    """
+    """Updates after samples of all sensors; long stretches, such as after an outage, are pushed in parts."""
     begin_s = min(float(stream.time_s[0]) for stream in samples.values())
-    seconds = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
+    parts = {name: np.floor((stream.time_s - begin_s) / _PART_S) for name, stream in samples.items()}
     updates: list[StepUpdate] = []
-    for second in np.unique(np.concatenate(list(seconds.values()))):
-        for name, stream in samples.items():
-            first, last = np.searchsorted(seconds[name], [second, second + 1])
-            if last > first:
-                updates += _pushed_one(online, name, stream.time_s[first:last], stream.values[first:last])
+    for part in np.unique(np.concatenate(list(parts.values()))):
+        bounds = {name: np.searchsorted(parts[name], [part, part + 1]) for name in samples}
+        rows = {name: _rows(samples[name], *bounds[name]) for name in samples if np.ptp(bounds[name])}
+        location = rows.pop("location", None)
+        # locations that began later than the track are only recorded
+        if location is not None and not online.config.model.frame.is_joined:
+            latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
+            online.push_location(location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
+        updates += online.push_streams(cast("dict[Sensor, Samples]", rows))
     return updates
 
 
-def _pushed_one(online: OnlineFilter, name: str, time_s: FloatArray, values: FloatArray) -> list[StepUpdate]:
-    """Updates after samples of one sensor."""
-    of_three = {
-        FORCE: online.push_accelerometer,
-        "gyroscope": online.push_gyroscope,
-        "magnetometer": online.push_magnetometer,
-    }
-    if name in of_three:
-        return of_three[name](time_s, values)
-    if name == "barometer":
-        return online.push_pressure(time_s, values[:, 0])
-    if online.config.model.frame.is_joined:  # locations that began later than the track are only recorded
-        return []
-    latitude_deg, longitude_deg, altitude_m, accuracy_m = values.T
-    return online.push_location(time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m)
+def _rows(samples: Samples, first: int, last: int) -> Samples:
+    return Samples(samples.time_s[first:last], samples.values[first:last])
 
 
 def _joined(ready: Sequence[assembly.Streams]) -> assembly.Streams:

@@ -15,6 +15,7 @@ there, the same bits that the finished recording gives. Times of the samples are
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal, NamedTuple, get_args
 
@@ -124,10 +125,19 @@ class StreamMerger:
         self, state: MergerState, sensor: Sensor, time_s: FloatArray, values: FloatArray
     ) -> tuple[MergerState, Merged]:
         """New state, and what may leave after samples (N,), (N, d) of one sensor."""
-        state = self._arrived(state, sensor, np.column_stack([time_s, values]))
-        at, force = SENSORS.index(sensor), state.stream("accelerometer")
+        return self.together(state, {sensor: (time_s, values)})
+
+    def together(
+        self, state: MergerState, samples: Mapping[Sensor, tuple[FloatArray, FloatArray]]
+    ) -> tuple[MergerState, Merged]:
+        """New state, and what may leave after samples (N,), (N, d) of several sensors that arrive in one message."""
+        for sensor in SENSORS:  # the accelerometer first, because its clock decides what the others are for
+            if sensor in samples:
+                state = self._arrived(state, sensor, np.column_stack(samples[sensor]))
+        force = state.stream("accelerometer")
+        further_s = [abs(state.stream(s).last_s - state.looked_s[SENSORS.index(s)]) for s in samples]
         # a clock that stands still comes no further, but its samples may not wait without end
-        if abs(state.streams[at].last_s - state.looked_s[at]) < self.bunch_s and len(force.rows) <= _MAX_ROWS:
+        if all(s < self.bunch_s for s in further_s) and len(force.rows) <= _MAX_ROWS:
             return state, _NOTHING
         state = replace(state, looked_s=tuple(stream.last_s for stream in state.streams))
         before_s = state.released_s if np.isfinite(state.released_s) else float(force.rows[:1, 0].sum())

@@ -19,7 +19,7 @@ from pdr_filter.classifiers.transitions import Transitions
 from pdr_filter.filter.model import PedestrianModel
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, with_context_model
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Gap, Sensing
 from pdr_filter.training.contexts import DEFAULT_MODEL
@@ -142,7 +142,7 @@ def _stretches(sensing: Sensing, recording: Recording) -> Iterator[tuple[list[St
     """Steps and windows of a recording between its gaps; a step follows no step from before a gap."""
     steps: list[Step] = []
     windows: list[WindowContext] = []
-    for event in sensed_events(sensing, recording):
+    for event in run_sensing(sensing, recording)[1]:
         if isinstance(event, Gap):
             yield steps, windows
             steps, windows = [], []

@@ -20,7 +20,7 @@ import pdr_filter as pdr
 from pdr_filter.config import Config
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import for_recording, with_context_model
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.training.protocol import label_of
@@ -42,7 +42,7 @@ Sensed = tuple[Recording, Config, list[Event]]
 
 def sensed(recording: Recording, config: Config) -> Sensed:
     """Steps and windows of a recording."""
-    return recording, config, list(sensed_events(config.sensing, recording))
+    return recording, config, run_sensing(config.sensing, recording)[1]
 
 
 def walks_of(data: Path, cache: Path | None, every: int) -> dict[str, list[Sensed]]:

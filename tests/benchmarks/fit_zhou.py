@@ -17,7 +17,7 @@ import numpy as np
 import pdr_filter as pdr
 from pdr_filter.papers.zhou2019 import contexts as behaviours
 from pdr_filter.papers.zhou2019 import steps as steps
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.front_end import Sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import options, paths
@@ -28,7 +28,7 @@ def detected(recording: pdr.Recording, on_foot: bool) -> list[Step]:
     """Steps of the recipe's detector."""
     thresholds, detector = (behaviours.FOOT, steps.FOOT) if on_foot else (behaviours.CARRIED, steps.CARRIED)
     sensing = Sensing(contexts=behaviours.BehaviourStage(thresholds=thresholds), steps=detector)
-    return [event for event in sensed_events(sensing, recording) if isinstance(event, Step)]
+    return [event for event in run_sensing(sensing, recording)[1] if isinstance(event, Step)]
 
 
 def way_of_the_foot_m(recording: pdr.Recording) -> float:

@@ -2,9 +2,9 @@
 
 usage: python -m tests.benchmarks.heading_jumps [--walks 60]
 
-Simulated walks of nine legs with corners, with phones in four carrying modes and no magnetometer. The standard deviation
-of the gyroscope bias is 0.005, 0.03 or 0.06 rad/s, far wider than the prior of the filter. A jump is a move of more
-than 3 m between two steps that are less than 2 s apart.
+Simulated walks of nine legs with corners, with phones in four carrying modes and no magnetometer. The gyroscope bias
+has a standard deviation of 0.005, 0.03 or 0.06 rad/s, far wider than the prior of the filter. A jump is a move of
+more than 3 m between two steps that are less than 2 s apart.
 """
 
 from __future__ import annotations

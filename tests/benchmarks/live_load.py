@@ -6,8 +6,9 @@ usage: python -m tests.benchmarks.live_load [load] [page] [--phones 10 50 100 20
 Each phone posts messages like Sensor Logger, one or five a second, with accelerometer and gyroscope at 100 Hz and the
 magnetometer at 50 Hz. All walk the embedded simulated walk, at times spread over the second. The sender runs on the
 same cores, and nothing is sent to any other machine. "Told" is the delay from a message to the first event that a
-program reads after it. `page` measures the delay until a page in Chromium has drawn it. The page is drawn ten times a
-second at most.
+program reads after it. "Of the filter alone" is the cost of one process with the same samples in blocks of a second,
+before and after each row. It shows how fast a core was, because other programs make it slower. `page` measures the
+delay until a page in Chromium has drawn it. The page is drawn ten times a second at most.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ import numpy as np
 from websockets.asyncio.client import connect
 
 import pdr_filter as pdr
-from pdr_filter.values import FloatArray
+from pdr_filter.sensing.merging import SENSORS
+from pdr_filter.values import FloatArray, Samples
 from tests.benchmarks.common import Tables, options
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1]))
@@ -144,17 +146,31 @@ def in_chromium(n: int, seconds: float, workers: int, bodies: list[bytes]) -> Fl
         return np.array(browser.value("drawn"))
 
 
-def load(phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: list[bytes]) -> list[list[str]]:
+def filter_ms(walk: pdr.Recording) -> float:
+    """Processor time in ms of the filter alone for a second of samples, in blocks of a second: how fast a core is."""
+    online, begun, seconds = pdr.OnlineFilter(), time.process_time(), np.arange(0.0, 60.0)
+    for begin_s in seconds:
+        rows = {n: (s, *np.searchsorted(s.time_s, [begin_s, begin_s + 1.0])) for n, s in walk.streams.items()}
+        online.push_streams(
+            {n: Samples(s.time_s[i:j], s.values[i:j]) for n, (s, i, j) in rows.items() if n in SENSORS}  # type: ignore[misc]
+        )
+    return 1e3 * (time.process_time() - begun) / len(seconds)
+
+
+def load(
+    phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: list[bytes], walk: pdr.Recording
+) -> list[list[str]]:
     """A row for each number of phones."""
     rows: list[list[str]] = []
     for n in phones:
-        seen = Seen()
+        seen, alone_ms = Seen(), filter_ms(walk)
         with tempfile.TemporaryDirectory() as folder:
             options_ = ("--record", folder, "--workers", str(workers), "--max-devices", str(n))
             with Server(*options_) as server:
                 idle_mb = memory_mb(server.children)
                 cores, phone_ms = asyncio.run(crowd(n, rate_hz, server, bodies, seconds, seen))
                 phone_mb = (memory_mb(server.children) - idle_mb) / n
+        alone_ms = (alone_ms + filter_ms(walk)) / 2
         answer, shown = (np.percentile(1e3 * np.array(s), [50, 99]) for s in (seen.answer_s, seen.shown_s or [np.nan]))
         keeps_up = np.percentile(seen.late_s, 99) < 1.0 and not seen.refused
         rows.append(
@@ -164,6 +180,7 @@ def load(phones: list[int], rate_hz: int, seconds: float, workers: int, bodies: 
                 "yes" if keeps_up else "no",
                 f"{cores:.2f}",
                 f"{phone_ms:.1f}",
+                f"{alone_ms:.1f}",
                 f"{answer[0]:.0f} / {answer[1]:.0f}",
                 f"{shown[0]:.0f} / {shown[1]:.0f}",
                 f"{phone_mb:.1f}",
@@ -191,7 +208,7 @@ def main() -> None:
         rows = [
             row
             for rate_hz in given.rates
-            for row in load(given.phones, rate_hz, given.seconds, given.workers, bodies[rate_hz])
+            for row in load(given.phones, rate_hz, given.seconds, given.workers, bodies[rate_hz], walk)
         ]
         columns = [
             "phones",
@@ -199,6 +216,7 @@ def main() -> None:
             "in real time",
             "cores used",
             "ms of one core a second and phone",
+            "of the filter alone, then",
             "answer p50 / p99, ms",
             "told p50 / p99, ms",
             "memory a phone, MB",

@@ -30,7 +30,7 @@ from pdr_filter.filter.tracker import Tracker
 from pdr_filter.filtering import finish, init, step
 from pdr_filter.io.recording import Recording, Truth
 from pdr_filter.recipes import context_transitions, default, with_context_model
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.learned import shipped_model
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event, Gap
@@ -234,7 +234,7 @@ def said_online(walk: Recording, person: str, config: Config) -> Said:
         np.array([u.mode_prob for _, u in updates]),
         smoothed.mode_prob,
         np.array([u.mode_prob for _, u in updates]),
-        list(sensed_events(config.sensing, walk)),
+        run_sensing(config.sensing, walk)[1],
         config,
     )
 

@@ -35,7 +35,7 @@ from numpy.typing import NDArray
 import pdr_filter as pdr
 from pdr_filter import evaluate
 from pdr_filter.filter.weighting import WEIGHTINGS
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.values import Step
 from tests.benchmarks.common import Tables, absolute_bias_spread, median_and, options, paths
 from tests.benchmarks.fit_zhou import way_of_the_foot_m
@@ -178,7 +178,7 @@ def found_by(config: pdr.Config, weighting: str, events: list[object]) -> Found:
 def warm(recipe: str) -> None:
     """Loads, once in a process, what a recipe needs, so that it is not timed."""
     config = pdr.recipes.RECIPES[recipe](None)
-    events = list(sensed_events(config.sensing, pdr.simulate.demo_walk()))
+    events = run_sensing(config.sensing, pdr.simulate.demo_walk())[1]
     for weighting in WEIGHTINGS:
         found_by(config, weighting, events)
 
@@ -192,7 +192,7 @@ def scored(path: Path, recipes: Sequence[str]) -> list[Scored]:
         warm(recipe)
         config = pdr.recipes.for_recording(recipe, recording)
         begin_s = time.process_time()
-        events = list(sensed_events(config.sensing, recording))
+        events = run_sensing(config.sensing, recording)[1]
         sensed_s = time.process_time() - begin_s
         values: Values = {}
         if site in OF_STEPS:

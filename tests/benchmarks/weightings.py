@@ -38,7 +38,7 @@ from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.weighted_tracker import WeightedTracker
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import default, with_context_model
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.training.protocol import DOUBTFUL, LabelledWindows, recordings_of
@@ -111,7 +111,7 @@ class Walk:
 
 def walk_of(recording: Recording, person: str, config: Config, is_level: bool = False) -> Walk:
     """A recording through the front end; of level walking alone what is not labelled as something else."""
-    found = list(sensed_events(config.sensing, recording))
+    found = run_sensing(config.sensing, recording)[1]
     time_s = np.array([e.time_s for e in found if isinstance(e, Step)])
     if is_level:
         label = np.where(on_the_level(recording, time_s), WALKING, UNKNOWN)

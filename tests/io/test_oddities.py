@@ -24,6 +24,7 @@ from oddities import (
     event_rows,
     lines_of,
     moved_rows,
+    on_one_clock,
     packs,
     places,
     ride,
@@ -271,11 +272,33 @@ def test_a_ride_is_named_with_the_place_where_the_track_stopped_and_a_walk_is_no
     note = next(n for n in pdr.track(read(write_text(tmp_path / "ride.csv", ride()))).notes if "vehicle" in n)
     assert "move 498 m without steps from 0 to 50 s" in note
     assert "stops at 0.0 m east" in note
+    assert any("vehicle" in n for n in pdr.track(read(tmp_path / "ride.csv"), gnss="align").notes)
     slow = pdr.track(read(write_text(tmp_path / "escalator.csv", ride(2.0)))).notes
     assert not any("vehicle" in n for n in slow)
     for speed_mps in (0.0, 1.4):
         walk = table_text(columns() | places(speed_mps) | {"accuracy": np.full(N, 5.0)})
         assert not any("vehicle" in n for n in pdr.track(read(write_text(tmp_path / "walk.csv", walk))).notes)
+
+
+@pytest.mark.parametrize("late_s", [0.0, 25.0])
+def test_an_app_is_told_of_a_ride_and_neither_of_a_walk_nor_of_an_outlier(late_s: float) -> None:
+    walk = on_one_clock(pdr.simulate.demo_walk())
+    time_s, walking, rate = walk.accelerometer.time_s, walk.accelerometer.values, walk.gyroscope.values
+
+    def notes(places_m: list[float], force: np.ndarray) -> list[str]:
+        online = pdr.OnlineFilter()
+        for k, north_m in enumerate(places_m):
+            received_s = 10.0 * k + late_s
+            online.add_fix(pdr.PositionFix(10.0 * k, [0.0, north_m], 9.0 * np.eye(2), received_time_s=received_s))
+        online.push(time_s, force, rate if force is walking else 0.01 * rate)
+        return [n for n in pdr.OnlineFilter.load(online.save()).notes if "vehicle" in n]
+
+    still = np.random.default_rng(0).normal([0.2, 3.9, 9.0], 0.02, walking.shape)
+    (note,) = notes([0.0, 120.0, 240.0], still)
+    assert "move 240 m without steps from 0 to 20 s" in note
+    assert not notes([0.0, 14.0, 28.0], walking)
+    assert not notes([0.0, 30.0, 60.0], walking)
+    assert not notes([0.0, 90.0, 1.0], still)
 
 
 @pytest.mark.parametrize(

@@ -8,6 +8,7 @@ import time
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -16,8 +17,11 @@ from serving import EPOCH_NS, own_messages, sensor_logger_messages, short_walk
 
 import pdr_filter as pdr
 from pdr_filter.io.recording import Recording
+from pdr_filter.live import devices as live_devices
+from pdr_filter.live import session as live_session
 from pdr_filter.live.assembly import SessionError
 from pdr_filter.live.devices import Devices
+from pdr_filter.live.messages import parse
 from pdr_filter.live.recorder import exported
 from pdr_filter.live.session import Session, session_id
 from pdr_filter.live.settings import BusyError, Event, FixError, Settings, part_of
@@ -195,6 +199,7 @@ def test_a_fix_pulls_the_track_and_is_on_record(walk: Recording, tmp_path: Path)
     lines = (session.recorder.folder / "fixes.csv").read_text().splitlines()
     assert lines[0] == "time_s,east_m,north_m,std_m"
     assert len(lines) == 2
+    assert {"fixes.csv", "steps.jsonl"} <= exported(session.recorder.folder).keys()
 
 
 @pytest.mark.parametrize(("away_m", "outcome"), [(1.0, "used"), (500.0, "rejected")])
@@ -252,6 +257,8 @@ def test_what_comes_after_the_end_is_refused_also_by_the_next_process(walk: Reco
     devices = Devices(Settings(), tmp_path, lambda _: None)
     with pytest.raises(SessionError, match="has ended"):
         devices.take(bodies[-1].replace(b'"number": ', b'"number": 9'), "", "", "", 0.0)
+    (session,) = devices.sessions.values()
+    assert (session.about()["has_ended"], session.about()["refused"]) == (True, "")
 
 
 def test_each_device_belongs_to_one_worker() -> None:
@@ -264,6 +271,55 @@ def test_a_message_of_a_minute_gives_the_same_track_as_many_short_ones(walk: Rec
     short, _ = taken(tmp_path / "short", own_messages(walk))
     long, _ = taken(tmp_path / "long", own_messages(walk, part_s=30.0))
     np.testing.assert_array_equal(positions(long), positions(short))
+
+
+def test_messages_of_many_phones_are_recorded_at_once_and_filtered_together(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Two seconds of one phone are filtered in one pass, but each message is written before its answer."""
+    spans_s: list[float] = []
+    pushed = live_session._pushed
+
+    def counted(online: pdr.OnlineFilter, samples: dict[str, Samples]) -> list[pdr.StepUpdate]:
+        spans_s.append(float(np.ptp(samples["accelerometer"].time_s)))
+        return pushed(online, samples)
+
+    monkeypatch.setattr(live_session, "_pushed", counted)
+    monkeypatch.setattr(live_session, "time", SimpleNamespace(monotonic=lambda: 1000.0, time=time.time))
+    devices = Devices(Settings(), tmp_path, lambda _: None)
+    for number in range(9):
+        devices.take(own_messages(walk, f"other {number}")[0], "", "", "", 0.0)
+    samples, n_sent = tmp_path / session_id("p", "s") / "accelerometer.csv", 0
+    for body in own_messages(walk, part_s=0.2)[:100]:
+        n_sent += len(json.loads(body)["samples"]["accelerometer"])
+        devices.accept(parse(body), 0.0)
+        assert devices.settle() == {}
+        if n_sent > 210:  # until then it is not known which sensors there are
+            assert samples.read_bytes().count(b"\n") == 1 + n_sent
+    assert len(spans_s) >= 8
+    assert min(spans_s) > 1.9
+    assert max(spans_s) < 2.5
+
+
+def test_a_state_that_is_saved_between_two_passes_of_the_filter_misses_no_sample(
+    walk: Recording, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bodies = own_messages(walk)
+    expected, _ = taken(tmp_path / "whole", bodies)
+    monkeypatch.setattr(live_devices, "_PASS_S", 1000.0)
+    monkeypatch.setattr(live_devices, "_LONGEST_WAIT_S", 1000.0)
+    for number, body in enumerate(bodies):
+        if number % 30 == 0:  # the process before has died
+            devices = Devices(Settings(), tmp_path / "broken", lambda _: None)
+        devices.accept(parse(body), 0.0)
+        devices.settle()
+        if number % 30 == 20:
+            monkeypatch.setattr(live_devices, "_SAVE_S", -1.0)
+            devices.tick()
+            monkeypatch.setattr(live_devices, "_SAVE_S", 1000.0)
+    devices.close()
+    (session,) = devices.sessions.values()
+    np.testing.assert_array_equal(positions(session), positions(expected))
 
 
 def test_a_session_that_cannot_be_tracked_is_shown_with_the_reason(walk: Recording, tmp_path: Path) -> None:

@@ -125,6 +125,12 @@ def test_the_page_shows_nothing_of_another_phone_and_tells_the_state_of_each(wal
         assert "right" in browser.words("#heading") or "left" in browser.words("#heading")
         assert browser.value("getComputedStyle(document.querySelector('#map .north')).display") == "none"
         browser.shot(tmp_path / "walking.png")
+        with_north = "{about: {frame: 'north'}}"
+        words = browser.value(f"placeWords({with_north}, [-3, -28.2])")
+        assert words == "3.0 m west and 28.2 m south of the start"
+        # a speed of zero may be a step that is found late, but not for long
+        speeds = "[1.2, 0, 0, 0].map((v, i) => ({time_s: 0.6 * i, walking_speed_mps: v}))"
+        assert browser.value(f"steadySpeeds({speeds})") == [1.2, 1.2, 1.2, 0]
 
         select(browser, "empty")
         assert set(numbers(browser)) == {NONE}

@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 from collections.abc import Sequence
 
+from pdr_filter.live.messages import Message
 from pdr_filter.live.parts import Answer, Request, Said, Take
 from pdr_filter.live.workers import LostError, Workers
 
@@ -24,15 +25,20 @@ class Mortal:
         said: list[Said] = []
         for request in requests:
             if isinstance(request, Take):
-                if request.body == b"deadly":
+                (message,) = request.messages
+                if message.source == b"deadly":
                     raise LostError("killed")
-                if request.body not in self.taken:
-                    self.taken.append(request.body)
+                if message.source not in self.taken:
+                    self.taken.append(message.source)
             said.append(Said(Answer(200, {}), [f"shown by {len(self.taken)}"]))
         return said
 
     async def close(self) -> None:
         self.is_closed = True
+
+
+def taken_of(source: bytes) -> Take:
+    return Take("phone", [Message("phone", "", source=source)], 0.0)
 
 
 def test_a_deadly_message_is_given_up_and_all_others_are_answered_in_their_order() -> None:
@@ -47,7 +53,7 @@ def test_a_deadly_message_is_given_up_and_all_others_are_answered_in_their_order
         await workers.start()
         bodies = [b"%d" % i for i in range(20)]
         bodies.insert(5, b"deadly")
-        answers = await asyncio.gather(*(workers.take(Take(body, "phone")) for body in bodies))
+        answers = await asyncio.gather(*(workers.take(taken_of(body)) for body in bodies))
         await workers.close()
         return [answer.status for answer in answers]
 
@@ -66,7 +72,7 @@ def test_who_asks_more_than_a_worker_can_take_is_told_so() -> None:
 
         workers = Workers(start, 1, lambda _: None)
         await workers.start()
-        answers = await asyncio.gather(*(workers.take(Take(b"", "phone")) for _ in range(1500)))
+        answers = await asyncio.gather(*(workers.take(taken_of(b"")) for _ in range(1500)))
         await workers.close()
         return [answer.status for answer in answers]
 

@@ -310,3 +310,28 @@ def test_merged_samples_and_single_sensors_are_not_mixed() -> None:
 def test_rows_of_the_wrong_shape_are_refused(values: np.ndarray) -> None:
     with pytest.raises(ValueError, match=r"angular_rate_radps must be \(3, 3\), one row for each time_s"):
         pdr.OnlineFilter().push_gyroscope(np.zeros(3), values)
+
+
+def test_sensors_that_come_in_one_message_give_the_bits_of_those_that_come_apart() -> None:
+    walk = pdr.simulate.demo_walk()
+    early = {name: s.time_s < 25.0 for name, s in walk.streams.items() if name in SENSORS}
+    streams = {n: Samples(walk.streams[n].time_s[e], walk.streams[n].values[e]) for n, e in early.items()}
+    tracks: list[np.ndarray] = []
+    for part_s, is_whole in ((0.1, False), (0.7, True), (30.0, True)):
+        online, updates = pdr.OnlineFilter(), list[pdr.StepUpdate]()
+        for begin_s in np.arange(0.0, 25.0, part_s):
+            inside = {n: (s.time_s >= begin_s) & (s.time_s < begin_s + part_s) for n, s in streams.items()}
+            message = {n: Samples(s.time_s[inside[n]], s.values[inside[n]]) for n, s in streams.items()}
+            for some in [message] if is_whole else [{n: s} for n, s in message.items()]:
+                updates += online.push_streams(some)  # type: ignore[arg-type]
+        updates += online.finish()
+        tracks.append(np.array([[u.step.time_s, *u.position_m] for u in updates if u.is_final]))
+    assert len(tracks[0]) > 30
+    for track in tracks[1:]:
+        np.testing.assert_array_equal(track, tracks[0])
+
+
+def test_a_stream_that_the_filter_does_not_know_is_refused() -> None:
+    samples = Samples(np.zeros(1), np.zeros((1, 3)))
+    with pytest.raises(ValueError, match=r"streams must be of accelerometer, .*got 'light'"):
+        pdr.OnlineFilter().push_streams({"light": samples})  # type: ignore[dict-item]

@@ -16,7 +16,7 @@ from pdr_filter.evaluate.steps import count_error_percent
 from pdr_filter.evaluate.tracks import end_error_percent, path_m, position_errors_m, positions_at
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import tian2016
-from pdr_filter.recording_run import classify, sensed_events, track
+from pdr_filter.recording_run import classify, run_sensing, track
 from pdr_filter.values import Step
 from tests.studies.data import has, recordings
 from tests.studies.measured.tian2016 import (
@@ -180,7 +180,7 @@ def _table_vii(walks: Iterable[Recording]) -> tuple[Rows, int, int]:
         people.append(str(walk.subject.id))
         start_s, end_s = float(segments["start_s"][0]), float(segments["end_s"][0])
         for recipe_name, recipe in RECIPES.items():
-            events = sensed_events(recipe(walk.subject).sensing, walk)
+            events = run_sensing(recipe(walk.subject).sensing, walk)[1]
             steps = [e for e in events if isinstance(e, Step) and start_s <= e.time_s <= end_s]
             for name, fit in fits_of(walk.subject).items():
                 found[recipe_name].setdefault(name, []).append(sum(fit.predict(step)[0] for step in steps))

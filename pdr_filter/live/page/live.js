@@ -130,7 +130,7 @@ function draw() {
   notes(known);
   text("state", state);
   byId("state").hidden = !state;
-  byId("state").className = known.about.refused && !known.about.has_ended ? "wrong" : "";
+  byId("state").className = known.about.refused ? "wrong" : "";
   const number = (id, words) => text(id, now ? words(now) : "–");
   number("n_steps", () => String(now.n_steps));
   number("distance", () => `${now.distance_m.toFixed(1)} m`);

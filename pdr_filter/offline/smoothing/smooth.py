@@ -41,8 +41,7 @@ from pdr_filter.offline.smoothing.preintegration import Increments, bridge, incr
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from pdr_filter.recording_run import collected, given_or_default, outputs
-from pdr_filter.recording_run import track as pdr_track
+from pdr_filter.recording_run import collected, given_or_default, outputs, run_sensing
 from pdr_filter.sensing.clock import one_clock
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
@@ -55,10 +54,12 @@ from pdr_filter.values import (
     IntArray,
     Plan,
     PositionFix,
+    Step,
     Table,
     all_fixes,
     pickled,
     read_only,
+    step_table,
     table,
     wrap_angle,
 )
@@ -222,16 +223,17 @@ def _with_first_pass(recording: Recording, config: Config) -> Config:
     """
     if "gyroscope" not in recording.streams:
         return config
-    found = pdr_track(recording, config, gnss="off")
-    if not found.n_steps:
+    state, events = run_sensing(config.sensing, recording)
+    steps = [event for event in events if isinstance(event, Step)]
+    if not steps:
         return config
-    heading = config.sensing.heading
+    device, heading = config.sensing.device(state), config.sensing.heading
     if isinstance(heading, WalkingHeading):
-        heading = replace(heading, known_places=known_places(found.steps))
+        heading = replace(heading, known_places=known_places(step_table(steps)))
         config = replace(config, sensing=replace(config.sensing, heading=heading))
-    if found.device is None or config.sensing.attitude.bias.device is not None or not found.steps.on_axes[-1]:
+    if config.sensing.attitude.bias.device is not None or not steps[-1].on_axes:
         return config
-    return config.with_device(Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2))
+    return config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2))
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:

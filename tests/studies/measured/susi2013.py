@@ -13,7 +13,7 @@ from pdr_filter.config import Config
 from pdr_filter.evaluate.steps import StepScores, step_scores
 from pdr_filter.io.recording import Recording
 from pdr_filter.recipes import for_recording
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.simulate import Gait, Leg, simulate
 from pdr_filter.values import CARRYING_MODES, CONTEXTS, FloatArray, IntArray, Step
@@ -56,7 +56,7 @@ class Sensed:
 
 def sensed(recording: Recording, config: Config) -> Sensed:
     """Windows and steps of a recording."""
-    events = list(sensed_events(config.sensing, recording))
+    events = run_sensing(config.sensing, recording)[1]
     windows = [e for e in events if isinstance(e, WindowContext)]
     return Sensed(
         np.array([w.time_s for w in windows]),

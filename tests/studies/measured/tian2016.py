@@ -28,7 +28,7 @@ from pdr_filter.filter.step_length import (
 from pdr_filter.io.recording import Recording, Subject
 from pdr_filter.papers.tian2016.recipe import tian_fit
 from pdr_filter.recipes import default, tian2016
-from pdr_filter.recording_run import sensed_events
+from pdr_filter.recording_run import run_sensing
 from pdr_filter.sensing.contexts.stage import WindowContext
 from pdr_filter.sensing.front_end import Event
 from pdr_filter.simulate import Carrying, Gait, Leg, simulate
@@ -107,7 +107,7 @@ def counted_of(recording: Recording, config: Any) -> Counted | None:
     if labels is None or segments is None or str(labels["carrying_mode"][0]) not in mode:
         return None
     start_s, end_s, n_true = counted_walk(recording)
-    events = list(sensed_events(config.sensing, recording))
+    events = run_sensing(config.sensing, recording)[1]
     said = _carried(events)
     steps_s = np.array([e.time_s for e in events if isinstance(e, Step)])
     starts = np.array([t for t, _ in said.transitions()])
