@@ -184,10 +184,11 @@ def resolved(name: str) -> Any:
             if part in getattr(value, "__dataclass_fields__", {}):  # one without default is no attribute of the class
                 return None
             try:
-                importlib.import_module(".".join(["pdr_filter", *parts[1 : k + 1]]))
+                value = importlib.import_module(".".join(["pdr_filter", *parts[1 : k + 1]]))
             except ImportError:
                 raise AttributeError(name) from None
-        value = getattr(value, part)
+        else:
+            value = getattr(value, part)
     return value
 
 
