@@ -59,6 +59,10 @@ class LocationState:
         }
         return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
 
+    def unusable(self) -> str:
+        """How many locations are not used, and why, in words."""
+        return f"{self.n_unusable} of {self.n} locations are not used: {self.reasons()}"
+
 
 def position_fixes(
     state: LocationState,
@@ -133,11 +137,16 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
 
     `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
     """
+    state, fixes = locations_of(location, origin)
+    return state.origin, fixes
+
+
+def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """What has been seen of a whole stream of locations, and its fixes, in metres from its first usable one."""
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
-    state, fixes = position_fixes(
+    return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
-    return state.origin, fixes
 
 
 @dataclass(frozen=True, slots=True)

@@ -95,7 +95,7 @@ def _of_steps(walked: StepCounts) -> Iterator[Note]:
 def _of_frame(state: State) -> Iterator[Note]:
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
-        yield Note("fixes", f"{where.n_unusable} of {where.n} locations are not used: {where.reasons()}")
+        yield Note("fixes", where.unusable())
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         yield Note("fixes", words)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +11,18 @@ import numpy as np
 from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
+from pdr_filter.values import (
+    CONSTANT_CORRELATION_S,
+    CONSTANT_SHARE,
+    INDEPENDENT_SHARE,
+    BoolArray,
+    FloatArray,
+    IntArray,
+    PositionFix,
+    TrackRows,
+    read_only,
+    wrap_angle,
+)
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
@@ -22,10 +33,10 @@ MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebod
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Where anchor `node` is, or where it is from a place that follows anchor `other`."""
+    """Where anchor `node` is, or where it is from a place that follows another state."""
 
     node: IntArray  # (F,)
-    other: IntArray  # (F,) -1: the position is one of the map
+    other: IntArray  # (F,) key of that state: an anchor or an error; -1: the position is one of the map
     follow: FloatArray  # (F, 2, 4) derivative of that place by the state at `other`: of the anchor itself (I, 0)
     ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
     position_m: FloatArray  # (F, 2)
@@ -61,6 +72,38 @@ class ObservedOffsets:
         return len(self.node)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class Errors:
+    """Errors of correlated fixes, one state for each such fix, in the order of time.
+
+    A state (4,) holds a part that is nearly constant over a walk and one that varies within `correlation_s`, both east
+    and north and in units of the standard deviation of the fix: two Gauss-Markov processes of variance one.
+    """
+
+    node: IntArray  # (E,) anchors of the fixes, increasing
+    decay: FloatArray  # (E - 1, 4) correlation with the state before
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+NO_ERRORS = Errors(np.zeros(0, dtype=np.int64), np.zeros((0, N_STATES)))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedStates:
+    """Measurements of heading offset or log scale at anchors."""
+
+    node: IntArray  # (S,)
+    state: IntArray  # (S,) HEADING_OFFSET or LOG_SCALE
+    value: FloatArray  # (S,)
+    std: FloatArray  # (S,)
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+NO_STATES = ObservedStates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
@@ -68,7 +111,8 @@ NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 class Problem:
     """Steps between anchors, what is known before them, and what was observed.
 
-    Positions and directions may be wrong: their weights, limits and the like are arrays (F + H,), positions first.
+    Positions, directions and states may be wrong: their weights, limits and the like are arrays (F + H + S,), in this
+    order. Keys of the unknowns are the anchors, the errors after them, and last the rotation of the frame.
     """
 
     intervals: Intervals
@@ -78,6 +122,18 @@ class Problem:
     directions: ObservedDirections
     offsets: ObservedOffsets
     frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
+    errors: Errors = NO_ERRORS
+    states: ObservedStates = NO_STATES
+
+    @property
+    def is_relative(self) -> BoolArray:
+        """Which positions (F,) are relative to an anchor."""
+        return (self.positions.other >= 0) & (self.positions.other < self.n_nodes)
+
+    @property
+    def n_states(self) -> int:
+        """Number of anchors and errors, and the key of the rotation of the frame."""
+        return self.n_nodes + len(self.errors)
 
     @property
     def n_nodes(self) -> int:
@@ -86,15 +142,15 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Normalised innovation squared (F + H,) beyond which an observation is wrong."""
-        n = [len(self.positions), len(self.directions)]
+        """Normalised innovation squared (F + H + S,) beyond which an observation is wrong."""
+        n = [len(self.positions), len(self.directions) + len(self.states)]
         return np.repeat([_POSITION_NIS, _DIRECTION_NIS], n)
 
     @property
     def possible(self) -> FloatArray:
-        """1 for the observations (F + H,) that can be used: headings only where somebody walked."""
+        """1 for the observations (F + H + S,) that can be used: headings only where somebody walked."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
-        return np.concatenate([np.ones(len(self.positions)), walked.astype(float)])
+        return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(len(self.states))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,39 +181,47 @@ def pose_problem(
     anchor_interval_s: float,
     wanted: Sequence[int] = (),
     returns: Sequence[Return] = (),
+    states: ObservedStates = NO_STATES,
 ) -> Problem:
     """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
 
-    Its positions are the fixes, the loop closures and the returns, in this order.
+    Its positions are the fixes, the loop closures and the returns, in this order. Correlated fixes must be in the order
+    of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
     """
-    at = [_nearest_contact(steps, f.time_s) for f in observed.fixes]
-    loops = [(_nearest_contact(steps, c.first_s), _nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
-    back = [_nearest_contact(steps, r.time_s) for r in returns]
+    at = [nearest_contact(steps, f.time_s) for f in observed.fixes]
+    loops = [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
+    back = [nearest_contact(steps, r.time_s) for r in returns]
     headings = [
-        (_nearest_contact(steps, h.start_s)[0], _nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
+        (nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
     ]
     needed = (
         [i for i, _, _ in at + back] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
     )
-    nodes = choose_nodes(steps, [*wanted, *needed], anchor_interval_s)
+    nodes = choose_nodes(steps, [*wanted, *needed, *states.node.tolist()], anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
 
+    correlated = np.array([f.correlation_s > 0 for f in observed.fixes], dtype=bool)
+    own_share = np.where(correlated, INDEPENDENT_SHARE, 1.0).tolist()
     fix_cov_m2 = [
-        f.cov_m2 + max(extra, _BEST_FIX_M**2 - float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
-        for f, (_, _, extra) in zip(observed.fixes, at, strict=True)
+        own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
+        for f, own, (_, _, extra) in zip(observed.fixes, own_share, at, strict=True)
     ]
     loop_cov_m2 = [
         (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
     ]
     return_cov_m2 = [r.cov_m2 + extra * np.eye(2) for r, (_, _, extra) in zip(returns, back, strict=True)]
-    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * (len(at) + len(loops))
+    errors = _errors(observed.fixes, correlated, numbers([i for i, _, _ in at]))
+    of_fixes = np.where(correlated, len(nodes) + np.cumsum(correlated) - 1, -1)
+    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * len(loops)
     cov_m2 = np.array(fix_cov_m2 + loop_cov_m2 + return_cov_m2).reshape(-1, 2, 2)
     positions = ObservedPositions(
         node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops] + [i for i, _, _ in back]),
-        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
-        follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
+        other=np.concatenate([of_fixes, numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
+        follow=np.array([_by_error(f) for f in observed.fixes] + itself + [r.by_start for r in returns]).reshape(
+            -1, 2, N_STATES
+        ),
         ahead_m=np.array([d for _, d, _ in at] + none + [d for _, d, _ in back]).reshape(-1, 2),
         position_m=np.array(
             [f.position_m for f in observed.fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
@@ -172,8 +236,63 @@ def pose_problem(
         heading_rad=np.array([h.heading_rad for h in observed.known_headings]),
         std_rad=np.array([h.std_rad for h in observed.known_headings]),
     )
-    intervals, at_anchors = preintegrate(steps, nodes), _at_anchors(steps, nodes, offsets)
-    return Problem(intervals, start_mean, start_cov, positions, directions, at_anchors, frame_std_rad)
+    return Problem(
+        preintegrate(steps, nodes),
+        start_mean,
+        start_cov,
+        positions,
+        directions,
+        _at_anchors(steps, nodes, offsets),
+        frame_std_rad,
+        errors,
+        replace(states, node=numbers(states.node.tolist())),
+    )
+
+
+def by_contact(fixes: Sequence[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
+    """Fixes with the correlated ones of each contact joined, in the order of time, and the number (F,) of each there.
+
+    A correlated fix has an error of its own among the unknowns, and a phone that rests gets locations at one contact
+    for as long as it rests. Their mean is as uncertain as one of them, which is too much after a long rest.
+    """
+    groups: dict[tuple[int, bool], list[int]] = {}
+    for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):
+        is_own = fixes[k].correlation_s == 0
+        groups.setdefault((k if is_own else nearest_contact(steps, fixes[k].time_s)[0], is_own), []).append(k)
+    number = np.zeros(len(fixes), dtype=np.int64)
+    for j, members in enumerate(groups.values()):
+        number[members] = j
+    return tuple(_joined([fixes[k] for k in members]) for members in groups.values()), number
+
+
+def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
+    if len(fixes) == 1:
+        return fixes[0]
+    information = np.linalg.inv([f.cov_m2 for f in fixes])
+    mean_cov = np.linalg.inv(information.sum(axis=0))
+    place = mean_cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
+    middle = fixes[len(fixes) // 2]
+    return replace(middle, position_m=place, cov_m2=len(fixes) * 0.5 * (mean_cov + mean_cov.T))
+
+
+def _by_error(fix: PositionFix) -> FloatArray:
+    """Derivative (2, 4) of the place of a fix by the state of its error."""
+    if fix.correlation_s == 0:
+        return np.zeros((2, N_STATES))
+    root = np.linalg.cholesky(fix.cov_m2)
+    shares = CONSTANT_SHARE, 1.0 - CONSTANT_SHARE - INDEPENDENT_SHARE
+    return -np.hstack([np.sqrt(share) * root for share in shares])
+
+
+def _errors(fixes: Sequence[PositionFix], correlated: BoolArray, node: IntArray) -> Errors:
+    """Errors of the correlated ones among fixes in the order of time, `node` (F,) their anchors."""
+    if not correlated.any():
+        return NO_ERRORS
+    chosen = [f for f, is_one in zip(fixes, correlated.tolist(), strict=True) if is_one]
+    apart_s = np.diff([f.time_s for f in chosen])
+    memory_s = np.array([f.correlation_s for f in chosen[1:]])
+    varying, constant = np.exp(-apart_s / memory_s), np.exp(-apart_s / CONSTANT_CORRELATION_S)
+    return Errors(node[correlated], np.column_stack([constant, constant, varying, varying]))
 
 
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
@@ -187,7 +306,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     return np.array(nodes, dtype=np.int64)
 
 
-def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
+def nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
     """Steps before the nearest contact, part of a step from it to the time, variance (m2) of what lies between."""
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):
@@ -221,8 +340,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
     (known,) = np.isfinite(std).nonzero()
     if not len(known):
         return NO_OFFSETS
-    own = np.array([m.heading_offset_rad for m in modes])
-    sideways = np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
+    sideways = mode_offsets(track, modes)
     shown = np.asarray(track.steps.walking_heading_rad) - np.asarray(track.steps.device_heading_rad) - sideways
     gained = steps.drift_var_rad2 + steps.unknown_var_rad2 + steps.jump_var_rad2
     first, measured = int(known[0]), np.zeros(len(known))
@@ -234,6 +352,12 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
         gain = variance / (variance + float(std[k] ** 2))
         offset, variance = offset + gain * innovation, (1 - gain) * variance
     return ObservedOffsets(np.concatenate([[0], known[1:]]), measured, std[known])
+
+
+def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
+    """Walking heading less the heading that the body faces, (K,): not zero where somebody walks sideways."""
+    own = np.array([m.heading_offset_rad for m in modes])
+    return np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:

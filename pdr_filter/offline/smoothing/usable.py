@@ -1,0 +1,139 @@
+"""Which observations of a walk the smoother uses, in which form, and why it does not use the others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from itertools import compress
+
+import numpy as np
+
+from pdr_filter.filter.frozen import frozen_fixes
+from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, Mode
+from pdr_filter.offline.smoothing.observations import Observations, says_nothing
+from pdr_filter.offline.smoothing.preintegration import Increments
+from pdr_filter.offline.smoothing.problem import ObservedStates, by_contact, mode_offsets, nearest_contact
+from pdr_filter.values import BoolArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
+
+# The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
+_NORTH_INTERVAL_S = 200.0
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Used:
+    """Observations in the form of a problem, and what became of those that were given."""
+
+    observed: Observations  # position fixes and locations together, in the order of time
+    states: ObservedStates  # at numbers of steps: heading and speed fixes, then the magnetic north
+    n_north: int  # of the states
+    row: IntArray  # of each given one among all that are used (positions, directions, states), -1 if it is not
+    is_frozen: BoolArray  # (F + L,) fixes, then locations
+    notes: tuple[str, ...]
+
+    @property
+    def knows_north(self) -> bool:
+        """Whether the magnetic field says where north is."""
+        return self.n_north > 0
+
+    @property
+    def is_oriented(self) -> bool:
+        """Whether anything but the phone's first heading says which way the walk went."""
+        headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
+        return bool(self.observed.fixes or self.observed.known_headings or headings)
+
+
+def usable(
+    track: TrackRows, steps: Increments, modes: Sequence[Mode], observed: Observations, inside: BoolArray
+) -> Used:
+    """Observations that carry information; `inside` (F + L,) are fixes and locations within the recording.
+
+    Loop closures of the same two contacts share one row: copies of a wrong one would confirm each other. So do
+    correlated fixes at one contact.
+    """
+    fixes = (*observed.fixes, *observed.locations)
+    is_place = np.array([isinstance(f, PositionFix) for f in fixes], dtype=bool)
+    places = [f for f in fixes if isinstance(f, PositionFix)]
+    is_frozen = np.zeros(len(fixes), dtype=bool)
+    is_frozen[is_place] = frozen_fixes(places, track.time_s, track.position_m, track.walked_m)
+    positions, number = by_contact(list(compress(places, (inside & ~is_frozen)[is_place])), steps)
+    of_closure, near, closures = _closures(track, observed)
+    at_state = np.flatnonzero(inside & ~is_place)
+    of_fixes = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes)
+    north = _magnetic_north(track, modes)
+
+    n_positions = len(positions) + len(closures)
+    n_directions = n_positions + len(observed.known_headings)
+    row = np.full(len(fixes), -1)
+    row[is_place & inside & ~is_frozen] = number
+    row[at_state] = n_directions + np.arange(len(at_state))
+    row = np.concatenate(
+        [
+            row,
+            np.where(of_closure >= 0, len(positions) + of_closure, -1),
+            n_positions + np.arange(len(observed.known_headings)),
+        ]
+    )
+    n_given = len(observed.fixes)
+    reasons = (
+        ("fix", ~inside[:n_given], "outside the recording"),
+        ("fix", (inside & is_frozen)[:n_given], "repeats the last position while steps go on"),
+        ("location", (inside & is_frozen)[n_given:], "repeats the last position while steps go on"),
+        ("loop closure", near, "its two times are so near that the way between them is within its uncertainty"),
+    )
+    notes = tuple(
+        f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
+    )
+    used = replace(observed, fixes=positions, locations=(), loop_closures=tuple(closures))
+    states = ObservedStates(*(np.concatenate(both) for both in zip(of_fixes, north, strict=True)))
+    return Used(used, states, len(north[0]), row.astype(np.int64), is_frozen, notes)
+
+
+def listed(names: Sequence[object] | IntArray) -> str:
+    """The first ten names, and how many there are besides."""
+    shown = ", ".join(str(n) for n in names[:10])
+    return shown if len(names) <= 10 else f"{shown} and {len(names) - 10} more"
+
+
+def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolArray, list]:
+    """The number of each loop closure among those that are used, which say nothing, and those that are used."""
+    closures = observed.loop_closures
+    at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
+    walked_m = np.diff(np.interp(at_s, track.time_s, track.walked_m), axis=1)[:, 0]
+    near = np.array([says_nothing(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
+    contacts = np.searchsorted(track.time_s, at_s)
+    kept: dict[tuple[int, int], int] = {}
+    number = np.full(len(closures), -1)
+    for k in np.flatnonzero(~near).tolist():
+        number[k] = kept.setdefault((int(contacts[k, 0]), int(contacts[k, 1])), len(kept))
+    return number, near, [closures[int(np.flatnonzero(number == j)[0])] for j in range(len(kept))]
+
+
+_States = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+
+
+def _of_state_fixes(fixes: Sequence[object], track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> _States:
+    """Heading and speed fixes as measurements of heading offset and log scale: number of steps, state, value, std."""
+    device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
+    rows = np.zeros((len(fixes), 4))
+    for k, fix in enumerate(fixes):
+        at = nearest_contact(steps, fix.time_s)[0]
+        step = max(at - 1, 0)
+        if isinstance(fix, HeadingFix):
+            rows[k] = at, HEADING_OFFSET, fix.walking_heading_rad - device_rad[step], fix.std_rad
+        elif isinstance(fix, SpeedFix):
+            speed_mps = max(float(track.smoothed_speed_mps[step]), 0.1)
+            own = float(track.step_speed_std_mps[step]) / speed_mps
+            std = np.hypot(fix.std_mps / speed_mps, own)
+            rows[k] = at, LOG_SCALE, np.log(fix.speed_mps / speed_mps), std
+    return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3]
+
+
+def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> _States:
+    """Walking less device heading against north, as the magnetic field shows it at the last step of each interval."""
+    steps = track.steps
+    std = np.hypot(np.asarray(steps.north_std_rad), np.asarray(steps.shown_offset_std_rad))
+    known = np.flatnonzero(np.isfinite(std))
+    interval = (track.time_s[known] // _NORTH_INTERVAL_S).astype(int)
+    last = known[np.append(np.diff(interval) > 0, True)] if len(known) else known
+    value = (np.asarray(steps.shown_offset_rad) - np.asarray(steps.north_rad))[last]
+    return last + 1, np.full(len(last), HEADING_OFFSET), value, std[last]
