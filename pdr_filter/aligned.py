@@ -36,6 +36,7 @@ class Way:
 
     @classmethod
     def of(cls, start_s: float, updates: Sequence[StepUpdate], var_m2: Sequence[float]) -> Way:
+        """The way of final steps from a start, with the variance of each step."""
         places = [update.position_m if update.of_start is None else update.of_start.position_m for update in updates]
         return cls(
             np.array([start_s, *(update.step.time_s for update in updates)]),

@@ -21,8 +21,6 @@ from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
 from pdr_filter.values.fix_errors import (
-    CONSTANT_CORRELATION_S,
-    CONSTANT_SHARE,
     INDEPENDENT_SHARE,
     N_BEFORE,
     error_correlation,
@@ -61,8 +59,6 @@ from pdr_filter.values.words import how_many, how_often
 
 __all__ = [
     "CARRYING_MODES",
-    "CONSTANT_CORRELATION_S",
-    "CONSTANT_SHARE",
     "CONTEXTS",
     "DECLINATION_STD_RAD",
     "HARDLY_AGREE",

@@ -25,9 +25,6 @@ from pdr_filter.values.fixes import PositionFix
 
 # Two fixes of one moment: a hundredth of the second one's variance is its own.
 INDEPENDENT_SHARE = 0.01
-# What a smoother knows besides: a fifth of the variance of phone locations is the same for a whole walk, which may take
-# an hour (5.6 m of 13 m on 20 walks of ipin2023).
-CONSTANT_SHARE, CONSTANT_CORRELATION_S = 0.2, 3600.0
 # Earlier fixes whose errors the next one is compared with. Those before them add less than a thousandth at intervals
 # of a fiftieth of the time constant, where the independent share matters most.
 N_BEFORE = 8

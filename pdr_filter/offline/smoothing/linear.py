@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import gtsam
 import numpy as np
 
 from pdr_filter.filter.motion import N_STATES
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 
@@ -71,7 +73,7 @@ def joint_covariances(
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance of both ends of the intervals between n anchors, (n - 1, 8, 8), by going back through them once.
 
-    And that of each error (E, 8, 8) with its anchor, whose number is given. Keys are the anchors, the errors, and the
+    And that of each error (E, 10, 10) with its anchor, whose number is given. Keys are the anchors, the errors, and the
     rotation of the frame. Eliminated in the order of the walk, each error after its anchor, R x_j + S x_P = d, where
     the parents P are the first of them and some of its own parents: their joint covariance is known already. Then
     cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
@@ -89,9 +91,9 @@ def joint_covariances(
     first_of = [min(parents, key=rank.__getitem__, default=None) for parents in parents_of]
     n_waiting = Counter(first_of)
     # covariance of a key and its parents, while it is the first parent of another key
-    cliques: dict[int, _Clique] = {}
+    cliques, sizes = dict[int, _Clique](), dict[int, int]()
     joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
-    with_error_cov = np.zeros((len(error_node), 2 * N_STATES, 2 * N_STATES))
+    with_error_cov = np.zeros((len(error_node), N_STATES + N_ERRORS, N_STATES + N_ERRORS))
     for conditional, parents, first in zip(conditionals[::-1], parents_of[::-1], first_of[::-1], strict=True):
         inverse = np.linalg.inv(conditional.R())
         m, known = len(inverse), np.zeros((0, 0))
@@ -105,26 +107,31 @@ def joint_covariances(
             mixed = gain @ known
             cov = np.block([[cov + mixed @ gain.T, mixed], [mixed.T, known]])
         key = conditional.keys()[0]
-        clique = _Clique(cov, {k: m + N_STATES * j for j, k in enumerate(parents)} | {key: 0}, n_states)
+        sizes[key] = m
+        clique = _Clique.of_sizes(cov, {k: sizes[k] for k in (key, *parents)})
         if n_waiting[key]:
             cliques[key] = clique
         if key < n - 1:  # steps join it to the next
             joint_cov[key] = clique.of((key, key + 1))
-        if error_of.get(key) in clique.first:
+        if error_of.get(key) in clique.place:
             with_error_cov[error_of[key] - n] = clique.of((key, error_of[key]))
     return joint_cov, with_error_cov
 
 
 @dataclass(frozen=True, slots=True)
 class _Clique:
-    """Joint covariance of some keys, which begin at `first`; the frame of a single row or two is the last of them."""
+    """Joint covariance of some keys, and the place of each in it."""
 
     cov: FloatArray
-    first: dict[int, int]
-    frame: int
+    place: dict[int, range]
+
+    @classmethod
+    def of_sizes(cls, cov: FloatArray, sizes: dict[int, int]) -> _Clique:
+        """The covariance of keys in this order, whose sizes are given."""
+        ends = accumulate(sizes.values())
+        return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
 
     def of(self, keys: Sequence[int]) -> FloatArray:
         """The joint covariance of some of them."""
-        ends = [len(self.cov) if key == self.frame else self.first[key] + N_STATES for key in keys]
-        index = [i for key, end in zip(keys, ends, strict=True) for i in range(self.first[key], end)]
+        index = [i for key in keys for i in self.place[key]]
         return self.cov[index][:, index]

@@ -9,16 +9,12 @@ from itertools import pairwise
 import numpy as np
 
 from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
+from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
 from pdr_filter.values import (
-    CONSTANT_CORRELATION_S,
-    CONSTANT_SHARE,
-    INDEPENDENT_SHARE,
-    BoolArray,
     FloatArray,
     IntArray,
-    PositionFix,
     TrackRows,
     read_only,
     wrap_angle,
@@ -33,10 +29,10 @@ MIN_HEADING_LENGTH_M = 1.0  # a heading of a corridor says nothing about somebod
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ObservedPositions:
-    """Where anchor `node` is, or where it is from a place that follows another state."""
+    """Where anchor `node` is, or where it is from a place that follows anchor `other`."""
 
     node: IntArray  # (F,)
-    other: IntArray  # (F,) key of that state: an anchor or an error; -1: the position is one of the map
+    other: IntArray  # (F,) -1: the position is one of the map
     follow: FloatArray  # (F, 2, 4) derivative of that place by the state at `other`: of the anchor itself (I, 0)
     ahead_m: FloatArray  # (F, 2) part of the step from the anchor to the observation, before heading offset and scale
     position_m: FloatArray  # (F, 2)
@@ -73,24 +69,6 @@ class ObservedOffsets:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
-class Errors:
-    """Errors of correlated fixes, one state for each such fix, in the order of time.
-
-    A state (4,) holds a part that is nearly constant over a walk and one that varies within `correlation_s`, both east
-    and north and in units of the standard deviation of the fix: two Gauss-Markov processes of variance one.
-    """
-
-    node: IntArray  # (E,) anchors of the fixes, increasing
-    decay: FloatArray  # (E - 1, 4) correlation with the state before
-
-    def __len__(self) -> int:
-        return len(self.node)
-
-
-NO_ERRORS = Errors(np.zeros(0, dtype=np.int64), np.zeros((0, N_STATES)))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
 class ObservedStates:
     """Measurements of heading offset or log scale at anchors."""
 
@@ -124,11 +102,6 @@ class Problem:
     frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
     errors: Errors = NO_ERRORS
     states: ObservedStates = NO_STATES
-
-    @property
-    def is_relative(self) -> BoolArray:
-        """Which positions (F,) are relative to an anchor."""
-        return (self.positions.other >= 0) & (self.positions.other < self.n_nodes)
 
     @property
     def n_states(self) -> int:
@@ -185,10 +158,13 @@ def pose_problem(
 ) -> Problem:
     """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
 
-    Its positions are the fixes, the loop closures and the returns, in this order. Correlated fixes must be in the order
-    of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
+    Its positions are the fixes, the locations, the loop closures and the returns, in this order. Correlated fixes must
+    be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
     """
-    at = [nearest_contact(steps, f.time_s) for f in observed.fixes]
+    fixes = (*observed.fixes, *observed.locations)
+    is_location = np.arange(len(fixes)) >= len(observed.fixes)
+    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
+    at = [nearest_contact(steps, f.time_s) for f in fixes]
     loops = [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
     back = [nearest_contact(steps, r.time_s) for r in returns]
     headings = [
@@ -202,29 +178,23 @@ def pose_problem(
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
 
-    correlated = np.array([f.correlation_s > 0 for f in observed.fixes], dtype=bool)
-    own_share = np.where(correlated, INDEPENDENT_SHARE, 1.0).tolist()
     fix_cov_m2 = [
         own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
-        for f, own, (_, _, extra) in zip(observed.fixes, own_share, at, strict=True)
+        for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
     ]
     loop_cov_m2 = [
         (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
     ]
     return_cov_m2 = [r.cov_m2 + extra * np.eye(2) for r, (_, _, extra) in zip(returns, back, strict=True)]
-    errors = _errors(observed.fixes, correlated, numbers([i for i, _, _ in at]))
-    of_fixes = np.where(correlated, len(nodes) + np.cumsum(correlated) - 1, -1)
-    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * len(loops)
+    none, itself = [np.zeros(2)] * len(loops), [np.eye(2, N_STATES)] * (len(at) + len(loops))
     cov_m2 = np.array(fix_cov_m2 + loop_cov_m2 + return_cov_m2).reshape(-1, 2, 2)
     positions = ObservedPositions(
         node=numbers([i for i, _, _ in at] + [b[0] for _, b in loops] + [i for i, _, _ in back]),
-        other=np.concatenate([of_fixes, numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
-        follow=np.array([_by_error(f) for f in observed.fixes] + itself + [r.by_start for r in returns]).reshape(
-            -1, 2, N_STATES
-        ),
+        other=np.concatenate([np.full(len(at), -1), numbers([a[0] for a, _ in loops]), np.zeros(len(back), dtype=int)]),
+        follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
         ahead_m=np.array([d for _, d, _ in at] + none + [d for _, d, _ in back]).reshape(-1, 2),
         position_m=np.array(
-            [f.position_m for f in observed.fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
+            [f.position_m for f in fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
         ).reshape(-1, 2),
         whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
@@ -244,55 +214,9 @@ def pose_problem(
         directions,
         _at_anchors(steps, nodes, offsets),
         frame_std_rad,
-        errors,
+        errors_of(fixes, is_location, numbers([i for i, _, _ in at])),
         replace(states, node=numbers(states.node.tolist())),
     )
-
-
-def by_contact(fixes: Sequence[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
-    """Fixes with the correlated ones of each contact joined, in the order of time, and the number (F,) of each there.
-
-    A correlated fix has an error of its own among the unknowns, and a phone that rests gets locations at one contact
-    for as long as it rests. Their mean is as uncertain as one of them, which is too much after a long rest.
-    """
-    groups: dict[tuple[int, bool], list[int]] = {}
-    for k in sorted(range(len(fixes)), key=lambda k: fixes[k].time_s):
-        is_own = fixes[k].correlation_s == 0
-        groups.setdefault((k if is_own else nearest_contact(steps, fixes[k].time_s)[0], is_own), []).append(k)
-    number = np.zeros(len(fixes), dtype=np.int64)
-    for j, members in enumerate(groups.values()):
-        number[members] = j
-    return tuple(_joined([fixes[k] for k in members]) for members in groups.values()), number
-
-
-def _joined(fixes: Sequence[PositionFix]) -> PositionFix:
-    if len(fixes) == 1:
-        return fixes[0]
-    information = np.linalg.inv([f.cov_m2 for f in fixes])
-    mean_cov = np.linalg.inv(information.sum(axis=0))
-    place = mean_cov @ np.einsum("nab,nb->a", information, np.array([f.position_m for f in fixes]))
-    middle = fixes[len(fixes) // 2]
-    return replace(middle, position_m=place, cov_m2=len(fixes) * 0.5 * (mean_cov + mean_cov.T))
-
-
-def _by_error(fix: PositionFix) -> FloatArray:
-    """Derivative (2, 4) of the place of a fix by the state of its error."""
-    if fix.correlation_s == 0:
-        return np.zeros((2, N_STATES))
-    root = np.linalg.cholesky(fix.cov_m2)
-    shares = CONSTANT_SHARE, 1.0 - CONSTANT_SHARE - INDEPENDENT_SHARE
-    return -np.hstack([np.sqrt(share) * root for share in shares])
-
-
-def _errors(fixes: Sequence[PositionFix], correlated: BoolArray, node: IntArray) -> Errors:
-    """Errors of the correlated ones among fixes in the order of time, `node` (F,) their anchors."""
-    if not correlated.any():
-        return NO_ERRORS
-    chosen = [f for f, is_one in zip(fixes, correlated.tolist(), strict=True) if is_one]
-    apart_s = np.diff([f.time_s for f in chosen])
-    memory_s = np.array([f.correlation_s for f in chosen[1:]])
-    varying, constant = np.exp(-apart_s / memory_s), np.exp(-apart_s / CONSTANT_CORRELATION_S)
-    return Errors(node[correlated], np.column_stack([constant, constant, varying, varying]))
 
 
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:

@@ -323,7 +323,7 @@ def _smooth_track(
     used = usable(track, steps, modes, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
-    fixes = used.observed.fixes
+    fixes = (*used.observed.fixes, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     start_std_m = _ANYWHERE_STD_M if fixes else _HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
@@ -380,11 +380,12 @@ def _smoothed(
     moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
     length = np.hypot(*moved.T)
     heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
-    of_map = (found.weight[: len(problem.positions)] > 0) & ~problem.is_relative
+    of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
     observations = _table(observed, used.row, found)
+    start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
     notes = (*track.notes, *used.notes, *_notes(track, found, observations, observed, used))
     smoothed = replace(
         track,
@@ -395,8 +396,8 @@ def _smoothed(
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,
-        start_position_m=read_only(found.mean[0, :2]),
-        frame="fixes" if used.observed.fixes else "north" if used.knows_north else track.frame,
+        start_position_m=start_m,
+        frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
         fixes=_results(observed, observations, used, track.start_time_s + track.duration_s),
     )
     result = Smoothed(
@@ -405,7 +406,7 @@ def _smoothed(
         heading_offset_std_rad=read_only(np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])),
         log_scale=read_only(mean[:, LOG_SCALE]),
         log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
-        start_position_m=read_only(found.mean[0, :2]),
+        start_position_m=start_m,
         start_position_cov_m2=read_only(found.joint_cov[0, :2, :2]),
         observations=observations,
         floor=_floors(track, observed.floor_changes),
@@ -476,7 +477,7 @@ def _notes(track: Track, found: Solution, observations: Table, observed: Observa
         if rows.any():
             notes.append(f"{kind} {listed(observations.number[rows])}: the walk cannot explain it, not used")
     n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
-    if used.observed.fixes and n_good == 0:
+    if used.has_places and n_good == 0:
         notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
     elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
         notes.append("a single fix says where the walk was and not which way it went: directions are not known")

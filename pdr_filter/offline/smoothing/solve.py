@@ -11,12 +11,12 @@ import numpy as np
 from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear import Rows, cov_of, eliminated, graph_of, joint_covariances
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
     ObservedOffsets,
-    ObservedPositions,
     ObservedStates,
     Problem,
 )
@@ -37,6 +37,7 @@ class Solution:
     nis: FloatArray  # (F + H + S,)
     weight: FloatArray  # (F + H + S,)
     converged: bool
+    states: FloatArray  # (N, 6) anchors, which have four columns, and errors
 
 
 def solve(problem: Problem) -> Solution:
@@ -57,7 +58,7 @@ def solve(problem: Problem) -> Solution:
         changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
         after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
-            return Solution(mean[: problem.n_nodes], joint_cov, frame_rad, nis, weight, converged)
+            return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
         weight = after
 
 
@@ -69,7 +70,7 @@ def filtered_at(
     And mean (4,) and joint covariance (8, 8), with that anchor, of each of those before it. For problems without
     directions and offsets.
     """
-    rows = linearised(problem, found.mean, found.frame_rad, found.weight)
+    rows = linearised(problem, found.states, found.frame_rad, found.weight)
     tree = eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
     change = tree.optimize()
     before = [(found.mean[j] + change.at(j), cov_of(tree, [j, node])) for j in range(node)]
@@ -164,27 +165,27 @@ def _innovations(
 
     r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
     r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it. `with_error_cov`
-    (E, 8, 8) is the joint covariance of the anchor and the error of each correlated fix.
+    (E, 10, 10) is the joint covariance of the anchor and the error of each correlated fix.
     """
     positions, directions, states = problem.positions, problem.directions, problem.states
     n_positions, nis = len(positions), np.zeros(len(weight))
-    residual, by_node, by_other = _position_residuals(positions, mean)
+    residual, by_node, by_other = _position_residuals(problem, mean)
     own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
 
     def judge(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
         nis[at] = _squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
 
-    of_map = np.flatnonzero(positions.other < 0)
+    correlated = problem.errors.position
+    of_map = np.setdiff1d(np.flatnonzero(positions.other < 0), correlated)
     judge(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
-    correlated = np.flatnonzero(positions.other >= problem.n_nodes)
-    by_both = np.concatenate([by_node, by_other], axis=2)[correlated]
+    by_both = np.concatenate([by_node[correlated], positions.whiten[correlated] @ problem.errors.by], axis=2)
     judge(correlated, residual[correlated], by_both, with_error_cov)
     residual_of_states, by_state = _state_residuals(states, mean)
     at_states = n_positions + len(directions) + np.arange(len(states))
     judge(at_states, residual_of_states, by_state, own_cov[states.node])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
-        for i in np.flatnonzero(problem.is_relative)
+        for i in np.flatnonzero(positions.other >= 0)
     ]
     turn, by_last = _direction_residuals(directions, mean)
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
@@ -207,9 +208,14 @@ def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> 
 
 
 def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
-    """Solution for anchors and errors (N, 4), and the rotation (an angle; of a vector its direction)."""
+    """Solution for anchors and errors, and the rotation (an angle; of a vector its direction).
+
+    A row (N, 6) for each, of which an anchor has four columns.
+    """
     solution = graph.optimize(gtsam.EliminateQR)
-    state = np.array([solution.at(j) for j in range(problem.n_states)])
+    n, state = problem.n_nodes, np.zeros((problem.n_states, N_ERRORS))
+    state[:n, :N_STATES] = [solution.at(j) for j in range(n)]
+    state[n:] = np.array([solution.at(j) for j in range(n, problem.n_states)]).reshape(-1, N_ERRORS)
     if len(problem.offsets) == 0:
         return state, 0.0
     turn = solution.at(problem.n_states)
@@ -217,12 +223,12 @@ def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatAr
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Equations for the change of the states (N, 4), anchors and errors, at which they are linearised."""
+    """Equations for the change of the states (N, 6), anchors and errors, at which they are linearised."""
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
-    rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0] - problem.start_mean)))]
+    rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 
     n = problem.n_nodes - 1
-    start, end = mean[:n], mean[1 : n + 1]
+    start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
     ahead, F = end_states(start, problem.intervals.total_m)
     whiten = problem.intervals.whiten @ np.linalg.inv(frame(start))
     residual = np.einsum("nab,nb->na", whiten, end - ahead)
@@ -231,8 +237,8 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
 
     positions, directions, offsets = problem.positions, problem.directions, problem.offsets
     if len(positions):
-        residual, H, H_other = _position_residuals(positions, mean)
-        rows.append(Rows(positions.node, H, -residual, positions.other, H_other, weight[: len(positions)]))
+        residual, H, H_other = _position_residuals(problem, mean)
+        rows += _position_rows(problem, H, -residual, H_other, weight)
     if len(directions):
         residual, by_last = _direction_residuals(directions, mean)
         of_directions = weight[len(positions) : len(positions) + len(directions)]
@@ -261,10 +267,10 @@ def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
         return []
     error, keys = mean[n:], np.arange(n, n + len(decay))
     inverse = 1 / np.sqrt(1 - decay**2)
-    W = inverse[:, :, None] * np.eye(N_STATES)
+    W = inverse[:, :, None] * np.eye(N_ERRORS)
     residual = inverse * (error[1:] - decay * error[:-1])
     return [
-        Rows.of_one(n, np.eye(N_STATES), -error[0]),
+        Rows.of_one(n, np.eye(N_ERRORS), -error[0]),
         Rows(keys, -W * decay[:, :, None], -residual, keys + 1, W),
     ]
 
@@ -278,19 +284,35 @@ def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArr
     return (error / states.std)[:, None], H
 
 
-def _position_residuals(positions: ObservedPositions, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d - G x_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
-    at, relative = mean[positions.node], positions.other >= 0
+def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Whitened p + e^s R(theta) d + B e - G x_other - z (F, 2), and its derivatives by both anchors (F, 2, 4)."""
+    positions, errors = problem.positions, problem.errors
+    at, relative = mean[positions.node, :N_STATES], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
-    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other])
+    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other, :N_STATES])
     origin = np.where(relative[:, None], followed, 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
+    error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
     H[:, :, LOG_SCALE] = moved
     by_other = -(positions.whiten @ positions.follow)
     return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
+
+
+def _position_rows(
+    problem: Problem, H: FloatArray, rhs: FloatArray, by_other: FloatArray, weight: FloatArray
+) -> list[Rows]:
+    """Equations of positions, with their errors where these are unknowns."""
+    positions, errors = problem.positions, problem.errors
+    own = np.setdiff1d(np.arange(len(positions)), errors.position)
+    shared, keys = errors.position, problem.n_nodes + np.arange(len(errors))
+    by_error = positions.whiten[shared] @ errors.by
+    return [
+        Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own]),
+        Rows(errors.node, H[shared], rhs[shared], keys, by_error, weight[shared]),
+    ]
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -324,7 +346,7 @@ def _relaxed(problem: Problem) -> list[Rows]:
     A[:, :2, 2:] = _linear(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
-    rows += _error_rows(problem, np.zeros((problem.n_states, N_STATES)))
+    rows += _error_rows(problem, np.zeros((problem.n_states, N_ERRORS)))
     if len(problem.offsets):
         rows += _relaxed_offsets(problem.offsets, problem.n_states, problem.frame_std_rad)
     return rows
@@ -339,19 +361,22 @@ def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
     by_state, vector = _relaxed_states(states)
     none = np.full(len(states), -1)
     return [
-        Rows(positions.node, H, target, positions.other, H_other, of_positions),
+        *_position_rows(problem, H, target, H_other, of_positions),
         Rows(directions.last, by_last, turn, directions.first, -by_last, of_directions),
         Rows(states.node, by_state, vector, none, np.zeros((0, 0, 0)), of_states),
     ]
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Squared residuals of all observations (F + H + S,) for states (N, 4) in (p, z)."""
-    positions, directions = problem.positions, problem.directions
+    """Squared residuals of all observations (F + H + S,) for states (N, 6) in (p, z)."""
+    positions, directions, errors = problem.positions, problem.directions, problem.errors
+    by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
+    state = state[: problem.n_nodes, :N_STATES]
     H, H_other, target = _relaxed_positions(problem)
     other = np.where((positions.other >= 0)[:, None], state[positions.other], 0.0)
     residual = np.einsum("nab,nb->na", H, state[positions.node]) + np.einsum("nab,nb->na", H_other, other)
     residual -= target
+    residual[errors.position] += by_errors
     by_last, target = _relaxed_directions(directions)
     turn = np.einsum("nab,nb->na", by_last, state[directions.last] - state[directions.first]) - target
     by_state, target = _relaxed_states(problem.states)
@@ -370,16 +395,14 @@ def _relaxed_positions(problem: Problem) -> tuple[FloatArray, FloatArray, FloatA
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, 2:] = _linear(positions.ahead_m)
-    # What follows theta and s of the start follows z through d(theta, s) / dz; only returns do. Errors stay themselves.
+    # What follows theta and s of the start follows z through d(theta, s) / dz; only returns do.
     z = _vector(problem.start_mean)
-    is_relative = problem.is_relative
     follow = positions.follow.copy()
-    by_vector = np.array([[-z[1], z[0]], [z[0], z[1]]]) / (z @ z)
-    follow[is_relative, :, 2:] = positions.follow[is_relative, :, 2:] @ by_vector
+    follow[:, :, 2:] = positions.follow[:, :, 2:] @ np.array([[-z[1], z[0]], [z[0], z[1]]]) / (z @ z)
     known = np.concatenate([problem.start_mean[_POSITION], z])
     shift = positions.follow @ problem.start_mean - follow @ known
-    shift[~is_relative] = 0.0
-    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m + shift)
+    is_relative = (positions.other >= 0)[:, None]
+    target = np.einsum("nab,nb->na", positions.whiten, positions.position_m + np.where(is_relative, shift, 0.0))
     return positions.whiten @ H, -(positions.whiten @ follow), target
 
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 
@@ -10,9 +10,10 @@ import numpy as np
 
 from pdr_filter.filter.frozen import frozen_fixes
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, Mode
+from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
 from pdr_filter.offline.smoothing.observations import Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments
-from pdr_filter.offline.smoothing.problem import ObservedStates, by_contact, mode_offsets, nearest_contact
+from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
 from pdr_filter.values import BoolArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
 
 # The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
@@ -23,7 +24,7 @@ _NORTH_INTERVAL_S = 200.0
 class Used:
     """Observations in the form of a problem, and what became of those that were given."""
 
-    observed: Observations  # position fixes and locations together, in the order of time
+    observed: Observations  # position fixes alone, and locations, each in the order of time
     states: ObservedStates  # at numbers of steps: heading and speed fixes, then the magnetic north
     n_north: int  # of the states
     row: IntArray  # of each given one among all that are used (positions, directions, states), -1 if it is not
@@ -36,10 +37,15 @@ class Used:
         return self.n_north > 0
 
     @property
+    def has_places(self) -> bool:
+        """Whether there are position fixes or locations."""
+        return bool(self.observed.fixes or self.observed.locations)
+
+    @property
     def is_oriented(self) -> bool:
         """Whether anything but the phone's first heading says which way the walk went."""
         headings = len(self.states.state) and (self.states.state == HEADING_OFFSET).any()
-        return bool(self.observed.fixes or self.observed.known_headings or headings)
+        return bool(self.has_places or self.observed.known_headings or headings)
 
 
 def usable(
@@ -55,21 +61,25 @@ def usable(
     places = [f for f in fixes if isinstance(f, PositionFix)]
     is_frozen = np.zeros(len(fixes), dtype=bool)
     is_frozen[is_place] = frozen_fixes(places, track.time_s, track.position_m, track.walked_m)
-    positions, number = by_contact(list(compress(places, (inside & ~is_frozen)[is_place])), steps)
+    is_used = is_place & inside & ~is_frozen
+    of_fixes = is_used & (np.arange(len(fixes)) < len(observed.fixes))
+    positions, number = _at_contacts(compress(fixes, of_fixes), steps)
+    locations, of_location = _at_contacts(evenly_sure(list(compress(fixes, is_used & ~of_fixes))), steps)
     of_closure, near, closures = _closures(track, observed)
     at_state = np.flatnonzero(inside & ~is_place)
-    of_fixes = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes)
+    of_states = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes)
     north = _magnetic_north(track, modes)
 
-    n_positions = len(positions) + len(closures)
+    n_places = len(positions) + len(locations)
+    n_positions = n_places + len(closures)
     n_directions = n_positions + len(observed.known_headings)
     row = np.full(len(fixes), -1)
-    row[is_place & inside & ~is_frozen] = number
+    row[is_used] = np.concatenate([number, len(positions) + of_location])
     row[at_state] = n_directions + np.arange(len(at_state))
     row = np.concatenate(
         [
             row,
-            np.where(of_closure >= 0, len(positions) + of_closure, -1),
+            np.where(of_closure >= 0, n_places + of_closure, -1),
             n_positions + np.arange(len(observed.known_headings)),
         ]
     )
@@ -83,9 +93,14 @@ def usable(
     notes = tuple(
         f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
-    used = replace(observed, fixes=positions, locations=(), loop_closures=tuple(closures))
-    states = ObservedStates(*(np.concatenate(both) for both in zip(of_fixes, north, strict=True)))
+    used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
+    states = ObservedStates(*(np.concatenate(both) for both in zip(of_states, north, strict=True)))
     return Used(used, states, len(north[0]), row.astype(np.int64), is_frozen, notes)
+
+
+def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
+    fixes = list(fixes)
+    return by_contact(fixes, np.array([nearest_contact(steps, f.time_s)[0] for f in fixes], dtype=np.int64))
 
 
 def listed(names: Sequence[object] | IntArray) -> str:
