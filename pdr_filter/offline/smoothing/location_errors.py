@@ -21,8 +21,9 @@ N_ERRORS = 6
 # Share of the variance of a location that is the same for a walk, which may take an hour; and its own share.
 _CONSTANT_SHARE, _CONSTANT_S, _OWN_SHARE = 0.2, 3600.0, 0.1
 # By which part of its distance from the mean of the locations within two minutes a location is too near to that mean,
-# and how late it is (standard deviations). Both change within half a minute.
-_SHRUNK_STD, _SHRUNK_WITHIN_S = 0.5, 120.0
+# and how late it is (standard deviations). Both change within half a minute. The first is at most as large as
+# `_SHRUNK_MOST` standard deviations of the location: outdoors the way of two minutes is long.
+_SHRUNK_STD, _SHRUNK_WITHIN_S, _SHRUNK_MOST = 0.5, 120.0, 1.5
 _LATE_STD_S, _LATE_WITHIN_S = 3.0, 15.0
 _FILTERED_S = 30.0
 # A pedestrian: what moves faster is an error, or a ride.
@@ -68,7 +69,9 @@ def errors_of(fixes: Sequence[PositionFix], is_location: BoolArray, node: IntArr
     varying = np.where(located, 1.0 - _CONSTANT_SHARE - _OWN_SHARE, 1.0 - INDEPENDENT_SHARE)
     by[:, :, _VARYING] = np.sqrt(varying)[:, None, None] * root
     by[:, :, _CONSTANT] = np.where(located, np.sqrt(_CONSTANT_SHARE), 0.0)[:, None, None] * root
-    by[:, :, _SHRUNK] = -_SHRUNK_STD * located[:, None] * _from_local_mean(time_s, place_m)
+    std_m = np.sqrt([f.var_m2 for f in chosen])
+    shrunk_m = _at_most(_SHRUNK_STD * _from_local_mean(time_s, place_m), _SHRUNK_MOST * std_m)
+    by[:, :, _SHRUNK] = np.where(located[:, None], -shrunk_m, 0.0)
     by[:, :, _LATE] = -_LATE_STD_S * located[:, None] * _velocity_mps(time_s, place_m)
     memory_s = np.full((len(chosen) - 1, N_ERRORS), _CONSTANT_S)
     memory_s[:, _VARYING] = np.array([f.correlation_s for f in chosen[1:]])[:, None]
@@ -88,8 +91,12 @@ def _velocity_mps(time_s: FloatArray, place_m: FloatArray) -> FloatArray:
     first, end = (np.searchsorted(time_s, time_s + d) for d in (-_LATE_WITHIN_S, _LATE_WITHIN_S))
     apart_s = np.maximum(time_s[end - 1] - time_s[first], 1.0)
     velocity_mps = (place_m[end - 1] - place_m[first]) / apart_s[:, None]
-    speed_mps = np.maximum(np.hypot(*velocity_mps.T), _MAX_SPEED_MPS)
-    return velocity_mps * (_MAX_SPEED_MPS / speed_mps)[:, None]
+    return _at_most(velocity_mps, np.full(len(time_s), _MAX_SPEED_MPS))
+
+
+def _at_most(vector: FloatArray, length: FloatArray) -> FloatArray:
+    """Vectors (E, 2) that are longer than a length (E,) cut to it."""
+    return vector * (length / np.maximum(np.hypot(*vector.T), length))[:, None]
 
 
 # A location may claim so little that its variance is this share of what it claims.

@@ -140,6 +140,7 @@ def smooth_on_plan(
         start_position_m=read_only(a_step_before(position[0], length[0], heading[0])),
         frame="plan",
         origin=online.plan.origin,
+        is_smoothed=True,
     )
     return Hindsight(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
 

@@ -397,6 +397,7 @@ def _smoothed(
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,
         start_position_m=start_m,
+        is_smoothed=True,
         frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
         fixes=_results(observed, observations, used, track.start_time_s + track.duration_s),
     )
@@ -620,7 +621,7 @@ def _without_steps(track: Track, observed: Observations, fixes: Sequence[Positio
         place, cov = np.zeros(2), _HERE_STD_M**2 * np.eye(2)
     none = read_only(np.zeros(0))
     return Smoothed(
-        track=track,
+        track=replace(track, is_smoothed=True),
         heading_offset_rad=none,
         heading_offset_std_rad=none,
         log_scale=none,
