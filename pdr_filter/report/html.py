@@ -32,7 +32,10 @@ from pdr_filter.values import TrackRows, how_many
 _VISIBLE_PROB = 0.01
 _SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
-_SMOOTHED_OR_ONLINE = "The smoothed track is the best estimate from the whole recording; the online track is what a phone knew at each step."
+_SMOOTHED_OR_ONLINE = (
+    "The smoothed track is the best estimate from the whole recording; the online track is what a phone knew at each "
+    "step."
+)
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
 
@@ -139,7 +142,7 @@ def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:
-    """By what tracks are told apart: their names, with the estimate, the weighting or a number where these are alike."""
+    """By what tracks are told apart: names, and where these are alike the estimate, the weighting or a number."""
     estimates = [f"{t.name}, {t.estimate}" for t in tracks]
     for names in ([t.name for t in tracks], estimates, [f"{t.name}, {t.weighting}" for t in tracks]):
         if len(set(names)) == len(names):
