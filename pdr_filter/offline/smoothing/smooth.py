@@ -31,7 +31,7 @@ from pdr_filter.filter.motion import (
     second_order_errors,
 )
 from pdr_filter.filter.person import Person, session_of_scale
-from pdr_filter.gnss import LocationState, independent, locations_of
+from pdr_filter.gnss import LocationState, independent, locations_of, origin_of
 from pdr_filter.io.recording import Recording
 from pdr_filter.maps.floor_plan import FloorPlan
 from pdr_filter.offline.smoothing.observations import (
@@ -46,6 +46,7 @@ from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
 from pdr_filter.offline.smoothing.usable import Used, listed, usable
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.placing import GnssUse, NorthUse
@@ -246,6 +247,8 @@ def smooth(
         floor_changes=floor_changes,
         is_loop=bool(closed),
     )
+    if run.with_location and recording.location is not None:
+        track = _without_hills(track, recording.location)
     smoothed, walked_var_m2 = _smooth_track(track, modes, config, observed, start_heading_std_rad, anchor_interval_s)
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = _aligned(smoothed, walked_var_m2, recording.location)
@@ -269,6 +272,13 @@ def _knowing_the_device(
         return config, None
     device = Device(found.device.bias_radps, 2.0 * found.device.bias_cov_radps2)
     return config.with_device(device), found.device
+
+
+def _without_hills(track: Track, location: Samples) -> Track:
+    here, (latitude_deg, longitude_deg, _, accuracy_m) = origin_of(location), location.values.T
+    if here is None:
+        return track
+    return without_hills(track, location.time_s, here.east_north_m(latitude_deg, longitude_deg), accuracy_m)
 
 
 def _whole_loop(track: Track) -> LoopClosure:
@@ -569,29 +579,7 @@ def _on_earth(
                 altitude = altitude.with_fix(fix, float(track.height_m[k]), float(track.height_std_m[k] ** 2))
         origin = altitude.of(origin)
     track = replace(track, origin=origin, notes=notes)
-    return replace(smoothed, track=_with_named_floors(track, observed), notes=notes)
-
-
-def _with_named_floors(track: Track, observed: Observations) -> Track:
-    """A track whose storeys are numbered as fixes name them: all of them by the first, later ones by those after it."""
-    named = sorted((f.time_s, f.floor) for f in observed.fixes if isinstance(f, PositionFix) and f.floor is not None)
-    if not named or not track.n_steps:
-        return track
-    floor = track.floor.copy()
-    for number, (time_s, name) in enumerate(named):
-        k = min(int(np.searchsorted(track.time_s, time_s)), track.n_steps - 1)
-        first = 0 if number == 0 else k
-        floor[first:] += name - floor[k]
-
-    def up(time_s: float) -> int:
-        k = min(int(np.searchsorted(track.time_s, time_s)), track.n_steps - 1)
-        return int(floor[k] - track.floor[k])
-
-    passages = tuple(
-        replace(p, from_floor=p.from_floor + up(p.end_s), to_floor=p.to_floor + up(p.end_s))
-        for p in track.floor_passages
-    )
-    return replace(track, floor=read_only(floor), floor_passages=passages)
+    return replace(smoothed, track=with_named_floors(track, observed.fixes), notes=notes)
 
 
 def _placed(run: Run, smoothed: Smoothed) -> Smoothed:
