@@ -71,10 +71,10 @@ class Observations:
     """All that was observed of one walk, each kind in any order."""
 
     fixes: tuple[PositionFix | HeadingFix | SpeedFix, ...] = ()
-    locations: tuple[PositionFix, ...] = ()  # of the recording itself
     loop_closures: tuple[LoopClosure, ...] = ()
     known_headings: tuple[KnownHeading, ...] = ()
     floor_changes: tuple[FloorChange, ...] = ()
+    locations: tuple[PositionFix, ...] = ()  # of the recording itself
     is_loop: bool = False  # whether the last loop closure is the statement that the walk ended where it began
 
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:

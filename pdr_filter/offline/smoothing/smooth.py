@@ -330,7 +330,7 @@ def _smooth_track(
         known = independent([f for f in places if isinstance(f, PositionFix)])
         return _without_steps(track, observed, known), np.zeros(0)
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
-    used = usable(track, steps, modes, observed, inside)
+    used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
     fixes = (*used.observed.fixes, *used.observed.locations)

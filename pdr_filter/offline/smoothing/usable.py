@@ -49,9 +49,16 @@ class Used:
 
 
 def usable(
-    track: TrackRows, steps: Increments, modes: Sequence[Mode], observed: Observations, inside: BoolArray
+    track: TrackRows,
+    steps: Increments,
+    modes: Sequence[Mode],
+    log_scale_std: float,
+    observed: Observations,
+    inside: BoolArray,
 ) -> Used:
     """Observations that carry information; `inside` (F + L,) are fixes and locations within the recording.
+
+    `log_scale_std` is what the track took the person's step scale for: the speeds of a track share that error.
 
     Loop closures of the same two contacts share one row: copies of a wrong one would confirm each other. So do
     correlated fixes at one contact.
@@ -67,7 +74,7 @@ def usable(
     locations, of_location = _at_contacts(evenly_sure(list(compress(fixes, is_used & ~of_fixes))), steps)
     of_closure, near, closures = _closures(track, observed)
     at_state = np.flatnonzero(inside & ~is_place)
-    of_states = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes)
+    of_states = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes, log_scale_std)
     north = _magnetic_north(track, modes)
 
     n_places = len(positions) + len(locations)
@@ -126,7 +133,9 @@ def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolA
 _States = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
 
 
-def _of_state_fixes(fixes: Sequence[object], track: TrackRows, steps: Increments, modes: Sequence[Mode]) -> _States:
+def _of_state_fixes(
+    fixes: Sequence[object], track: TrackRows, steps: Increments, modes: Sequence[Mode], log_scale_std: float
+) -> _States:
     """Heading and speed fixes as measurements of heading offset and log scale: number of steps, state, value, std."""
     device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
     rows = np.zeros((len(fixes), 4))
@@ -137,8 +146,8 @@ def _of_state_fixes(fixes: Sequence[object], track: TrackRows, steps: Increments
             rows[k] = at, HEADING_OFFSET, fix.walking_heading_rad - device_rad[step], fix.std_rad
         elif isinstance(fix, SpeedFix):
             speed_mps = max(float(track.smoothed_speed_mps[step]), 0.1)
-            own = float(track.step_speed_std_mps[step]) / speed_mps
-            std = np.hypot(fix.std_mps / speed_mps, own)
+            own_var = (float(track.smoothed_speed_std_mps[step]) / speed_mps) ** 2 - log_scale_std**2
+            std = np.sqrt((fix.std_mps / speed_mps) ** 2 + max(own_var, 0.0))
             rows[k] = at, LOG_SCALE, np.log(fix.speed_mps / speed_mps), std
     return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3]
 
