@@ -79,7 +79,9 @@ def track(
     plan: FloorPlan | None = None,
     start: PositionFix | str | None = None,
 ) -> Track:
-    """Track of a recording, the same that `OnlineFilter` gives for its samples.
+    """Online track of a recording: each position from what came before it, the same bits that `OnlineFilter` gives.
+
+    For a finished walk `pdr_filter.smooth` gives the best estimate.
 
     Parameters
     ----------
