@@ -77,6 +77,11 @@ class Observations:
     locations: tuple[PositionFix, ...] = ()  # of the recording itself
     is_loop: bool = False  # whether the last loop closure is the statement that the walk ended where it began
 
+    @property
+    def positions(self) -> tuple[PositionFix, ...]:
+        """The fixes of positions."""
+        return tuple(f for f in self.fixes if isinstance(f, PositionFix))
+
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
         """Which fixes, then locations, are within a recording (F,).
 

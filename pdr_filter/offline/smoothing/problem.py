@@ -161,8 +161,8 @@ def pose_problem(
     Its positions are the fixes, the locations, the loop closures and the returns, in this order. Correlated fixes must
     be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
     """
-    fixes = (*observed.fixes, *observed.locations)
-    is_location = np.arange(len(fixes)) >= len(observed.fixes)
+    fixes = (*observed.positions, *observed.locations)
+    is_location = np.arange(len(fixes)) >= len(observed.positions)
     own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
     at = [nearest_contact(steps, f.time_s) for f in fixes]
     loops = [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures]

@@ -215,13 +215,14 @@ def smooth(
     recording, config = run.recording, run.config
     if isinstance(loop_closures, str):
         loop_closures = wifi_loop_closures(recording)
-    config, known_device = _knowing_the_device(recording, config, progress and (lambda done: progress(0.5 * done)))
-    second_pass = progress and (lambda done: progress(0.5 + 0.5 * done))
+    first_pass, second_pass = _halves(progress)
+    config, known_device = _knowing_the_device(recording, config, first_pass)
     if config.on_plan is not None:
         if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
             config = config.in_world_frame()
         found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
-        return _placed(run, _on_plan(found, Observations(run.fixes)))
+        places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
+        return _placed(run, _on_plan(found, Observations(places)))
     # dead reckoning: fixes and locations come in afterwards
     config = config.in_hindsight().with_model(frame=START_FRAME)
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
@@ -253,6 +254,22 @@ def smooth(
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = _aligned(smoothed, walked_var_m2, recording.location)
     return _placed(run, _on_earth(smoothed, where, locations, observed))
+
+
+def _halves(
+    progress: Callable[[float], None] | None,
+) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
+    """What shows the fraction done of the first and of the second pass."""
+    if progress is None:
+        return None, None
+
+    def first(done: float) -> None:
+        progress(0.5 * done)
+
+    def second(done: float) -> None:
+        progress(0.5 + 0.5 * done)
+
+    return first, second
 
 
 def _knowing_the_device(
@@ -333,7 +350,7 @@ def _smooth_track(
     used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
-    fixes = (*used.observed.fixes, *used.observed.locations)
+    fixes = (*used.observed.positions, *used.observed.locations)
     centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
     start_std_m = _ANYWHERE_STD_M if fixes else _HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)

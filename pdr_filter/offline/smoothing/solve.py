@@ -292,7 +292,8 @@ def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray,
     followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other, :N_STATES])
     origin = np.where(relative[:, None], followed, 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
-    error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
+    if len(errors):
+        error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, HEADING_OFFSET] = moved @ TURN.T

@@ -8,7 +8,7 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, FloorPassage, IntArray, PositionFix, TrackRows, read_only
+from pdr_filter.values import FloatArray, FloorPassage, IntArray, PositionFix, TrackRows
 
 AnyRows = TypeVar("AnyRows", bound=TrackRows)
 
@@ -68,4 +68,6 @@ def _step_at(track: TrackRows, time_s: float) -> int:
 
 
 def _shifted(track: TrackRows, shift: IntArray) -> IntArray:
-    return read_only((track.floor + shift).astype(track.floor.dtype))
+    floor = track.floor + shift
+    floor.flags.writeable = False
+    return floor

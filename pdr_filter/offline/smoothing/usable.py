@@ -11,10 +11,10 @@ import numpy as np
 from pdr_filter.filter.frozen import frozen_fixes
 from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, Mode
 from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
-from pdr_filter.offline.smoothing.observations import Observations, says_nothing
+from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
-from pdr_filter.values import BoolArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
+from pdr_filter.values import BoolArray, FloatArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
 
 # The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
 _NORTH_INTERVAL_S = 200.0
@@ -69,12 +69,14 @@ def usable(
     is_frozen = np.zeros(len(fixes), dtype=bool)
     is_frozen[is_place] = frozen_fixes(places, track.time_s, track.position_m, track.walked_m)
     is_used = is_place & inside & ~is_frozen
-    of_fixes = is_used & (np.arange(len(fixes)) < len(observed.fixes))
-    positions, number = _at_contacts(compress(fixes, of_fixes), steps)
-    locations, of_location = _at_contacts(evenly_sure(list(compress(fixes, is_used & ~of_fixes))), steps)
+    n_fixes, of_places = len(places) - len(observed.locations), is_used[is_place]
+    positions, number = _at_contacts(compress(places[:n_fixes], of_places[:n_fixes]), steps)
+    located = evenly_sure(list(compress(places[n_fixes:], of_places[n_fixes:])))
+    locations, of_location = _at_contacts(located, steps)
     of_closure, near, closures = _closures(track, observed)
     at_state = np.flatnonzero(inside & ~is_place)
-    of_states = _of_state_fixes([fixes[k] for k in at_state.tolist()], track, steps, modes, log_scale_std)
+    state_fixes = [f for f in compress(fixes, inside) if not isinstance(f, PositionFix)]
+    of_states = _of_state_fixes(state_fixes, track, steps, modes, log_scale_std)
     north = _magnetic_north(track, modes)
 
     n_places = len(positions) + len(locations)
@@ -101,7 +103,8 @@ def usable(
         f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
-    states = ObservedStates(*(np.concatenate(both) for both in zip(of_states, north, strict=True)))
+    node, state, value, std = (np.concatenate(both) for both in zip(of_states, north, strict=True))
+    states = ObservedStates(node, state, value, std)
     return Used(used, states, len(north[0]), row.astype(np.int64), is_frozen, notes)
 
 
@@ -116,7 +119,7 @@ def listed(names: Sequence[object] | IntArray) -> str:
     return shown if len(names) <= 10 else f"{shown} and {len(names) - 10} more"
 
 
-def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolArray, list]:
+def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolArray, list[LoopClosure]]:
     """The number of each loop closure among those that are used, which say nothing, and those that are used."""
     closures = observed.loop_closures
     at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
@@ -130,11 +133,15 @@ def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolA
     return number, near, [closures[int(np.flatnonzero(number == j)[0])] for j in range(len(kept))]
 
 
-_States = tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]
+_States = tuple[IntArray, IntArray, FloatArray, FloatArray]
 
 
 def _of_state_fixes(
-    fixes: Sequence[object], track: TrackRows, steps: Increments, modes: Sequence[Mode], log_scale_std: float
+    fixes: Sequence[HeadingFix | SpeedFix],
+    track: TrackRows,
+    steps: Increments,
+    modes: Sequence[Mode],
+    log_scale_std: float,
 ) -> _States:
     """Heading and speed fixes as measurements of heading offset and log scale: number of steps, state, value, std."""
     device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
@@ -144,7 +151,7 @@ def _of_state_fixes(
         step = max(at - 1, 0)
         if isinstance(fix, HeadingFix):
             rows[k] = at, HEADING_OFFSET, fix.walking_heading_rad - device_rad[step], fix.std_rad
-        elif isinstance(fix, SpeedFix):
+        else:
             speed_mps = max(float(track.smoothed_speed_mps[step]), 0.1)
             own_var = (float(track.smoothed_speed_std_mps[step]) / speed_mps) ** 2 - log_scale_std**2
             std = np.sqrt((fix.std_mps / speed_mps) ** 2 + max(own_var, 0.0))
