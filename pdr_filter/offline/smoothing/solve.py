@@ -308,12 +308,12 @@ def _position_rows(
     """Equations of positions, with their errors where these are unknowns."""
     positions, errors = problem.positions, problem.errors
     own = np.setdiff1d(np.arange(len(positions)), errors.position)
-    shared, keys = errors.position, problem.n_nodes + np.arange(len(errors))
-    by_error = positions.whiten[shared] @ errors.by
-    return [
-        Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own]),
-        Rows(errors.node, H[shared], rhs[shared], keys, by_error, weight[shared]),
-    ]
+    rows = [Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own])]
+    if len(errors):
+        shared, keys = errors.position, problem.n_nodes + np.arange(len(errors))
+        by_error = positions.whiten[shared] @ errors.by
+        rows.append(Rows(errors.node, H[shared], rhs[shared], keys, by_error, weight[shared]))
+    return rows
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:

@@ -9,13 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import approx_fprime
 from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter.offline.smoothing.linear import graph_of, joint_covariances
+from pdr_filter.offline.smoothing.linear import Rows, graph_of, joint_covariances
 from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
 from pdr_filter.offline.smoothing.observations import Observations
-from pdr_filter.offline.smoothing.problem import Problem, pose_problem
+from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
 from pdr_filter.simulate import Leg, simulate
@@ -206,6 +207,33 @@ def test_covariances_with_errors_of_locations_are_those_of_the_dense_inverse(rej
     node = 4 * int(problem.errors.node[2])
     index = [*range(node, node + 4), *range(at, at + 6)]
     np.testing.assert_allclose(with_error[2], dense[np.ix_(index, index)], rtol=1e-5, atol=1e-7)
+
+
+def test_equations_with_errors_and_measured_states_are_the_derivatives_of_their_residuals() -> None:
+    states = ObservedStates(np.array([10, 30]), np.array([2, 3]), np.array([0.3, 0.1]), np.array([0.2, 0.05]))
+    problem = replace(_with_errors(rejected=False), states=replace(states, node=np.array([1, 4])))
+    n, size = problem.n_nodes, 4 * problem.n_nodes
+    mean = solve(problem).states
+    mean[:n, :4] += np.random.default_rng(3).normal(scale=0.05, size=(n, 4))
+    ones = np.ones(len(problem.positions) + len(states))
+    begins = [4 * key if key < n else size + 6 * (key - n) for key in range(problem.n_states)]
+
+    def rows_of(values: np.ndarray) -> list[Rows]:
+        moved = np.zeros_like(mean)
+        moved[:n, :4], moved[n:] = values[:size].reshape(n, 4), values[size:].reshape(-1, 6)
+        return linearised(problem, moved, 0.0, ones)
+
+    at = np.concatenate([mean[:n, :4].ravel(), mean[n:].ravel()])
+    # the intervals are tested with every other kind of equation (test_smoother.py)
+    for number in (0, 2, 3, 4, 5):
+        for block, (a, b) in enumerate(zip(rows_of(at)[number].a, rows_of(at)[number].b, strict=True)):
+            rows = rows_of(at)[number]
+            numeric = approx_fprime(at, lambda v, i=number, k=block: -rows_of(v)[i].rhs[k], 1e-6)
+            expected = np.zeros_like(np.atleast_2d(numeric))
+            for key, matrices in ((a, rows.A), (b, rows.B)):
+                if key >= 0:
+                    expected[:, begins[key] : begins[key] + matrices.shape[2]] += matrices[block]
+            np.testing.assert_allclose(np.atleast_2d(numeric), expected, atol=2e-4 * np.abs(expected).max())
 
 
 def test_correlated_fixes_at_one_contact_are_one_and_independent_ones_stay_apart() -> None:
