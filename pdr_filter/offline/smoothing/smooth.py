@@ -47,7 +47,7 @@ from pdr_filter.offline.smoothing.preintegration import Increments, bridge, incr
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
-from pdr_filter.offline.smoothing.usable import Used, listed, usable
+from pdr_filter.offline.smoothing.usable import Used, listed, usable, whole_loop
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.placing import GnssUse, NorthUse
 from pdr_filter.recording_run import Run, asked_run, collected, outputs
@@ -77,8 +77,6 @@ from pdr_filter.values import (
 _ANYWHERE_STD_M = 1000.0
 _HERE_STD_M = _HERE_STD_RAD = 1e-3
 _KINDS = ("fix", "location", "loop closure", "known heading")
-# The walk of `loop` ended within 1 m of its start: 86 % of such a Gaussian.
-_LOOP_STD_M = 0.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -239,14 +237,14 @@ def smooth(
     where, locations = LocationState(), ()
     if run.with_location and gnss != "align" and recording.location is not None:
         where, locations = locations_of(recording.location)
-    closed = [_whole_loop(track)] if loop and track.n_steps else []
+    closed = whole_loop(track) if loop else None
     observed = Observations(
         fixes=tuple(fix for fix in run.fixes if isinstance(fix, PositionFix | HeadingFix | SpeedFix)),
         locations=locations,
-        loop_closures=(*loop_closures, *closed),
+        loop_closures=loop_closures if closed is None else (*loop_closures, closed),
         known_headings=known_headings,
         floor_changes=floor_changes,
-        is_loop=bool(closed),
+        is_loop=closed is not None,
     )
     if run.with_location and recording.location is not None:
         track = _without_hills(track, recording.location)
@@ -296,11 +294,6 @@ def _without_hills(track: Track, location: Samples) -> Track:
     if here is None:
         return track
     return without_hills(track, location.time_s, here.east_north_m(latitude_deg, longitude_deg), accuracy_m)
-
-
-def _whole_loop(track: Track) -> LoopClosure:
-    first_s = float(track.time_s[0] - track.steps.duration_s[0])
-    return LoopClosure(first_s, float(track.time_s[-1]), _LOOP_STD_M)
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:

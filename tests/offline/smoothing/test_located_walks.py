@@ -5,6 +5,7 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 from functools import cache
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -14,11 +15,12 @@ from simulated_steps import simulated_walk
 
 import pdr_filter as pdr
 from pdr_filter.offline.smoothing.linear import Rows, graph_of, joint_covariances
-from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
+from pdr_filter.offline.smoothing.location_errors import by_contact, errors_of, evenly_sure
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
+from pdr_filter.offline.smoothing.usable import whole_loop
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloorPassage, HeadingFix, Origin, PositionFix, Samples, SpeedFix, Standstill
 
@@ -168,6 +170,15 @@ def test_an_error_that_all_locations_share_stays_in_the_covariance() -> None:
     assert np.median(nees) < 9.2
 
 
+def test_locations_share_a_constant_error_and_other_correlated_fixes_do_not() -> None:
+    fixes = [PositionFix(t, (t, 0.0), 25.0 * np.eye(2), correlation_s=20.0) for t in (0.0, 10.0)]
+    located, others = (errors_of(fixes, np.full(2, is_one), np.array([0, 5])) for is_one in (True, False))
+    np.testing.assert_allclose(located.by[0, :, :2], np.sqrt(0.2) * 5.0 * np.eye(2))
+    np.testing.assert_allclose(located.decay[0, [0, 2]], np.exp([-10.0 / 3600.0, -0.5]))
+    assert not others.by[:, :, [0, 1, 4, 5]].any()
+    np.testing.assert_allclose(np.linalg.norm(others.by[0], axis=1) ** 2, 0.99 * 25.0)
+
+
 def test_smoothed_locations_of_a_phone_do_not_shorten_the_steps() -> None:
     time_s = located().location.time_s
     truth = truth_m(bare(), time_s)
@@ -269,6 +280,20 @@ def test_a_false_statement_that_a_walk_is_closed_is_reported_and_not_applied() -
     (note,) = set(stated.notes) - set(plain.notes)
     assert note == "the walk did not end within 1 m of its start, as loop states: not used"
     np.testing.assert_allclose(stated.track.position_m, plain.track.position_m, atol=0.05)
+
+
+def test_a_loop_begins_and_ends_with_the_walk_and_not_with_a_phone_that_is_handled() -> None:
+    rows = pdr.track(bare()).steps[:60].copy()
+    rows["usual_duration_s"] = rows["duration_s"] = 0.5
+    rows["duration_s"][:12] = rows["duration_s"][50:] = 1.2
+    track = SimpleNamespace(steps=rows, time_s=rows["time_s"])
+    loop = whole_loop(track)
+    assert loop is not None
+    steps = [int(np.searchsorted(rows["time_s"], t)) for t in (loop.first_s, loop.second_s)]
+    assert 8 <= steps[0] <= 13
+    assert 48 <= steps[1] <= 52
+    rows["duration_s"] = 1.2
+    assert whole_loop(track) is None
 
 
 def a_climb(track: pdr.Track, height_m: float) -> pdr.Track:
