@@ -5,7 +5,6 @@ from __future__ import annotations
 import inspect
 from dataclasses import replace
 from functools import cache
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -20,7 +19,6 @@ from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
 from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
-from pdr_filter.offline.smoothing.usable import whole_loop
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloorPassage, HeadingFix, Origin, PositionFix, Samples, SpeedFix, Standstill
 
@@ -280,20 +278,6 @@ def test_a_false_statement_that_a_walk_is_closed_is_reported_and_not_applied() -
     (note,) = set(stated.notes) - set(plain.notes)
     assert note == "the walk did not end within 1 m of its start, as loop states: not used"
     np.testing.assert_allclose(stated.track.position_m, plain.track.position_m, atol=0.05)
-
-
-def test_a_loop_begins_and_ends_with_the_walk_and_not_with_a_phone_that_is_handled() -> None:
-    rows = pdr.track(bare()).steps[:60].copy()
-    rows["usual_duration_s"] = rows["duration_s"] = 0.5
-    rows["duration_s"][:12] = rows["duration_s"][50:] = 1.2
-    track = SimpleNamespace(steps=rows, time_s=rows["time_s"])
-    loop = whole_loop(track)
-    assert loop is not None
-    steps = [int(np.searchsorted(rows["time_s"], t)) for t in (loop.first_s, loop.second_s)]
-    assert 8 <= steps[0] <= 13
-    assert 48 <= steps[1] <= 52
-    rows["duration_s"] = 1.2
-    assert whole_loop(track) is None
 
 
 def a_climb(track: pdr.Track, height_m: float) -> pdr.Track:
