@@ -122,7 +122,7 @@ def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Pat
     result = run("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
     assert result.exit_code == 0
     line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
-    longitude_deg, latitude_deg = np.array(line).T
+    longitude_deg, latitude_deg = np.array(line)[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
 
 

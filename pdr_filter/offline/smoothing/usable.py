@@ -14,7 +14,7 @@ from pdr_filter.offline.smoothing.location_errors import by_contact, evenly_sure
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments
 from pdr_filter.offline.smoothing.problem import ObservedStates, mode_offsets, nearest_contact
-from pdr_filter.values import BoolArray, FloatArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
+from pdr_filter.values import BoolArray, HeadingFix, IntArray, PositionFix, SpeedFix, TrackRows
 
 # The magnetic field of so long a time is one measurement of north: twice the memory of `MagneticNorth`.
 _NORTH_INTERVAL_S = 200.0
@@ -103,9 +103,9 @@ def usable(
         f"{kind} {listed(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
     )
     used = replace(observed, fixes=positions, locations=locations, loop_closures=tuple(closures))
-    node, state, value, std = (np.concatenate(both) for both in zip(of_states, north, strict=True))
-    states = ObservedStates(node, state, value, std)
-    return Used(used, states, len(north[0]), row.astype(np.int64), is_frozen, notes)
+    columns = ([getattr(part, name) for part in (of_states, north)] for name in ObservedStates.__slots__)
+    states = ObservedStates(*map(np.concatenate, columns))
+    return Used(used, states, len(north), row.astype(np.int64), is_frozen, notes)
 
 
 def _at_contacts(fixes: Iterable[PositionFix], steps: Increments) -> tuple[tuple[PositionFix, ...], IntArray]:
@@ -133,17 +133,14 @@ def _closures(track: TrackRows, observed: Observations) -> tuple[IntArray, BoolA
     return number, near, [closures[int(np.flatnonzero(number == j)[0])] for j in range(len(kept))]
 
 
-_States = tuple[IntArray, IntArray, FloatArray, FloatArray]
-
-
 def _of_state_fixes(
     fixes: Sequence[HeadingFix | SpeedFix],
     track: TrackRows,
     steps: Increments,
     modes: Sequence[Mode],
     log_scale_std: float,
-) -> _States:
-    """Heading and speed fixes as measurements of heading offset and log scale: number of steps, state, value, std."""
+) -> ObservedStates:
+    """Heading and speed fixes as measurements of heading offset and log scale."""
     device_rad = np.asarray(track.steps.device_heading_rad) + mode_offsets(track, modes)
     rows = np.zeros((len(fixes), 4))
     for k, fix in enumerate(fixes):
@@ -156,10 +153,10 @@ def _of_state_fixes(
             own_var = (float(track.smoothed_speed_std_mps[step]) / speed_mps) ** 2 - log_scale_std**2
             std = np.sqrt((fix.std_mps / speed_mps) ** 2 + max(own_var, 0.0))
             rows[k] = at, LOG_SCALE, np.log(fix.speed_mps / speed_mps), std
-    return rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3]
+    return ObservedStates(rows[:, 0].astype(np.int64), rows[:, 1].astype(np.int64), rows[:, 2], rows[:, 3])
 
 
-def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> _States:
+def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> ObservedStates:
     """Walking less device heading against north, as the magnetic field shows it at the last step of each interval."""
     steps = track.steps
     std = np.hypot(np.asarray(steps.north_std_rad), np.asarray(steps.shown_offset_std_rad))
@@ -167,7 +164,7 @@ def _magnetic_north(track: TrackRows, modes: Sequence[Mode]) -> _States:
     interval = (track.time_s[known] // _NORTH_INTERVAL_S).astype(int)
     last = known[np.append(np.diff(interval) > 0, True)] if len(known) else known
     value = (np.asarray(steps.shown_offset_rad) - np.asarray(steps.north_rad))[last]
-    return last + 1, np.full(len(last), HEADING_OFFSET), value, std[last]
+    return ObservedStates(last + 1, np.full(len(last), HEADING_OFFSET), value, std[last])
 
 
 # So well a walk is closed along each axis that ended within 1 m of its start: 86 % of such a Gaussian.
