@@ -20,6 +20,7 @@ from rich.table import Column, Table
 from pdr_filter.io.texts import printable_lines
 
 if TYPE_CHECKING:
+    from pdr_filter.io.recording import Recording
     from pdr_filter.tracks import Track
 
 _WIDEST_WORD = 40  # of a table; a longer name is broken
@@ -237,6 +238,7 @@ def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
 
 # Below tables with a column "± at the end".
 SURE = "±: one standard deviation in the worst direction"
+_SMOOTHED = "smoothed from the whole recording; --online shows what a phone knew at each step"
 
 
 def in_m(value: float, spec: str = "z.1f") -> str:
@@ -261,9 +263,31 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             f"{result.duration_s:.1f} s",
             ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
-    table.caption = SURE
+    table.caption = f"{SURE}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else SURE
     print_table(table)
     print_notes(tracks)
+
+
+def estimates(
+    recording: Recording,
+    online: bool,
+    loop: bool,
+    with_both: bool,
+    progress: Callable[[float], None] | None,
+    **options: Any,
+) -> tuple[Track, ...]:
+    """The smoothed track of a recording, and the online one if both are wanted; with `online` that one alone.
+
+    `options` are those of `pdr_filter.track`.
+    """
+    import pdr_filter as pdr
+
+    if online and loop:
+        raise ValueError("--loop is known at the end of a walk, and --online shows what was known before: give one")
+    if online:
+        return (pdr.track(recording, progress=progress, **options),)
+    smoothed = pdr.smooth(recording, loop=loop, progress=progress, **options).track
+    return (smoothed, pdr.track(recording, **options)) if with_both else (smoothed,)
 
 
 def write_map(result: Track, path: Path) -> Path:
