@@ -216,7 +216,7 @@ def smooth(
     )
     recording, config = run.recording, run.config
     if isinstance(loop_closures, str):
-        loop_closures = wifi_loop_closures(recording)
+        loop_closures = tuple(wifi_loop_closures(recording))
     first_pass, second_pass = _halves(progress)
     config, known_device = _with_first_pass(recording, config, first_pass)
     if config.on_plan is not None:
