@@ -12,13 +12,15 @@ from pdr_filter.io.formats import read
 
 HORIZONTAL = """
 horizontal_accuracy_m; locationHorizontalAccuracy(m); gpsHorizontalAccuracy; coords.accuracy; location.coords.accuracy
-LOCATION Accuracy ( m); Horizontale Genauigkeit (m); Précision horizontale (m); precisión (m); Precisão horizontal (m)
-Precisione orizzontale (m); Nauwkeurigheid (m); 水平精度 (m); 精度; 정확도 (m); Точность (м); h_acc; hAcc_m; gps_hacc; eph
-HorizontalAccuracyMeters; AccuracyMeters; gps_accuracy; Dokładność (m); Noggrannhet (m); Nøyaktighet; tarkkuus; doğruluk
+LOCATION Accuracy ( m)
+Horizontale Genauigkeit (m); Précision horizontale (m); precisión (m); Precisão horizontal (m)
+Precisione orizzontale (m); Nauwkeurigheid (m); 水平精度 (m); 精度; 정확도 (m); Точность (м); h_acc; hAcc_m; gps_hacc
+doğruluk
+eph; HorizontalAccuracyMeters; AccuracyMeters; gps_accuracy; Dokładność (m); Noggrannhet (m); Nøyaktighet; tarkkuus
 """
 OF_OTHERS = """
-verticalAccuracy; vAcc; VerticalAccuracyMeters; SpeedAccuracyMps; BearingAccuracyDegrees; headingAccuracy; cAcc; sAcc; epv
-locationHeadingAccuracy(°); courseAccuracy; coords.altitudeAccuracy; Vertikale Genauigkeit (m); Höhengenauigkeit
+verticalAccuracy; vAcc; VerticalAccuracyMeters; SpeedAccuracyMps; BearingAccuracyDegrees; headingAccuracy; cAcc; sAcc
+epv; locationHeadingAccuracy(°); courseAccuracy; coords.altitudeAccuracy; Vertikale Genauigkeit (m); Höhengenauigkeit
 Précision verticale (m); Précision de la vitesse (m/s); precisión de velocidad; Precisión del rumbo; Precisão rumo
 accuratezza verticale; accuratezza direzione; Richtungsgenauigkeit; koersnauwkeurigheid; 垂直精度 (m); 速度精度 (m/s)
 方位精度; 方向精度; Точность высоты (м); точность направления; точность курса; 수직 정확도; 방향 정확도; yawAccuracy
@@ -50,14 +52,15 @@ index; jerk_x; accelerationAbsolute; screen_x; touch_x; max; heading_x; roll; pi
 }
 FILES = {
     "acceleration": """
-Accelerometer; acc; phone_acc; TotalAcceleration; wrist_accel; total_acc; WAL_acc; walk1-acc; android.sensor.accelerometer
+android.sensor.accelerometer
+Accelerometer; acc; phone_acc; TotalAcceleration; wrist_accel; total_acc; WAL_acc; walk1-acc
 left_accel_01; TYPE_ACCELEROMETER; accelerationIncludingGravity; accel_with_gravity; accelerometerIncludingGravity_walk
 """,
     "linear_acceleration": """
 LinearAcceleration; linacc; lacc; user_acceleration; android.sensor.linear_acceleration; acc_without_g
 accelerationWithoutGravity; TYPE_LINEAR_ACCELERATION
 """,
-    "gyroscope": "GyroscopeUncalibrated; rotation_rate; AngularVelocity; TYPE_GYROSCOPE; gyr; walk_gyro; gyroData; rotationRate",
+    "gyroscope": "GyroscopeUncalibrated; rotation_rate; AngularVelocity; TYPE_GYROSCOPE; gyr; walk_gyro; rotationRate",
     "magnetometer": "mag; MagneticField; android.sensor.magnetic_field; TYPE_MAGNETIC_FIELD; MagnetometerUncalibrated",
     "barometer": "Barometer; pressure; android.sensor.pressure; TYPE_PRESSURE; baro; barometer_1",
     "": "Metadata; Annotation; walk; flight; image; magazine; steps; Pedometer; rotation; manager; program; highlights",
@@ -99,7 +102,7 @@ def test_the_sensor_of_a_file_is_known_by_the_words_of_its_name(name: str, quant
     "name",
     names("""
 accelerometer.csv; Gyroscope.csv; gyro.txt; Magnetometer.csv; Location.csv; gps.csv; Barometer.csv; Gravity.csv
-LinearAcceleration.csv; TotalAcceleration.csv; Orientation.csv; Metadata.csv; meta.csv; steps.csv; truth.csv; data.json.csv
+LinearAcceleration.csv; TotalAcceleration.csv; Orientation.csv; Metadata.csv; meta.csv; steps.csv; truth.csv
 Accelerometer (1).csv; AccelerometerUncalibrated.csv; Pedometer.tsv; annotation.txt
 """),
 )
