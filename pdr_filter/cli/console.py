@@ -17,7 +17,7 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.io.texts import printable_lines
+from pdr_filter.io.texts import printable, printable_lines
 
 if TYPE_CHECKING:
     from pdr_filter.io.recording import Recording
@@ -180,7 +180,13 @@ def print_notes(tracks: Sequence[Track]) -> None:
             by_note.setdefault(note, []).append(track.name)
     for note, names in by_note.items():
         whose = names[0] if len(names) == 1 else f"{len(names)} of {len(tracks)} recordings"
-        Console(highlight=False, soft_wrap=True).print(f"{escape(whose)}: {escape(note)}")
+        print_line(f"{whose}: {note}")
+
+
+def print_line(text: str) -> None:
+    """Print a line on stdout, broken between words on a terminal and never elsewhere, so that scripts can read it."""
+    stdout = Console(highlight=False)
+    stdout.print(markup.escape(printable(text)), soft_wrap=not stdout.is_terminal)
 
 
 def new_table(*columns: str, n_keys: int = 1) -> Table:
