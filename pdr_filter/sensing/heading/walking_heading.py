@@ -556,5 +556,5 @@ def _shown(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
         "shown_offset_rad": state.shown.shown_rad,
         "shown_offset_std_rad": math.sqrt(state.shown.shown_var_rad2),
         "direction_trust": state.trust,
-        "carried_since_s": math.nan if state.place is None else state.place.start_s,
+        "carried_since_s": -math.inf if state.place is None else state.place.start_s,
     }
