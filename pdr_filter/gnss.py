@@ -8,7 +8,7 @@ filter takes from each what the one before did not say (`pdr_filter.filter.fixes
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -60,6 +60,10 @@ class LocationState:
             "a time that is not after the one before (sort them by time)": self.n_backward,
         }
         return ", ".join(f"{n} with {words}" for words, n in causes.items() if n)
+
+    def unusable(self) -> str:
+        """How many locations are not used, and why, in words."""
+        return f"{self.n_unusable} of {self.n} locations are not used: {self.reasons()}"
 
 
 def position_fixes(
@@ -135,11 +139,16 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
 
     `location` is that of a `Recording`: latitude, longitude, altitude and accuracy.
     """
+    state, fixes = locations_of(location, origin)
+    return state.origin, fixes
+
+
+def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
+    """What has been seen of a whole stream of locations, and its fixes, in metres from its first usable one."""
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
-    state, fixes = position_fixes(
+    return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
-    return state.origin, fixes
 
 
 @dataclass(frozen=True, slots=True)
@@ -164,6 +173,14 @@ class Rides:
 
     found: tuple[Ride, ...] = ()
     last: PositionFix | None = None
+
+    @classmethod
+    def of(cls, fixes: Iterable[PositionFix], step_time_s: FloatArray) -> Rides:
+        """Return the rides between fixes in order of time."""
+        rides = cls()
+        for fix in fixes:
+            rides = rides.plus(fix, step_time_s)
+        return rides
 
     def plus(self, fix: PositionFix, step_time_s: FloatArray) -> Rides:
         """Return the rides with one more fix; steps are given by their times (K,)."""

@@ -10,6 +10,7 @@ from pdr_filter.config import Config
 from pdr_filter.counts import UNKNOWN_HEADING_RAD, StepCounts, WindowCounts
 from pdr_filter.filter import height
 from pdr_filter.filtering import State
+from pdr_filter.gnss import Rides
 from pdr_filter.sensing.merging import SENSORS
 from pdr_filter.values import FloatArray, Note, how_many
 
@@ -34,7 +35,7 @@ def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -
     notes += [*config.notes, *height.notes(state.height)]
     if config.on_plan is not None:
         notes += config.on_plan.notes(state.particles)
-    return [*notes, *_of_frame(state), *_of_rides(state, vertices), *_of_fixes(state)]
+    return [*notes, *_of_frame(state), *notes_of_rides(state.rides, vertices), *_of_fixes(state)]
 
 
 def _of_sensors(config: Config, state: State) -> Iterator[Note]:
@@ -98,7 +99,7 @@ def _of_steps(walked: StepCounts) -> Iterator[Note]:
 def _of_frame(state: State) -> Iterator[Note]:
     frame, where = state.tracker.pedestrian.frame, state.locations
     if where.n_unusable:
-        yield Note("fixes", f"{where.n_unusable} of {where.n} locations are not used: {where.reasons()}")
+        yield Note("fixes", where.unusable())
     if state.finished and where.origin is not None and frame.alignment is None:
         words = "the locations do not settle which way the track lies: its north is the most probable one"
         yield Note("fixes", words)
@@ -116,8 +117,9 @@ def _of_frame(state: State) -> Iterator[Note]:
         yield Note("heading", words)
 
 
-def _of_rides(state: State, vertices: FloatArray | None) -> Iterator[Note]:
-    for ride in state.rides.found:
+def notes_of_rides(rides: Rides, vertices: FloatArray | None) -> Iterator[Note]:
+    """Notes on rides that a track does not follow; `vertices` (K, 3) are time, east and north of the track."""
+    for ride in rides.found:
         if ride.is_outlier:
             continue
         place = ""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -77,7 +77,9 @@ def track(
     plan: Plan | None = None,
     start: PositionFix | str | None = None,
 ) -> Track:
-    """Track of a recording, the same that `OnlineFilter` gives for its samples.
+    """Online track of a recording: each position from what came before it, the same bits that `OnlineFilter` gives.
+
+    For a finished walk `pdr_filter.smooth` gives the best estimate.
 
     Parameters
     ----------
@@ -137,13 +139,74 @@ def track(
     >>> pdr.track(recording, weighting="hc").weighting
     'hc'
     """
+    run = asked_run(
+        recording,
+        config,
+        fixes,
+        weighting=weighting,
+        calibration=calibration,
+        device=device,
+        person=person,
+        gnss=gnss,
+        origin=origin,
+        heading_rad=heading_rad,
+        north=north,
+        plan=plan,
+        start=start,
+    )
+    recording, config = run.recording, run.config
+    brought = outputs(recording, config, run.fixes, progress, run.with_location and gnss != "align")
+    return run.placed(collected(recording, config, aligned(recording, brought) if gnss == "align" else brought))
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Run:
+    """What `track` and `smooth` make of their arguments."""
+
+    recording: Recording  # on one clock
+    config: Config
+    fixes: tuple[Fix, ...]
+    with_location: bool  # whether the recording's own locations are used
+    gnss: GnssUse | None
+    origin: Origin | tuple[float, float] | None
+    heading_rad: float | None
+
+    def placed(self, result: Track) -> Track:
+        """A track with the given place and heading, and with notes on the locations."""
+        location = self.recording.location
+        notes: list[str] = []
+        if location is not None and self.gnss is None and not (self.origin is None and self.heading_rad is None):
+            notes.append("the recording's own locations are not used: its place or heading was given")
+        result = replace(result, notes=(*result.notes, *notes))
+        if self.origin is None:
+            return result if self.heading_rad is None else result.turned(self.heading_rad)
+        here = Origin.of(self.origin)
+        return result.placed(here if self.heading_rad is None else replace(here, turn_rad=self.heading_rad))
+
+
+def asked_run(
+    recording: Recording,
+    config: Config | None,
+    fixes: Iterable[Fix],
+    *,
+    weighting: str | None,
+    calibration: Calibration | str | Path | None,
+    device: Device | str | Path | None,
+    person: Person | str | Path | None,
+    gnss: GnssUse | None,
+    origin: Origin | tuple[float, float] | None,
+    heading_rad: float | None,
+    north: NorthUse | None,
+    plan: Plan | None,
+    start: PositionFix | str | None,
+) -> Run:
+    """The run that arguments of `track` ask for; ValueError for what contradicts itself."""
     config = on_plan(given_or_default(recording, config), plan, start)
     fixes = all_fixes(fixes)
     for fix in fixes:
         check_fix(fix, config.on_plan is not None)
     with_location = uses_location(recording, config, fixes, gnss)
-    has_place = is_placed(origin, heading_rad, fixes, gnss)
-    with_location = with_location and not has_place
+    with_location = not is_placed(origin, heading_rad, fixes, gnss) and with_location
     recording, fixes = one_clock(recording, fixes)
     if calibration is not None:
         from pdr_filter.calibration import Calibration, load_calibration  # which makes tracks to calibrate with
@@ -160,15 +223,7 @@ def track(
         config = config.in_world_frame()
     config = with_north(config, recording, origin, heading_rad, with_location, gnss, north)
     recording = with_north_of_attitude(recording, north)
-    brought = outputs(recording, config, fixes, progress, with_location and gnss != "align")
-    result = collected(recording, config, aligned(recording, brought) if gnss == "align" else brought)
-    if has_place and recording.location is not None and gnss is None:
-        words = "the recording's own locations are not used: its place or heading was given"
-        result = replace(result, notes=(*result.notes, words))
-    if origin is None:
-        return result if heading_rad is None else result.turned(heading_rad)
-    here = Origin.of(origin)
-    return result.placed(here if heading_rad is None else replace(here, turn_rad=heading_rad))
+    return Run(recording, config, fixes, with_location, gnss, origin, heading_rad)
 
 
 def outputs(
@@ -304,10 +359,12 @@ def default_config(recording: Recording) -> Config:
     return default(recording.subject)
 
 
-def run_sensing(sensing: Sensing, recording: Recording) -> tuple[SensingState, list[Event]]:
+def run_sensing(
+    sensing: Sensing, recording: Recording, progress: Callable[[float], None] | None = None
+) -> tuple[SensingState, list[Event]]:
     """Return the final state of sensing, and the steps, contexts and gaps in the order in which they became known."""
     state, found = sensing.init(), list[tuple[int, Event]]()
-    for part in _parts(merge_streams(recording), None):
+    for part in _parts(merge_streams(recording), progress):
         state, events = sensing.step(state, part)
         found += events
     state, events = sensing.finish(state)

@@ -84,7 +84,7 @@ def test_a_path_to_calibrate_with_is_named_as_it_was_given() -> None:
 @pytest.mark.parametrize(
     ("options", "named"),
     [
-        ({"fixes": [pdr.HeadingFix(5.0, 0.0, 0.1)]}, "known_headings"),
+        ({"fixes": [pdr.GridFix(5.0, (0.0, 0.0), 1.0, np.zeros((2, 2)))]}, "particles on a floor plan"),
         ({"fixes": [(5.0, 0.0)]}, "PositionFix"),
         ({"loop_closures": "wlan"}, "loop_closures"),
         ({"loop_closures": [LoopClosure(1.0, 9.0, 1.0)], "anchor_interval_s": np.nan}, "anchor_interval_s"),

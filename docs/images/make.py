@@ -1,6 +1,7 @@
 """The pictures of the documentation that are not figures of a benchmark: the data flow and two tracks.
 
-usage: .venv/bin/python -m docs.images.make [NAME...]     data_flow, demo_track, real_track; all without NAME
+usage: .venv/bin/python -m docs.images.make [NAME...]
+NAME is data_flow, demo_track, online_or_smoothed or real_track; all without NAME.
 
 SVG, and the same bytes for the same tracks. The README's picture, real_track, is PNG, which every page that shows a
 README can display; it needs the real recordings (`tests/data_folder.py`) and is left as it is without them.
@@ -10,6 +11,7 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 
 import matplotlib as mpl
@@ -126,9 +128,39 @@ def real_track() -> Figure | None:
     return pdr.plot.track(pdr.track(pdr.read(REAL_WALK))) if REAL_WALK.exists() else None
 
 
+def online_or_smoothed() -> Figure:
+    """A simulated walk almost twice round a block: its locations, the online and the smoothed track, and the truth."""
+    sides_m, corner = (45.0, 30.0, 45.0, 30.0, 45.0, 30.0, 45.0), np.pi / 2
+    legs = [pdr.simulate.Leg("walking", distance_m=d, turn_rad=corner * (k > 0)) for k, d in enumerate(sides_m)]
+    walk = pdr.simulate.simulate(legs, seed=5, name="block")
+    truth, here = walk.truth.position, pdr.Origin(48.137, 11.575)
+    time_s = np.arange(1.0, walk.duration_s)
+    true_m = np.column_stack([truth.east_m, truth.north_m])
+    place_m = np.column_stack([np.interp(time_s, truth.time_s, column) for column in true_m.T])
+    rng, alike = np.random.default_rng(4), np.exp(-1.0 / 20.0)
+    error_m = rng.normal(scale=6.0, size=place_m.shape)
+    for k in range(1, len(time_s)):
+        error_m[k] = alike * error_m[k - 1] + np.sqrt(1.0 - alike**2) * error_m[k]
+    degrees = here.latitude_longitude_deg(place_m + error_m)
+    location = pdr.Samples(time_s, np.column_stack([*degrees, np.full((len(time_s), 2), [np.nan, 9.1])]))
+    walk = replace(walk, location=location)
+    figure = Figure(figsize=(7.2, 4.2), layout="constrained")
+    FigureCanvasAgg(figure)
+    axes = figure.add_subplot()
+    axes.plot(*(place_m + error_m)[::10].T, "o", color=FAINT, markersize=3, label="locations")
+    axes.plot(*true_m.T, color=INK, linewidth=1.0, label="truth")
+    for track, colour in ((pdr.track(walk), ORANGE), (pdr.smooth(walk).track, BLUE)):
+        way_m = here.east_north_m(track.latitude_deg, track.longitude_deg)
+        axes.plot(*way_m.T, color=colour, linewidth=1.6, label=track.estimate)
+    axes.set(xlabel="east (m)", ylabel="north (m)", aspect="equal")
+    axes.legend(frameon=False, loc="center left", bbox_to_anchor=(1.0, 0.5))
+    return figure
+
+
 PICTURES: dict[str, Callable[[], Figure | None]] = {
     "data_flow.svg": data_flow,
     "demo_track.svg": demo_track,
+    "online_or_smoothed.svg": online_or_smoothed,
     "real_track.png": real_track,
 }
 

@@ -15,6 +15,8 @@ from pdr_filter.cli.options import (
     Files,
     Folder,
     Format,
+    Gnss,
+    Loop,
     PlanFile,
     RadioFile,
     Scheduler,
@@ -108,6 +110,8 @@ def smooth(
     calibration: CalibrationFile = None,
     plan: PlanFile = None,
     start: Start = None,
+    gnss: Gnss = None,
+    loop: Loop = False,
     out: Folder = None,
     file_format: Format = None,
 ) -> None:
@@ -117,7 +121,6 @@ def smooth(
     """
     import pdr_filter as pdr
     from pdr_filter.calibration import load_calibration
-    from pdr_filter.gnss import fixes_of
     from pdr_filter.io.fix_files import fixes_of_file, loop_closures_of_file
     from pdr_filter.offline.smoothing.observations import waypoint_fixes
     from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
@@ -133,21 +136,24 @@ def smooth(
         if radio is not None:
             mapped = pdr.RadioMap.load(radio)
             known_places = [*known_places, *mapped.fixes(recording), *(mapped.grids(recording) if where else [])]
-        origin, nothing_given = (
-            None,
-            start is None and fixes is None and loop_closures is None and radio is None and not wifi_loops,
-        )
-        if nothing_given and recording.truth.waypoints is None and recording.location is not None:
-            origin, known_places = fixes_of(recording.location, where["plan"].origin if where else None)
-        elif nothing_given and recording.truth.waypoints is not None:
+        given = (start, fixes, loop_closures, radio, gnss, wifi_loops or None, loop or None)
+        if recording.truth.waypoints is not None and all(value is None for value in given):
             known_places = waypoint_fixes(recording, fix_std_m)
-        result = pdr.smooth(recording, known_places, calibration=known, loop_closures=closed, **where)
-        track = result.track if origin is None else result.track.placed(origin)
+        result = pdr.smooth(
+            recording,
+            known_places,
+            calibration=known,
+            loop_closures=closed,
+            gnss=None if gnss is None else gnss.value,
+            loop=loop,
+            **where,
+        )
+        track = result.track
         if out is not None:
             name = file_name(track.name)
             before = console.files_of(out, name)
             console.write_track(track, out, name)
-            if origin is not None:
+            if track.origin is not None:
                 console.write_map(track, out / f"{name}.geojson")
     console.print_tracks([track])
     typer.echo(

@@ -17,9 +17,10 @@ from rich.cells import cell_len
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter.io.texts import printable_lines
+from pdr_filter.io.texts import printable, printable_lines
 
 if TYPE_CHECKING:
+    from pdr_filter.io.recording import Recording
     from pdr_filter.tracks import Track
 
 _WIDEST_WORD = 40  # of a table; a longer name is broken
@@ -179,7 +180,13 @@ def print_notes(tracks: Sequence[Track]) -> None:
             by_note.setdefault(note, []).append(track.name)
     for note, names in by_note.items():
         whose = names[0] if len(names) == 1 else f"{len(names)} of {len(tracks)} recordings"
-        Console(highlight=False, soft_wrap=True).print(f"{escape(whose)}: {escape(note)}")
+        print_line(f"{whose}: {note}")
+
+
+def print_line(text: str) -> None:
+    """Print a line on stdout, broken between words on a terminal and never elsewhere, so that scripts can read it."""
+    stdout = Console(highlight=False)
+    stdout.print(markup.escape(printable(text)), soft_wrap=not stdout.is_terminal)
 
 
 def new_table(*columns: str, n_keys: int = 1) -> Table:
@@ -237,6 +244,7 @@ def _part(table: Table, columns: Sequence[Column], width: int) -> Table:
 
 # Below tables with a column "± at the end".
 SURE = "±: one standard deviation in the worst direction"
+_SMOOTHED = "smoothed from the whole recording; --online shows what a phone knew at each step"
 
 
 def in_m(value: float, spec: str = "z.1f") -> str:
@@ -261,9 +269,31 @@ def print_tracks(tracks: Sequence[Track]) -> None:
             f"{result.duration_s:.1f} s",
             ", ".join(f"{escape(name)} {value:.0f} s" for name, value in seconds.items() if value >= 0.5),
         )
-    table.caption = SURE
+    table.caption = f"{SURE}\n {_SMOOTHED}" if any(track.is_smoothed for track in tracks) else SURE
     print_table(table)
     print_notes(tracks)
+
+
+def estimates(
+    recording: Recording,
+    online: bool,
+    loop: bool,
+    with_both: bool,
+    progress: Callable[[float], None] | None,
+    **options: Any,
+) -> tuple[Track, ...]:
+    """The smoothed track of a recording, and the online one if both are wanted; with `online` that one alone.
+
+    `options` are those of `pdr_filter.track`.
+    """
+    import pdr_filter as pdr
+
+    if online and loop:
+        raise ValueError("--loop is known at the end of a walk, and --online shows what was known before: give one")
+    if online:
+        return (pdr.track(recording, progress=progress, **options),)
+    smoothed = pdr.smooth(recording, loop=loop, progress=progress, **options).track
+    return (smoothed, pdr.track(recording, **options)) if with_both else (smoothed,)
 
 
 def write_map(result: Track, path: Path) -> Path:

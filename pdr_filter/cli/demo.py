@@ -11,12 +11,11 @@ from rich.console import Console
 from rich.table import Column, Table
 
 from pdr_filter import plot
-from pdr_filter.cli.console import escape, files_of, replaced_of, unused, write_map
+from pdr_filter.cli.console import escape, estimates, files_of, replaced_of, unused, write_map
 from pdr_filter.io.formats import read
 from pdr_filter.io.recording import Recording
 from pdr_filter.io.texts import file_name
 from pdr_filter.placing import GnssUse
-from pdr_filter.recording_run import track
 from pdr_filter.report.html import write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.report.palette import context_colours
@@ -51,6 +50,7 @@ class Demo:
             console.print(f"[bold]{escape(result.name)}[/] from {escape(self.recording.source)}", soft_wrap=True)
         console.print()
         console.print(_facts(self))
+        console.print(f"  {result.about_estimate}", soft_wrap=True)
         console.print()
         console.print(_context_bars(result))
         console.print()
@@ -78,14 +78,18 @@ def run_demo(
     progress: Callable[[float], None] | None = None,
     gnss: GnssUse | None = None,
     written: set[str] | None = None,
+    online: bool = False,
+    loop: bool = False,
 ) -> Demo:
     """Track a file, or the simulated walk, and write report, picture, map file and table to a folder.
 
-    `written` has the names of those before it, which it does not take.
+    The track is the smoothed one, or with `online` what a phone knew at each step; the report has both. `written` has
+    the names of those before it, which it does not take.
     """
     is_simulated = file is None
     recording = demo_walk() if file is None else read(file)
-    result = track(recording, progress=progress, gnss=gnss)
+    tracks = estimates(recording, online, loop, True, progress, gnss=gnss)
+    result = tracks[0]
     name = unused(file_name(result.name), set() if written is None else written)
     before = files_of(out_dir, name)
     picture = out_dir / f"{name}.png"
@@ -94,7 +98,7 @@ def run_demo(
         recording=recording,
         track=result,
         is_simulated=is_simulated,
-        report=write_report(result, out_dir / f"{name}.html", recording),
+        report=write_report(tracks, out_dir / f"{name}.html", recording),
         picture=picture,
         geojson=write_map(result, out_dir / f"{name}.geojson"),
         csv=result.to_csv(out_dir / f"{name}.csv"),

@@ -6,11 +6,8 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-import typer
-
 from pdr_filter.cli import console
 from pdr_filter.cli.options import AsJson, Files, Format
-from pdr_filter.io.texts import printable
 
 
 def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> None:
@@ -34,7 +31,7 @@ def info(files: Files, file_format: Format = None, as_json: AsJson = False) -> N
 
 
 def _print(description: dict[str, Any]) -> None:
-    typer.echo(printable(f"{description['name']}: {description['duration_s']:.1f} s, from {description['source']}"))
+    console.print_line(f"{description['name']}: {description['duration_s']:.1f} s, from {description['source']}")
     table = console.new_table("sensor", "unit", "samples", "rate", "gaps", "longest", "repeated", "backward", "empty")
     for stream in description["streams"]:
         rate_hz = stream["mean_rate_hz"]  # the median is wrong where times come in whole milliseconds
@@ -59,4 +56,5 @@ def _print(description: dict[str, Any]) -> None:
         f"truth: {truth or 'none'}",
         *(f"note: {n}" for n in description["notes"]),
     ]
-    typer.echo("\n".join(map(printable, lines)) + "\n")
+    for line in (*lines, ""):
+        console.print_line(line)

@@ -71,6 +71,13 @@ Start = Annotated[
         metavar="PLACE", help="Where on the plan it begins: EAST,NORTH in m, the name of an area, or anywhere."
     ),
 ]
+Online = Annotated[
+    bool,
+    typer.Option("--online", help="What a phone knew at each step, in place of the walk smoothed as a whole."),
+]
+Loop = Annotated[
+    bool, typer.Option("--loop", help="The walk ended within 1 m of its start; not used if the walk contradicts it.")
+]
 Scheduler = Annotated[str | None, typer.Option(help="The same on a Dask cluster, such as tcp://host:8786.")]
 
 

@@ -13,7 +13,7 @@ import typer
 from rich.console import Console
 
 from pdr_filter.cli import console
-from pdr_filter.cli.options import Gnss
+from pdr_filter.cli.options import Gnss, Loop, Online
 
 if TYPE_CHECKING:
     from pdr_filter.io.recording import Recording
@@ -52,15 +52,17 @@ def demo(
     file: Annotated[Path | None, typer.Argument(metavar="[FILE]", help="A recording; else a simulated walk.")] = None,
     out: Annotated[Path | None, typer.Option(help="Folder for the files; a new temporary one if not given.")] = None,
     gnss: Gnss = None,
+    online: Online = False,
+    loop: Loop = False,
 ) -> None:
-    """Track a walk, draw it and say what came out."""
+    """Track a walk, smoothed as a whole, draw it and say what came out."""
     from pdr_filter.cli.demo import Demo, run_demo
 
     use, written = None if gnss is None else gnss.value, set[str]()
     folder = Path(tempfile.mkdtemp(prefix="pdr_filter_demo_")) if out is None else out
 
     def run(one: Path | None, progress: Callable[[float], None]) -> Demo:
-        return run_demo(one, folder, progress, use, written)
+        return run_demo(one, folder, progress, use, written, online, loop)
 
     with console.one_line_errors():
         files = [] if file is None else console.recordings_of([file])

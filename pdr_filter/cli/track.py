@@ -20,7 +20,9 @@ from pdr_filter.cli.options import (
     Format,
     Gnss,
     Heading,
+    Loop,
     North,
+    Online,
     Origin,
     PlanFile,
     RadioFile,
@@ -70,6 +72,8 @@ class Method:
     plan: PlanFile = None
     start: Start = None
     radio: RadioFile = None
+    online: Online = False
+    loop: Loop = False
 
     @property
     def weighting_name(self) -> str | None:
@@ -148,8 +152,12 @@ class Output:
         if "parquet" in self.kinds:
             pandas_for_parquet(self.out or Path())
 
-    def write(self, result: Track, recording: Recording, name: str) -> list[Path]:
-        """The files of one track; those that were there before, which are replaced, are returned."""
+    def write(self, tracks: Sequence[Track], recording: Recording, name: str) -> list[Path]:
+        """The files of one track; those that were there before, which are replaced, are returned.
+
+        Tracks after the first one are in the report alone.
+        """
+        result = tracks[0]
         folder, kinds = self.out or Path(), self.kinds
         before = console.files_of(folder, name)
         nowhere = [kind for kind in kinds if kind in ("gpx", "kml")]
@@ -167,7 +175,7 @@ class Output:
         if self.report:
             from pdr_filter.report.html import write_report
 
-            write_report(result, folder / f"{name}.html", recording)
+            write_report(tracks, folder / f"{name}.html", recording)
         return console.replaced_of(before)
 
 
@@ -199,11 +207,15 @@ def track(
 ) -> None:
     """Track recordings: steps, distance, end point and contexts of each.
 
+    The track is smoothed from the whole recording. The report shows the online track, too, which is what a phone knew
+    at each step; with --online all results are that one.
+
     ± at the end is one standard deviation in the worst direction.
 
     A folder stands for all recordings in it: with --out each gets its table, picture and report, and index.html lists
     them. --jobs or --scheduler make one table in place of that, tracks.csv in the folder of --out: it grows as
-    recordings finish, and a run that was broken off goes on from it. Without --out nothing is written.
+    recordings finish, and a run that was broken off goes on from it. Its tracks are online. Without --out nothing is
+    written.
     """
     import pdr_filter as pdr
 
@@ -232,12 +244,15 @@ def track(
             path if path is not None and path.exists() else None for path in (method.device, method.person)
         )
         heard = [] if radio is None else [*radio.fixes(recording), *(radio.grids(recording) if where else [])]
-        result = pdr.track(
+        tracks = console.estimates(
             recording,
-            config,
-            method.weighting_name,
+            method.online,
+            method.loop,
+            output.report,
+            progress,
+            config=config,
+            weighting=method.weighting_name,
             fixes=heard,
-            progress=progress,
             calibration=method.calibration,
             device=device,
             person=person,
@@ -247,12 +262,13 @@ def track(
             heading_rad=heading_rad(method.heading),
             **where,
         )
+        result = tracks[0]
         if method.device is not None and result.device is not None:
             result.device.save(method.device)
         if method.person is not None and result.person is not None:
             result.person.save(method.person)
         name = console.unused(file_name(result.name), written)
-        replaced.extend(output.write(result, recording, name))
+        replaced.extend(output.write(tracks, recording, name))
         listed[name] = result
         if as_json:
             console.print_json(result.summary())
@@ -284,6 +300,7 @@ def _check_one_table(method: Method, output: Output, as_json: bool) -> None:
         "--plan": method.plan,
         "--start": method.start,
         "--radio": method.radio,
+        "--loop": method.loop,
         "--export": output.export,
         "--report": output.report,
         "--json": as_json,

@@ -128,16 +128,21 @@ class Person:
 
 
 def session_of(model: PedestrianModel, known: PedestrianState, n_fixes: int) -> Session | None:
-    """What the fixes of a walk so far said of the person's steps; None if they said nothing.
+    """What the fixes of a walk so far said of the person's steps; None if they said nothing."""
+    x, P = imm.combine(known.mean, known.cov, known.prob)
+    return session_of_scale(model, float(x[LOG_SCALE]), float(P[LOG_SCALE, LOG_SCALE]), n_fixes)
+
+
+def session_of_scale(model: PedestrianModel, log_scale: float, var: float, n_fixes: int) -> Session | None:
+    """What an estimated log scale says of the person's steps; None if no more than was known before.
 
     The posterior N(m, v) of the log scale less its prior N(0, s^2): precision w = 1 / v - 1 / s^2, mean (m / v) / w.
     """
-    x, P = imm.combine(known.mean, known.cov, known.prob)
-    prior_var, v = model.noise.log_scale_std**2, float(P[LOG_SCALE, LOG_SCALE])
-    if not 0 < v < _LEARNT * prior_var:
+    prior_var = model.noise.log_scale_std**2
+    if not 0 < var < _LEARNT * prior_var:
         return None
-    w = 1.0 / v - 1.0 / prior_var
-    return Session(_typical_length_m(model) * math.exp(float(x[LOG_SCALE]) / v / w), w**-0.5, n_fixes)
+    w = 1.0 / var - 1.0 / prior_var
+    return Session(_typical_length_m(model) * math.exp(log_scale / var / w), w**-0.5, n_fixes)
 
 
 def _typical_length_m(model: PedestrianModel) -> float:

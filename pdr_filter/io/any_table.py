@@ -143,6 +143,8 @@ def sheets_of(members: Members, separator: str | None = None, notes: list[str] |
         listed = ", ".join(members.names[:8])
         head = b"" if members.is_container else next(members.pieces(members.names[0]), b"")[:4096]
         no_table = "a table has a line of names, and below it a line of numbers for each sample, two or more"
+        if members.path.suffix.lower() == ".toml":
+            no_table = f"this is a mapping; give it a recording: pdr-filter convert FILE --map {members.path.name}"
         why = _named_values(head) or f"no table of samples in it (found: {listed or 'nothing'}); {no_table}"
         raise RecordingError(f"{members.path}: {why}")
     return found

@@ -25,12 +25,12 @@ LOCATION = ("latitude", "longitude", "altitude", "accuracy")
 
 _WORDS = {
     ACCELERATION: "acceleration accelerometer acc acce accel totalacceleration gf gforce "
-    "specificforce beschleunigung accelerazione accelerometro aceleracion acelerometro",
+    "specificforce beschleunigung accelerazione accelerometro aceleracion aceleracao acelerometro",
     LINEAR: "linearacceleration linearaccelerometer lacc linacc linacce linaccel linearacc linearaccel "
     "useracceleration useraccel useracc linearebeschleunigung",
     GRAVITY: "gravity grav gravitation",
-    RATE: "gyroscope gyro gyr gyrorotation rotationrate angularvelocity angularrate angularspeed angvel drehrate "
-    "gyroskop giroscopio",
+    RATE: "gyroscope gyro gyr gyrorotation rotationrate rotrate turnrate angularvelocity angularrate angularspeed "
+    "angvel omega drehrate gyroskop giroscopio",
     ROTATION: "rotation rot",
     FIELD: "magneticfield magnetometer magnet magn mag mafi magfield magnetfeld",
     "barometer": "pressure barometer baro bar pres druck",
@@ -56,22 +56,25 @@ _GLUED = [
 _WORD = re.compile(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+")
 # Web browsers name the axes of the angular rate so (W3C, "Device Orientation and Motion"; w3c/deviceorientation#44).
 _GREEK_AXES = {"alpha": "x", "beta": "y", "gamma": "z"}
-_WITH_GRAVITY = re.compile(r"(acc|acel|beschl)[a-z]*(incl|including|with|plus|and|mit|con|avec)(g|gravity|gravedad)")
-_WITHOUT_GRAVITY = re.compile(
-    r"(acc|acel|beschl)[a-z]*(excl|excluding|without|minus|no|ohne|sin|sans)(g|gravity|gravedad)"
+_WITH_GRAVITY = re.compile(
+    r"((acc|acel|beschl)[a-z]*(incl|including|with|plus|and|mit|con|com|avec)|including)g(rav[a-z]*)?$"
 )
-
+_WITHOUT_GRAVITY = re.compile(
+    r"(acc|acel|beschl)[a-z]*((excl|excluding|without|minus|no|ohne|sin|sans|senza|sem)g(rav[a-z]*)?|linea(r|l|re|ire))$"
+)
 _ACCURACY = re.compile(
     r"accurac(y|ies)|accuratezza|genauigkeit|nauwkeurigheid|precis(ion|ione|ao)|exactitude?|uncertainty"
+    r"|dokadnosc|noggrannhet|nyaktighe[dt]|tarkkuus|dogruluk"  # whose letters without accents are lost
     r"|\u7cbe\u5ea6|\uc815\ud655\ub3c4|\u0442\u043e\u0447\u043d\u043e\u0441\u0442\u044c"
 )
-_HORIZONTAL_ALONE = re.compile(r"(gps|gnss|loc|location|pos|position)?(h|hor|horiz|horizontal)acc|eph")
+_HORIZONTAL_ALONE = re.compile(r"(gps|gnss|loc|location|pos|position)?(h|hor|horiz|horizontal)acc(m|met(er|re)s)?|eph")
 _HORIZONTAL = re.compile(r"hori|orizz|\u6c34\u5e73|\uc218\ud3c9|\u0433\u043e\u0440\u0438\u0437")
 # An accuracy is of the horizontal position unless its name has one of these words or parts.
 _OF_OTHERS = re.compile(
-    r"vert|altitu|elevation|h(oe|o)he|hoogte|speed|veloc|vitesse|geschw|snelheid|bearing|course|heading|direction|richtung"
-    r"|rumbo|kurs|compass|orient|rotation|magn|gyro|accel|time|clock|\u5782\u76f4|\uc218\uc9c1|\u0432\u0435\u0440\u0442"
+    r"vert|altitu|elevation|h(oe|o)he|hoogte|speed|veloc|vitesse|geschw|snelheid|bearing|course|heading|dire[cz]|richtung"
+    r"|rumb?o|k(oe|u)rs|peilung|yaw|gier|compass|orient|rotation|magn|gyro|ac?cel|time|clock|status|dop|\u5782\u76f4|\uc218\uc9c1|\u0432\u0435\u0440\u0442"
     r"|\u901f|\uc18d\ub3c4|\u0441\u043a\u043e\u0440"
+    r"|\u65b9|\u9ad8|\ubc29\ud5a5|\uace0\ub3c4|\u0432\u044b\u0441|\u043d\u0430\u043f\u0440|\u043a\u0443\u0440\u0441"
 )
 _OF_OTHERS_WORDS = {"v", "s", "alt", "ele", "vel", "head", "cap", "dir", "yaw", "acc", "mag", "sensor"}
 # Of android.hardware.Sensor, which loggers write in place of a name; and letters.
@@ -205,8 +208,8 @@ def quantity_of_words(words: Sequence[str]) -> tuple[str, int]:
     preference = 1 if short == stem else 2 if stem.removeprefix(short) in ("cal", "calibrated") else 0
     if short in _LETTERS:
         return _LETTERS[short], preference
-    if _WITHOUT_GRAVITY.fullmatch(short) or _WITH_GRAVITY.fullmatch(short):
-        return (LINEAR if _WITHOUT_GRAVITY.fullmatch(short) else ACCELERATION), preference
+    if of_gravity := _by_gravity(short):
+        return of_gravity, preference
     ends = ["".join(words[i:])[: len(short) - len(stem) or None] for i in range(len(words))]
     known = next((QUANTITY_OF[end] for end in ends if end in QUANTITY_OF and len(end) > 1), "")
     fitting = [word for word in _GLUED if short.endswith(word)]
@@ -224,9 +227,12 @@ def quantity_of_file(name: str) -> tuple[str, int]:
     fitting = [word for word in fitting if word not in ("rotation", "rot")]
     found = "".join(words)
     preference = 0 if "uncal" in found or "raw" in words else 2 if "calibrated" in found else 1
-    if _WITH_GRAVITY.search(found):
-        return ACCELERATION, preference
-    return (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
+    return _by_gravity(found) or (QUANTITY_OF[max(fitting, key=len)] if fitting else ""), preference
+
+
+def _by_gravity(stem: str) -> str:
+    """Acceleration or linear acceleration of a name that ends with or without gravity; "" of any other."""
+    return LINEAR if _WITHOUT_GRAVITY.search(stem) else ACCELERATION if _WITH_GRAVITY.search(stem) else ""
 
 
 def trial_of(name: str) -> str:
@@ -288,7 +294,7 @@ def column_of(place: int, name: str) -> Column:
         word = bare[: axis_found.start()]
         begins = [word[: gap.start()] for gap in re.finditer(r"[^A-Za-z]+", word)]
         known = next((q for begin in reversed(begins) if (q := quantity_of_words(words_of(begin))[0])), "")
-        if known in VECTORS:
+        if known in VECTORS and not quantity_of_words(words_of(word))[0]:  # a rotation vector is no rotation
             return Column(place, name, known, axis_found[1].lower(), unit, letters(word), 0)
     if not quantity and axis_found and OF_UNIT.get(unit) in VECTORS:
         word = bare[: axis_found.start()].lower()

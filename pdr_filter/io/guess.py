@@ -23,6 +23,7 @@ from pdr_filter.io.columns import (
     SCALARS,
     TIME_UNITS,
     UNITS,
+    column_of,
 )
 from pdr_filter.io.describe import median_norm
 from pdr_filter.io.dialects import Dialect
@@ -224,7 +225,8 @@ def _forces(streams: Sequence[_Stream], dialect: Dialect | None, result: Guess, 
         others = ", ".join(sorted({s.group.quantity for s in streams})) or "none"
         used = {(s.data.sheet.name, p) for s in streams for p in (*s.group.places, s.group.time)}
         sheets = {s.data.sheet.name: s.data.sheet.fields for s in streams}
-        rest = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
+        left = [name for sheet, fields in sheets.items() for p, name in enumerate(fields) if (sheet, p) not in used]
+        rest = [name for name in left if column_of(0, name).unit in ("", *UNITS[ACCELERATION])]
         is_there = ", ".join(rest)[:200]
         remedy = f", or if it is among {is_there}, say so: pdr-filter convert FILE --map MAP.toml" if rest[2:] else ""
         raise RecordingError(

@@ -28,6 +28,9 @@ from pdr_filter.values import FloatArray, IntArray
 
 SUFFIXES = (".json", ".jsonl", ".ndjson")
 _BETWEEN = re.compile(r"[\s,\[\]\x1e]*")
+_BEGIN = re.compile(
+    rb"\s*(\{|\[\s*([\[{\]\"\d.-]|null|$))"
+)  # a word behind a bracket is TOML, or a section of settings
 _SENSOR = ("sensor", "sensorType", "type", "name")  # keys whose value says of which sensor a row is
 _PLAIN = ("values", "value", "data", "payload", "fields")  # keys that say nothing about what is in them
 _AXES = ("x", "y", "z")
@@ -39,7 +42,7 @@ Row = dict[str, Any]
 
 def looks_like(head: bytes) -> bool:
     """Whether a text begins like JSON."""
-    return head.removeprefix(codecs.BOM_UTF8).lstrip()[:1] in (b"[", b"{")
+    return _BEGIN.match(head.removeprefix(codecs.BOM_UTF8)) is not None
 
 
 def json_sheets(members: Members, name: str, notes: list[str] | None = None) -> list[ArraySheet]:

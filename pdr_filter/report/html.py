@@ -32,6 +32,10 @@ from pdr_filter.values import TrackRows, how_many
 _VISIBLE_PROB = 0.01
 _SCRIPTS = ("assets/uPlot.iife.min.js", "assets/leaflet.js", "page/plane_map.js", "page/map.js", "page/report.js")
 _STYLES = ("assets/uPlot.min.css", "assets/leaflet.css", "page/plane_map.css", "page/report.css")
+_SMOOTHED_OR_ONLINE = (
+    "The smoothed track is the best estimate from the whole recording; the online track is what a phone knew at each "
+    "step."
+)
 _TRACK_COLOURS = (palette.BLUE, palette.ORANGE, palette.GREEN, palette.PURPLE, palette.YELLOW)
 
 
@@ -78,6 +82,7 @@ def html_report(
             for track, name, colour in zip(every, names, colours, strict=True)
         ],
         reading=None if recording is None else _reading(recording, reading_report(recording), set(every[0].notes)),
+        estimates=_SMOOTHED_OR_ONLINE if len({track.estimate for track in every}) > 1 else "",
         data={"tracks": data},
         style=Markup("\n".join(map(_asset, _STYLES))),
         scripts=[Markup(script) for script in scripts],
@@ -137,8 +142,9 @@ def _title(tracks: Sequence[TrackRows], recording: Recording | None) -> str:
 
 
 def _names(tracks: Sequence[TrackRows]) -> list[str]:
-    """By what tracks are told apart: their names, with the weighting or a number where these are alike."""
-    for names in ([t.name for t in tracks], [f"{t.name}, {t.weighting}" for t in tracks]):
+    """By what tracks are told apart: names, and where these are alike the estimate, the weighting or a number."""
+    estimates = [f"{t.name}, {t.estimate}" for t in tracks]
+    for names in ([t.name for t in tracks], estimates, [f"{t.name}, {t.weighting}" for t in tracks]):
         if len(set(names)) == len(names):
             return names
     return [f"{i}: {track.name}, {track.weighting}" for i, track in enumerate(tracks, 1)]
@@ -150,7 +156,7 @@ def _words(track: TrackRows) -> dict[str, Any]:
         "facts": _facts(track),
         "doubts": [*trust.doubts(track), *(trust.sentence(note) for note in track.notes)],
         "has_steps": track.n_steps > 0,
-        "about": track.about_frame,
+        "about": f"{track.about_frame} {track.about_estimate}",
         "seconds": _seconds(track),
         "floor_changes": [
             f"{c.start_s:.0f} to {c.end_s:.0f} s: from floor {c.from_floor} to floor {c.to_floor}, "

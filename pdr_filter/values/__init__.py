@@ -20,7 +20,13 @@ from pdr_filter.values.arrays import (
 from pdr_filter.values.checks import are_numbers, check_number, check_numbers
 from pdr_filter.values.contexts import CARRYING_MODES, CONTEXTS
 from pdr_filter.values.declared import check_declared, check_whole
-from pdr_filter.values.fix_errors import N_BEFORE, error_correlation, error_given_before, repeated_cov_m2
+from pdr_filter.values.fix_errors import (
+    INDEPENDENT_SHARE,
+    N_BEFORE,
+    error_correlation,
+    error_given_before,
+    repeated_cov_m2,
+)
 from pdr_filter.values.fixes import (
     Fix,
     FixOutcome,
@@ -57,6 +63,7 @@ __all__ = [
     "CONTEXTS",
     "DECLINATION_STD_RAD",
     "HARDLY_AGREE",
+    "INDEPENDENT_SHARE",
     "N_BEFORE",
     "RADIUS_68",
     "RADIUS_95",

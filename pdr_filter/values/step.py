@@ -53,7 +53,7 @@ class Step:
     shown_offset_std_rad: float = np.inf
     # How well the strides agree on it, 0 to 1: the squared length of their mean direction.
     direction_trust: float = 0.0
-    carried_since_s: float = np.nan  # the phone was put where it is; unknown before the first stride
+    carried_since_s: float = -np.inf  # when the phone was put where it is; -inf before the first stride
     on_axes: bool = False  # the walk keeps to the axes of a building, and its heading is corrected by them
     # Standard deviation of the gyroscope's bias about the vertical at this step, after correction.
     yaw_bias_std_radps: float = 0.0

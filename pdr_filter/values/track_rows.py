@@ -73,6 +73,7 @@ class TrackRows:
     plan: Plan | None = None  # that kept it where people can walk
     # (K,) with a plan: where the walk may be after each step, the most probable place first; none before its start
     clusters: tuple[tuple[Cluster, ...], ...] = ()
+    is_smoothed: bool = False  # whether each row is estimated from the whole recording, not from what came before it
     effective_sample_size: FloatArray = field(default_factory=lambda: read_only(np.zeros(0)))  # (K,) of its particles
 
     __reduce__ = pickled
@@ -205,6 +206,18 @@ class TrackRows:
         return f"{words}: nothing says which way is true north."
 
     @property
+    def estimate(self) -> str:
+        """Which estimate it is: "smoothed", from the whole recording, or "online", from what came before each step."""
+        return "smoothed" if self.is_smoothed else "online"
+
+    @property
+    def about_estimate(self) -> str:
+        """Which estimate it is, in words."""
+        if self.is_smoothed:
+            return "Smoothed: each position is the best estimate from the whole recording."
+        return "Online: each position is what a phone knew when the step was made."
+
+    @property
     def is_level(self) -> bool:
         """Whether nothing says that somebody left the height of the start: by a metre and two deviations, a storey."""
         told = np.abs(self.height_m) > np.maximum(1.0, 2.0 * self.height_std_m)
@@ -307,6 +320,7 @@ class TrackRows:
             "end_east_m": round(float(end[0]), 3),
             "end_north_m": round(float(end[1]), 3),
             "end_std_m": round(float(self.position_std_m[-1]), 3) if self.n_steps else None,
+            "estimate": self.estimate,
             "frame": self.frame,
             **place,
             **height,

@@ -33,10 +33,10 @@ def test_a_calibration_is_written_and_used_by_track(tmp_path: Path) -> None:
     result = run("track", "--json", "--calibration", tmp_path / "me.json", walks[0])
     assert result.exit_code == 0
     recording = pdr.read(walks[0])
-    calibrated = pdr.track(recording, calibration=tmp_path / "me.json")
+    calibrated = pdr.smooth(recording, calibration=tmp_path / "me.json").track
     assert json.loads(result.stdout) == calibrated.summary()
     truth_m = 35.0
-    assert abs(calibrated.distance_m - truth_m) < abs(pdr.track(recording).distance_m - truth_m) + 0.1
+    assert abs(calibrated.distance_m - truth_m) < abs(pdr.smooth(recording).track.distance_m - truth_m) + 0.1
 
 
 def test_model_loss_prior_and_person_of_a_calibration_are_options(tmp_path: Path) -> None:
@@ -123,7 +123,7 @@ def test_a_walk_is_smoothed_against_its_own_locations_where_it_was(tmp_path: Pat
     result = run("smooth", located.save(tmp_path / "located.zip"), "--out", tmp_path)
     assert result.exit_code == 0
     line = json.loads((tmp_path / "located.geojson").read_text())["features"][0]["geometry"]["coordinates"]
-    longitude_deg, latitude_deg = np.array(line).T
+    longitude_deg, latitude_deg = np.array(line)[:, :2].T
     assert np.linalg.norm(here.east_north_m(latitude_deg, longitude_deg)[-1] - place_m[-1]) < 4.0
 
 

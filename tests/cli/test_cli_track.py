@@ -45,7 +45,7 @@ def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, 
     command = [sys.executable, "-m", "pdr_filter.cli.app", "track", "--json", str(walk), str(broken), str(walk)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     objects = [json.loads(line) for line in done.stdout.splitlines()]
-    summary = pdr.track(pdr.read(walk)).summary()
+    summary = pdr.smooth(pdr.read(walk)).track.summary()
     assert objects[0] == objects[2] == summary
     assert set(objects[1]) == {"name", "error"}
     assert objects[1]["name"] == "broken"
@@ -56,7 +56,7 @@ def test_track_json_is_one_object_a_line_and_nothing_else_on_stdout(walk: Path, 
 
 def test_track_prints_one_row_for_each_file(walk: Path) -> None:
     result = run("track", walk, walk)
-    summary = pdr.track(pdr.read(walk)).summary()
+    summary = pdr.smooth(pdr.read(walk)).track.summary()
     rows = [line for line in result.stdout.splitlines() if "demo_walk" in line and "demo_walk:" not in line]
     assert result.exit_code == 0
     assert len(rows) == 2
@@ -73,15 +73,44 @@ def test_notes_stand_below_the_table_and_with_json_in_the_object(tmp_path: Path)
     assert with_json.stderr == ""
 
 
+def test_online_is_what_a_phone_knew_at_each_step_and_the_smoothed_walk_is_shown_without_it(walk: Path) -> None:
+    smoothed, online = run("track", walk), run("track", "--online", walk)
+    assert "--online shows what a phone knew at each step" in " ".join(smoothed.stdout.split())
+    assert "--online" not in online.stdout
+    summary = json.loads(run("track", "--online", "--json", walk).stdout)
+    assert summary == pdr.track(pdr.read(walk)).summary()
+    assert summary["estimate"] == "online"
+
+
+def test_a_report_shows_the_smoothed_walk_first_and_the_online_track_one_click_away(walk: Path, tmp_path: Path) -> None:
+    assert run("track", walk, "--report", "--out", tmp_path).exit_code == 0
+    page = (tmp_path / "demo_walk.html").read_text()
+    assert page.index("demo_walk, smoothed") < page.index("demo_walk, online")
+    assert page.count('name="track"') == 2
+    assert "The smoothed track is the best estimate from the whole recording; the online track is what" in page
+    assert run("track", walk, "--report", "--online", "--out", tmp_path / "online").exit_code == 0
+    alone = (tmp_path / "online" / "demo_walk.html").read_text()
+    assert 'name="track"' not in alone
+    assert "Online: each position is what a phone knew when the step was made." in alone
+
+
+def test_a_loop_is_stated_of_a_smoothed_walk_alone(walk: Path) -> None:
+    looped = json.loads(run("track", "--loop", "--json", walk).stdout)
+    assert looped == pdr.smooth(pdr.read(walk), loop=True).track.summary()
+    assert np.hypot(looped["end_east_m"], looped["end_north_m"]) < 1.0
+    both = run("track", "--loop", "--online", walk)
+    assert (both.exit_code, "--loop is known at the end of a walk" in one_line(both.stderr)) == (2, True)
+
+
 @pytest.mark.parametrize("weighting", ["hc", "wc", "imm"])
 def test_the_weighting_is_the_one_asked_for(walk: Path, weighting: str) -> None:
     result = run("track", "--json", "--weighting", weighting, walk)
-    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), weighting=weighting).summary()
+    assert json.loads(result.stdout) == pdr.smooth(pdr.read(walk), weighting=weighting).track.summary()
 
 
 def test_the_recipe_is_the_one_asked_for(walk: Path) -> None:
     result = run("track", "--json", "--recipe", "martinelli2018", walk)
-    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), pdr.recipes.martinelli2018()).summary()
+    assert json.loads(result.stdout) == pdr.smooth(pdr.read(walk), config=pdr.recipes.martinelli2018()).track.summary()
 
 
 def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> None:
@@ -92,8 +121,8 @@ def test_the_model_replaces_the_one_for_windows_with_gyroscope(walk: Path) -> No
     assert isinstance(contexts, LearnedContexts)
     assert contexts.models.with_gyroscope.name == "context_martinelli_forest"
     assert contexts.windows.features.name == "martinelli"
-    assert json.loads(result.stdout) == pdr.track(pdr.read(walk), config).summary()
-    assert json.loads(result.stdout) != pdr.track(pdr.read(walk)).summary()
+    assert json.loads(result.stdout) == pdr.smooth(pdr.read(walk), config=config).track.summary()
+    assert json.loads(result.stdout) != pdr.smooth(pdr.read(walk)).track.summary()
 
 
 def test_out_gets_a_table_and_a_picture_and_with_an_origin_a_map_file(walk: Path, tmp_path: Path) -> None:
@@ -115,13 +144,13 @@ def test_a_located_walk_gets_its_map_file_unless_its_locations_are_off(tmp_path:
     places = np.array(line["coordinates"])[:, :2]
     np.testing.assert_allclose(places, np.tile([11.25, 43.77], (len(places), 1)), atol=0.003)
     off = run("track", file, "--out", tmp_path / "off", "--gnss", "off", "--json")
-    assert json.loads(off.stdout) == pdr.track(replace(pdr.read(file), location=None)).summary()
+    assert json.loads(off.stdout) == pdr.smooth(replace(pdr.read(file), location=None)).track.summary()
     assert not list((tmp_path / "off").glob("*.geojson"))
 
 
 def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path, tmp_path: Path) -> None:
     result = run("track", walk, "--origin", "-43.77,11.25", "--heading", "-90", "--json", "--out", tmp_path)
-    expected = pdr.track(pdr.read(walk), origin=(-43.77, 11.25), heading_rad=-np.pi / 2)
+    expected = pdr.smooth(pdr.read(walk), origin=(-43.77, 11.25), heading_rad=-np.pi / 2).track
     assert json.loads(result.stdout) == expected.summary()
     assert json.loads(result.stdout)["frame"] == "north"
     assert (tmp_path / "demo_walk.geojson").read_bytes() == expected.to_geojson(tmp_path / "a").read_bytes()
@@ -129,7 +158,7 @@ def test_a_place_and_a_heading_that_are_given_are_those_of_the_track(walk: Path,
 
 def test_north_of_the_magnetometer_turns_a_walk_whose_place_is_given(walk: Path) -> None:
     result = run("track", walk, "--origin", "-43.77,11.25", "--north", "magnetic", "--json")
-    expected = pdr.track(pdr.read(walk), origin=(-43.77, 11.25), north="magnetic")
+    expected = pdr.smooth(pdr.read(walk), origin=(-43.77, 11.25), north="magnetic").track
     assert json.loads(result.stdout) == expected.summary()
     assert expected.frame == "north"
     contradicting = run("track", walk, "--heading", "90", "--north", "magnetic")
@@ -142,7 +171,7 @@ def test_files_are_exported_once_whether_asked_with_commas_or_again(walk: Path, 
     assert run("track", walk, walk, *options, "--out", tmp_path).exit_code == 0
     names = {path.name for path in tmp_path.iterdir()}
     assert names == {f"{name}.{kind}" for name in ("demo_walk", "demo_walk_2") for kind in [*kinds, "png"]}
-    track = pdr.track(pdr.read(walk), origin=(43.77, 11.25))
+    track = pdr.smooth(pdr.read(walk), origin=(43.77, 11.25)).track
     for kind in kinds:
         written = getattr(track, f"to_{kind}")(tmp_path / "expected")
         assert written.read_bytes() == (tmp_path / f"demo_walk.{kind}").read_bytes()
@@ -275,7 +304,7 @@ def test_a_radio_map_is_fitted_on_a_folder_and_used_by_track_and_smooth(mapped: 
     fixes = radio.fixes(recording)
     assert run("track", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--out", tmp_path).exit_code == 0
     config = pdr.recipes.default(recording.subject).in_world_frame()
-    pdr.track(recording, config, fixes=fixes).to_csv(tmp_path / "expected.csv")
+    pdr.smooth(recording, fixes, config=config).track.to_csv(tmp_path / "expected.csv")
     assert (tmp_path / "walk3.csv").read_bytes() == (tmp_path / "expected.csv").read_bytes()
     smoothed = run("smooth", mapped / "walk3.zip", "--radio", tmp_path / "map.json", "--wifi-loops")
     n = len(fixes) + len(wifi_loop_closures(recording))

@@ -63,6 +63,20 @@ def test_each_part_of_a_table_begins_with_what_tells_its_rows_apart(
     assert [n for line in rows for n in ("1", "2", "3") if f"{n}00000.0 m" in line] == ["1", "2", "3"]
 
 
+def test_a_note_is_broken_between_words_on_a_terminal_and_is_one_line_elsewhere(
+    terminal: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    note = "the heading is uncertain by more than 0.5 rad in 195 of 195 steps [bold], from 5 to 109 s; " * 3
+    terminal.setenv("COLUMNS", "80")
+    console.print_notes([replace(TRACK, notes=(note,))])
+    lines = printed(capsys).splitlines()
+    assert max(map(len, lines)) <= 80
+    assert " ".join(lines).split() == f"{TRACK.name}: {note}".split()
+    terminal.delenv("FORCE_COLOR")
+    console.print_notes([replace(TRACK, notes=(note,))])
+    assert len(capsys.readouterr().out.splitlines()) == 1
+
+
 def test_a_note_that_several_recordings_share_stands_once(capsys: pytest.CaptureFixture[str]) -> None:
     tracks = [replace(TRACK, name=f"walk {i}", notes=("the height is not known",)) for i in range(9)]
     tracks[4] = replace(tracks[4], notes=("the height is not known", "2 gaps"))

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import accumulate
 
 import gtsam
 import numpy as np
 
 from pdr_filter.filter.motion import N_STATES
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.values import BoolArray, FloatArray, IntArray
 
 
@@ -65,36 +68,70 @@ def cov_of(tree: gtsam.GaussianBayesTree, keys: Sequence[int]) -> FloatArray:
     return inverse @ inverse.T
 
 
-def joint_covariances(rows: Sequence[Rows], n: int, has_frame: bool) -> FloatArray:
+def joint_covariances(
+    rows: Sequence[Rows], n: int, error_node: IntArray, has_frame: bool
+) -> tuple[FloatArray, FloatArray]:
     """Covariance of both ends of the intervals between n anchors, (n - 1, 8, 8), by going back through them once.
 
-    Eliminated in the order of the walk, R x_j + S x_P = d, where the parents P are the next anchor and, of loop
-    closures and the rotation of the frame (key n), some of its own parents: their joint covariance is known already.
-    Then cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
+    And that of each error (E, 10, 10) with its anchor, whose number is given. Keys are the anchors, the errors, and the
+    rotation of the frame. Eliminated in the order of the walk, each error after its anchor, R x_j + S x_P = d, where
+    the parents P are the first of them and some of its own parents: their joint covariance is known already. Then
+    cov x_j = R^-1 R^-T + G cov x_P G' with G = -R^-1 S.
     """
+    n_states, error_of = n + len(error_node), {node: n + k for k, node in enumerate(error_node.tolist())}
+    keys = [key for j in range(n) for key in ((j, error_of[j]) if j in error_of else (j,))]
+    keys += [n_states] if has_frame else []
     ordering = gtsam.Ordering()
-    for key in range(n + has_frame):
+    for key in keys:
         ordering.push_back(key)
     net = graph_of(rows).eliminateSequential(ordering, gtsam.EliminateQR)
-    conditionals = [net.at(j) for j in range(n)]
-    inverse = np.linalg.inv([c.R() for c in conditionals])
-    own_cov = inverse @ inverse.swapaxes(-1, -2)
+    conditionals = [net.at(i) for i in range(len(keys))]
+    rank = {key: i for i, key in enumerate(keys)}
+    parents_of = [c.keys()[1:] for c in conditionals]
+    first_of = [min(parents, key=rank.__getitem__, default=None) for parents in parents_of]
+    n_waiting = Counter(first_of)
+    # covariance of a key and its parents, while it is the first parent of another key
+    cliques, sizes = dict[int, _Clique](), dict[int, int]()
     joint_cov = np.empty((n - 1, 2 * N_STATES, 2 * N_STATES))
-    # of the anchor before last and its parents, and where each of them is in it
-    cov, first = np.zeros((0, 0)), dict[int, int]()
-    if has_frame:
-        root = np.linalg.inv(net.at(n).R())
-        cov, first = root @ root.T, {n: 0}
-    for j in reversed(range(n)):
-        parents = conditionals[j].keys()[1:]
-        index = [i for p in parents for i in range(first[p], first[p] + (len(cov) - first[p] if p == n else N_STATES))]
-        known = cov[index][:, index]
-        gain = -inverse[j] @ conditionals[j].S()
-        mixed = gain @ known
-        cov = np.empty((N_STATES + len(known),) * 2)
-        cov[:N_STATES, :N_STATES] = own_cov[j] + mixed @ gain.T
-        cov[:N_STATES, N_STATES:], cov[N_STATES:, :N_STATES], cov[N_STATES:, N_STATES:] = mixed, mixed.T, known
-        first = {j: 0} | {p: N_STATES * (1 + i) for i, p in enumerate(parents)}
-        if j < n - 1:  # the next anchor is the first of the parents
-            joint_cov[j] = cov[: 2 * N_STATES, : 2 * N_STATES]
-    return joint_cov
+    with_error_cov = np.zeros((len(error_node), N_STATES + N_ERRORS, N_STATES + N_ERRORS))
+    for conditional, parents, first in zip(conditionals[::-1], parents_of[::-1], first_of[::-1], strict=True):
+        inverse = np.linalg.inv(conditional.R())
+        m, known = len(inverse), np.zeros((0, 0))
+        cov = inverse @ inverse.T
+        if first is not None:
+            known = cliques[first].of(parents)
+            n_waiting[first] -= 1
+            if not n_waiting[first]:
+                del cliques[first]
+            gain = -inverse @ conditional.S()
+            mixed = gain @ known
+            cov = np.block([[cov + mixed @ gain.T, mixed], [mixed.T, known]])
+        key = conditional.keys()[0]
+        sizes[key] = m
+        clique = _Clique.of_sizes(cov, {k: sizes[k] for k in (key, *parents)})
+        if n_waiting[key]:
+            cliques[key] = clique
+        if key < n - 1:  # steps join it to the next
+            joint_cov[key] = clique.of((key, key + 1))
+        if error_of.get(key) in clique.place:
+            with_error_cov[error_of[key] - n] = clique.of((key, error_of[key]))
+    return joint_cov, with_error_cov
+
+
+@dataclass(frozen=True, slots=True)
+class _Clique:
+    """Joint covariance of some keys, and the place of each in it."""
+
+    cov: FloatArray
+    place: dict[int, range]
+
+    @classmethod
+    def of_sizes(cls, cov: FloatArray, sizes: dict[int, int]) -> _Clique:
+        """The covariance of keys in this order, whose sizes are given."""
+        ends = accumulate(sizes.values())
+        return cls(cov, {key: range(end - size, end) for (key, size), end in zip(sizes.items(), ends, strict=True)})
+
+    def of(self, keys: Sequence[int]) -> FloatArray:
+        """The joint covariance of some of them."""
+        index = [i for key in keys for i in self.place[key]]
+        return self.cov[index][:, index]

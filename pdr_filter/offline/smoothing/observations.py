@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
 from pdr_filter.io.recording import Recording
-from pdr_filter.values import BoolArray, PositionFix, are_numbers, check_fix, check_number
+from pdr_filter.values import BoolArray, HeadingFix, PositionFix, SpeedFix, are_numbers, check_number
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 
@@ -67,20 +66,30 @@ class FloorChange:
 class Observations:
     """All that was observed of one walk, each kind in any order."""
 
-    fixes: tuple[PositionFix, ...] = ()
+    fixes: tuple[PositionFix | HeadingFix | SpeedFix, ...] = ()
     loop_closures: tuple[LoopClosure, ...] = ()
     known_headings: tuple[KnownHeading, ...] = ()
     floor_changes: tuple[FloorChange, ...] = ()
+    locations: tuple[PositionFix, ...] = ()  # of the recording itself
+    is_loop: bool = False  # whether the last loop closure is the statement that the walk ended where it began
+
+    @property
+    def positions(self) -> tuple[PositionFix, ...]:
+        """The fixes of positions."""
+        return tuple(f for f in self.fixes if isinstance(f, PositionFix))
 
     def fixes_inside(self, start_s: float, end_s: float) -> BoolArray:
-        """Which fixes are within a recording (F,); ValueError if none is, or if anything else is not."""
+        """Which fixes, then locations, are within a recording (F,).
+
+        ValueError if there are fixes and none of them is, or if anything else than a fix or a location is not.
+        """
 
         def is_inside(time_s: float) -> bool:
             return start_s - _OUTSIDE_S <= time_s <= end_s + _OUTSIDE_S
 
         times_s = [f.time_s for f in self.fixes]
-        inside = np.array([is_inside(t) for t in times_s], dtype=bool)
-        if times_s and not inside.any():
+        inside = np.array([is_inside(f.time_s) for f in (*self.fixes, *self.locations)], dtype=bool)
+        if times_s and not inside[: len(times_s)].any():
             raise ValueError(
                 f"none of {len(times_s)} fixes, {min(times_s):.1f} to {max(times_s):.1f} s, "
                 f"is within the recording, {start_s:.1f} to {end_s:.1f} s: are their times of the same clock?"
@@ -97,22 +106,11 @@ class Observations:
 
 
 def check_options(
-    fixes: Sequence[object],
-    has_plan: bool,
     loop_closures: object,
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
 ) -> None:
     """ValueError for what `smooth` cannot use."""
-    for fix in fixes:
-        if has_plan:
-            check_fix(fix, has_plan)
-        elif not isinstance(fix, PositionFix):
-            raise ValueError(
-                f"without a floor plan fixes in hindsight must be PositionFix, got {fix!r}: give plan too; a heading "
-                "is one of known_headings, Wi-Fi is that of RadioMap.fixes, speeds and standstills are for "
-                "pdr_filter.track"
-            )
     if isinstance(loop_closures, str) and loop_closures != "wifi":
         raise ValueError(f'loop_closures must be a sequence of LoopClosure or "wifi", got {loop_closures!r}')
     if start_heading_std_rad is not None:

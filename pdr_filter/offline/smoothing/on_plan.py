@@ -15,6 +15,7 @@ little that of 4000 particles 1.03 could be the mother (effective number, median
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -89,7 +90,13 @@ class _Remembering(ParticleFilter):
         return after
 
 
-def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...]) -> Hindsight:
+def smooth_on_plan(
+    recording: Recording,
+    config: Config,
+    fixes: tuple[Fix, ...],
+    with_location: bool = False,
+    progress: Callable[[float], None] | None = None,
+) -> Hindsight:
     """The track of a configuration with a floor plan, each step as the whole recording shows it."""
     online = config.on_plan
     if not isinstance(online, ParticleFilter):
@@ -99,7 +106,7 @@ def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...])
         online.plan, online.start, online.terrain, n_least, max(n_least, online.n_most), seed=online.seed
     )
     config = replace(config.in_hindsight(), on_plan=on_plan)
-    track = collected(recording, config, outputs(recording, config, fixes))
+    track = collected(recording, config, outputs(recording, config, fixes, progress, with_location))
     if not any(track.clusters):
         raise ValueError(
             "nothing says where on the plan the walk was: give fixes, or start, such as the name of an area"
@@ -123,6 +130,7 @@ def smooth_on_plan(recording: Recording, config: Config, fixes: tuple[Fix, ...])
         start_position_m=read_only(a_step_before(position[0], length[0], heading[0])),
         frame="plan",
         origin=online.plan.origin,
+        is_smoothed=True,
     )
     return Hindsight(smoothed, *(read_only(column) for column in (*offset.T, *scale.T)))
 

@@ -3,15 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 
 import numpy as np
 
 from pdr_filter.filter.motion import LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode
+from pdr_filter.offline.smoothing.location_errors import NO_ERRORS, Errors, errors_of, own_share
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.preintegration import MIN_STATE_VAR, Increments, Intervals, preintegrate
-from pdr_filter.values import FloatArray, IntArray, TrackRows, read_only, wrap_angle
+from pdr_filter.values import (
+    FloatArray,
+    IntArray,
+    TrackRows,
+    read_only,
+    wrap_angle,
+)
 
 # 99.9 % of good observations are below: chi-square with two degrees of freedom, and with one. That of the positions is
 # the gate of the filter.
@@ -61,6 +68,20 @@ class ObservedOffsets:
         return len(self.node)
 
 
+@dataclass(frozen=True, slots=True, eq=False)
+class ObservedStates:
+    """Measurements of heading offset or log scale at anchors."""
+
+    node: IntArray  # (S,)
+    state: IntArray  # (S,) HEADING_OFFSET or LOG_SCALE
+    value: FloatArray  # (S,)
+    std: FloatArray  # (S,)
+
+    def __len__(self) -> int:
+        return len(self.node)
+
+
+NO_STATES = ObservedStates(np.zeros(0, dtype=np.int64), np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(0))
 
 
@@ -68,7 +89,8 @@ NO_OFFSETS = ObservedOffsets(np.zeros(0, dtype=np.int64), np.zeros(0), np.zeros(
 class Problem:
     """Steps between anchors, what is known before them, and what was observed.
 
-    Positions and directions may be wrong: their weights, limits and the like are arrays (F + H,), positions first.
+    Positions, directions and states may be wrong: their weights, limits and the like are arrays (F + H + S,), in this
+    order. Keys of the unknowns are the anchors, the errors after them, and last the rotation of the frame.
     """
 
     intervals: Intervals
@@ -78,6 +100,13 @@ class Problem:
     directions: ObservedDirections
     offsets: ObservedOffsets
     frame_std_rad: float  # of the rotation from the frame of the offsets to that of the positions
+    errors: Errors = NO_ERRORS
+    states: ObservedStates = NO_STATES
+
+    @property
+    def n_states(self) -> int:
+        """Number of anchors and errors, and the key of the rotation of the frame."""
+        return self.n_nodes + len(self.errors)
 
     @property
     def n_nodes(self) -> int:
@@ -86,15 +115,15 @@ class Problem:
 
     @property
     def limit_nis(self) -> FloatArray:
-        """Normalised innovation squared (F + H,) beyond which an observation is wrong."""
-        n = [len(self.positions), len(self.directions)]
+        """Normalised innovation squared (F + H + S,) beyond which an observation is wrong."""
+        n = [len(self.positions), len(self.directions) + len(self.states)]
         return np.repeat([_POSITION_NIS, _DIRECTION_NIS], n)
 
     @property
     def possible(self) -> FloatArray:
-        """1 for the observations (F + H,) that can be used: headings only where somebody walked."""
+        """1 for the observations (F + H + S,) that can be used: headings only where somebody walked."""
         walked = self.directions.length_m > MIN_HEADING_LENGTH_M
-        return np.concatenate([np.ones(len(self.positions)), walked.astype(float)])
+        return np.concatenate([np.ones(len(self.positions)), walked.astype(float), np.ones(len(self.states))])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,28 +154,33 @@ def pose_problem(
     anchor_interval_s: float,
     wanted: Sequence[int] = (),
     returns: Sequence[Return] = (),
+    states: ObservedStates = NO_STATES,
 ) -> Problem:
     """The problem with an anchor where an observation or a change of the heading offset needs one, or is `wanted`.
 
-    Its positions are the fixes, the loop closures and the returns, in this order.
+    Its positions are the fixes, the locations, the loop closures and the returns, in this order. Correlated fixes must
+    be in the order of time and at different contacts (`by_contact`). `states` and `offsets` are at numbers of steps.
     """
-    at = [_nearest_contact(steps, f.time_s) for f in observed.fixes]
-    loops = [(_nearest_contact(steps, c.first_s), _nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
-    back = [_nearest_contact(steps, r.time_s) for r in returns]
+    fixes = (*observed.positions, *observed.locations)
+    is_location = np.arange(len(fixes)) >= len(observed.positions)
+    own_shares = [own_share(f, is_one) for f, is_one in zip(fixes, is_location.tolist(), strict=True)]
+    at = [nearest_contact(steps, f.time_s) for f in fixes]
+    loops = [(nearest_contact(steps, c.first_s), nearest_contact(steps, c.second_s)) for c in observed.loop_closures]
+    back = [nearest_contact(steps, r.time_s) for r in returns]
     headings = [
-        (_nearest_contact(steps, h.start_s)[0], _nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
+        (nearest_contact(steps, h.start_s)[0], nearest_contact(steps, h.end_s)[0]) for h in observed.known_headings
     ]
     needed = (
         [i for i, _, _ in at + back] + [p[0] for pair in loops for p in pair] + [i for pair in headings for i in pair]
     )
-    nodes = choose_nodes(steps, [*wanted, *needed], anchor_interval_s)
+    nodes = choose_nodes(steps, [*wanted, *needed, *states.node.tolist()], anchor_interval_s)
 
     def numbers(contacts: list[int]) -> IntArray:
         return np.searchsorted(nodes, np.array(contacts, dtype=np.int64))
 
     fix_cov_m2 = [
-        f.cov_m2 + max(extra, _BEST_FIX_M**2 - float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
-        for f, (_, _, extra) in zip(observed.fixes, at, strict=True)
+        own * f.cov_m2 + max(extra, _BEST_FIX_M**2 - own * float(np.linalg.eigvalsh(f.cov_m2)[0])) * np.eye(2)
+        for f, own, (_, _, extra) in zip(fixes, own_shares, at, strict=True)
     ]
     loop_cov_m2 = [
         (c.std_m**2 + a[2] + b[2]) * np.eye(2) for c, (a, b) in zip(observed.loop_closures, loops, strict=True)
@@ -160,7 +194,7 @@ def pose_problem(
         follow=np.array(itself + [r.by_start for r in returns]).reshape(-1, 2, N_STATES),
         ahead_m=np.array([d for _, d, _ in at] + none + [d for _, d, _ in back]).reshape(-1, 2),
         position_m=np.array(
-            [f.position_m for f in observed.fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
+            [f.position_m for f in fixes] + none + [r.place_m - r.by_start @ start_mean for r in returns]
         ).reshape(-1, 2),
         whiten=read_only(np.linalg.inv(np.linalg.cholesky(cov_m2))),
     )
@@ -172,8 +206,17 @@ def pose_problem(
         heading_rad=np.array([h.heading_rad for h in observed.known_headings]),
         std_rad=np.array([h.std_rad for h in observed.known_headings]),
     )
-    intervals, at_anchors = preintegrate(steps, nodes), _at_anchors(steps, nodes, offsets)
-    return Problem(intervals, start_mean, start_cov, positions, directions, at_anchors, frame_std_rad)
+    return Problem(
+        preintegrate(steps, nodes),
+        start_mean,
+        start_cov,
+        positions,
+        directions,
+        _at_anchors(steps, nodes, offsets),
+        frame_std_rad,
+        errors_of(fixes, is_location, numbers([i for i, _, _ in at])),
+        replace(states, node=numbers(states.node.tolist())),
+    )
 
 
 def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) -> IntArray:
@@ -187,7 +230,7 @@ def choose_nodes(steps: Increments, wanted: Sequence[int], interval_s: float) ->
     return np.array(nodes, dtype=np.int64)
 
 
-def _nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
+def nearest_contact(steps: Increments, time_s: float) -> tuple[int, FloatArray, float]:
     """Steps before the nearest contact, part of a step from it to the time, variance (m2) of what lies between."""
     k = int(np.searchsorted(steps.time_s, time_s))
     if k == len(steps):
@@ -221,8 +264,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
     (known,) = np.isfinite(std).nonzero()
     if not len(known):
         return NO_OFFSETS
-    own = np.array([m.heading_offset_rad for m in modes])
-    sideways = np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
+    sideways = mode_offsets(track, modes)
     shown = np.asarray(track.steps.walking_heading_rad) - np.asarray(track.steps.device_heading_rad) - sideways
     gained = steps.drift_var_rad2 + steps.unknown_var_rad2 + steps.jump_var_rad2
     first, measured = int(known[0]), np.zeros(len(known))
@@ -234,6 +276,12 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
         gain = variance / (variance + float(std[k] ** 2))
         offset, variance = offset + gain * innovation, (1 - gain) * variance
     return ObservedOffsets(np.concatenate([[0], known[1:]]), measured, std[known])
+
+
+def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
+    """Walking heading less the heading that the body faces, (K,): not zero where somebody walks sideways."""
+    own = np.array([m.heading_offset_rad for m in modes])
+    return np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
 
 
 def _at_anchors(steps: Increments, nodes: IntArray, offsets: ObservedOffsets) -> ObservedOffsets:

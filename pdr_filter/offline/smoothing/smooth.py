@@ -6,7 +6,7 @@ GTSAM eliminates the linear graph of every Gauss-Newton iteration and gives the 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
 from pathlib import Path
@@ -14,9 +14,13 @@ from typing import Literal
 
 import numpy as np
 
-from pdr_filter.calibration import Calibration, load_calibration
-from pdr_filter.config import Config, on_plan
-from pdr_filter.filter.frozen import frozen_fixes
+from pdr_filter.aligned import Way, align_way
+from pdr_filter.calibration import Calibration
+from pdr_filter.config import Config
+from pdr_filter.filter.alignment import Place
+from pdr_filter.filter.alignment import walked_var_m2 as walked_var
+from pdr_filter.filter.frame import START_FRAME
+from pdr_filter.filter.height import Altitude
 from pdr_filter.filter.imm import smoothed_mode_prob
 from pdr_filter.filter.motion import (
     HEADING_OFFSET,
@@ -26,37 +30,45 @@ from pdr_filter.filter.motion import (
     MotionNoise,
     second_order_errors,
 )
-from pdr_filter.gnss import independent
+from pdr_filter.filter.person import Person, session_of_scale
+from pdr_filter.gnss import LocationState, Rides, independent, locations_of, origin_of
 from pdr_filter.io.recording import Recording
+from pdr_filter.notes import notes_of_rides
 from pdr_filter.offline.smoothing.observations import (
     FloorChange,
     KnownHeading,
     LoopClosure,
     Observations,
     check_options,
-    says_nothing,
 )
 from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsight
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
+from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
+from pdr_filter.offline.smoothing.usable import Used, listed, usable, whole_loop
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
-from pdr_filter.recording_run import collected, given_or_default, outputs, run_sensing
-from pdr_filter.sensing.clock import one_clock
+from pdr_filter.placing import GnssUse, NorthUse
+from pdr_filter.recording_run import Run, asked_run, collected, outputs, run_sensing
 from pdr_filter.sensing.device import Device
 from pdr_filter.sensing.heading.walking_heading import WalkingHeading, known_places
 from pdr_filter.tracks import Track
 from pdr_filter.values import (
-    BoolArray,
     Fix,
+    FixResult,
     FloatArray,
     GridFix,
+    HeadingFix,
     IntArray,
+    Origin,
     Plan,
     PositionFix,
+    Samples,
+    SpeedFix,
+    Standstill,
     Step,
     Table,
-    all_fixes,
+    how_many,
     pickled,
     read_only,
     step_table,
@@ -67,7 +79,7 @@ from pdr_filter.values import (
 # Nothing is known of where the walk began in the frame of the fixes, apart from being in the same region.
 _ANYWHERE_STD_M = 1000.0
 _HERE_STD_M = _HERE_STD_RAD = 1e-3
-_KINDS = ("fix", "loop closure", "known heading")
+_KINDS = ("fix", "location", "loop closure", "known heading")
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,9 +97,9 @@ class Smoothed:
     log_scale_std: FloatArray  # (K,)
     start_position_m: FloatArray  # (2,)
     start_position_cov_m2: FloatArray  # (2, 2)
-    # A row for each observation: kind ("fix", "loop closure", "known heading"), number in its sequence, time_s, nis
-    # (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and weight
-    # (1 used, 0 rejected, outside the recording, frozen or without information).
+    # A row for each observation: kind ("fix", "location", "loop closure", "known heading"), number in its sequence,
+    # time_s, nis (squared distance from what all others say, normalised by its covariance; NaN if it was not used) and
+    # weight (1 used, 0 rejected, outside the recording, frozen or without information).
     observations: Table
     floor: FloatArray  # (K,) storey at each step, NaN where no floor change says it
     notes: tuple[str, ...]
@@ -121,47 +133,51 @@ def smooth(
     calibration: Calibration | str | Path | None = None,
     *,
     config: Config | None = None,
+    weighting: str | None = None,
+    progress: Callable[[float], None] | None = None,
+    device: Device | str | Path | None = None,
+    person: Person | str | Path | None = None,
+    gnss: GnssUse | None = None,
+    origin: Origin | tuple[float, float] | None = None,
+    heading_rad: float | None = None,
+    north: NorthUse | None = None,
+    plan: Plan | None = None,
+    start: PositionFix | str | None = None,
+    loop: bool = False,
     loop_closures: Iterable[LoopClosure] | Literal["wifi"] = (),
     known_headings: Iterable[KnownHeading] = (),
     floor_changes: Iterable[FloorChange] = (),
     start_heading_std_rad: float | None = None,
     anchor_interval_s: float = 2.0,
-    plan: Plan | None = None,
-    start: PositionFix | str | None = None,
 ) -> Smoothed:
     """The walk of a recording as everything that is known of it says, with a covariance at every step.
 
-    Step scale, heading drift and the heading offsets of each way of carrying the phone are estimated together with the
-    positions. Fixes may be in any frame; the rotation against the phone's first heading is estimated. Observations that
-    the walk cannot explain are rejected and named in `observations`.
+    This is the best estimate of a finished walk. `pdr_filter.track` gives what a phone knows while somebody walks. All
+    arguments of `track` mean the same here and are refused for the same reasons; what it uses by default is used by
+    default: the recording's own locations, north, floors. Step scale, heading drift and the heading offsets of each way
+    of carrying the phone are estimated together with the positions, and so are the errors that locations share.
+    Observations that the walk cannot explain are rejected and named in `observations` and in the notes.
 
     Parameters
     ----------
-    recording : Recording
-        From `read`.
-    fixes : sequence of PositionFix; on a plan of any fixes
-        In any order. Those outside the recording are not used; ValueError if all are. Locations whose errors are alike
-        count as `pdr_filter.gnss.independent` has it.
-    calibration : Calibration or path, optional
-        Step lengths of the person of the recording (its subject), or where one was saved; those of the recipe if not
-        given.
-    config : Config, optional
-        A recipe; the default recipe if not given.
+    recording, config, weighting, progress, calibration, device, person, gnss, origin, heading_rad, north, plan, start
+        As in `pdr_filter.track`. With gnss="align" the locations turn and shift the smoothed walk as a whole.
+    fixes : iterable of PositionFix, HeadingFix, SpeedFix or Standstill; on a plan also GridFix
+        In any order. Positions may be in any frame: the rotation against the phone's first heading is estimated. Those
+        outside the recording are not used; ValueError if all are. On a plan they are used when they came, as online.
+    loop : bool
+        True states that the walk ended within 1 m of its start. The statement is rejected, and a note says so, if the
+        walk contradicts it.
     loop_closures : sequence of LoopClosure, or "wifi"
         Times at which the walk was at one place. "wifi": those at which the recording heard the same access points
         equally loud (`wifi_loop_closures`); MissingSensorError if it has no Wi-Fi.
     known_headings, floor_changes : sequences
-        What else is known.
+        What else is known; not on a plan.
     start_heading_std_rad : float, optional
         How well the phone's first heading is the walking heading in the frame of the fixes. If not given: not at all
         where there are fixes or known headings, else what the recipe says.
     anchor_interval_s : float
         Anchors are at observations, at changes of the heading offset, and not further apart than this.
-    plan : FloorPlan, optional
-        The walk is on this floor plan, and `fixes` are in its frame; then fixes are all that may be known besides, and
-        they are used when they came, as online. Needs no fix if there is a `start`.
-    start : PositionFix or str, optional
-        Where on the plan the walk begins: a place, the name of an area, or "anywhere".
 
     Examples
     --------
@@ -173,35 +189,49 @@ def smooth(
     >>> bool(np.hypot(*smoothed.track.position_m[-1]) < 1.5)
     True
     """
-    fixes, known_headings, floor_changes = all_fixes(fixes), tuple(known_headings), tuple(floor_changes)
+    known_headings, floor_changes = tuple(known_headings), tuple(floor_changes)
     loop_closures = loop_closures if isinstance(loop_closures, str) else tuple(loop_closures)
-    if plan is not None and (loop_closures or known_headings or floor_changes or start_heading_std_rad is not None):
+    is_more = loop or loop_closures or known_headings or floor_changes or start_heading_std_rad is not None
+    if plan is not None and is_more:
         raise ValueError(
-            "on a floor plan hindsight knows fixes alone, got loop closures, known headings, floor changes or "
+            "on a floor plan hindsight knows fixes alone, got loop, loop_closures, known_headings, floor_changes or "
             "start_heading_std_rad beside plan: leave them out"
         )
-    config = given_or_default(recording, config)
-    has_plan = plan is not None or config.on_plan is not None
-    check_options(fixes, has_plan, loop_closures, start_heading_std_rad, anchor_interval_s)
-    recording, fixes = one_clock(recording, fixes)
+    check_options(loop_closures, start_heading_std_rad, anchor_interval_s)
+    run = asked_run(
+        recording,
+        config,
+        fixes,
+        weighting=weighting,
+        calibration=calibration,
+        device=device,
+        person=person,
+        gnss=gnss,
+        origin=origin,
+        heading_rad=heading_rad,
+        north=north,
+        plan=plan,
+        start=start,
+    )
+    recording, config = run.recording, run.config
     if isinstance(loop_closures, str):
-        loop_closures = wifi_loop_closures(recording)
-    if calibration is not None:
-        calibration = calibration if isinstance(calibration, Calibration) else load_calibration(calibration)
-        config = calibration.config(config, recording.subject)
-    config = _with_first_pass(recording, config)
-    if plan is not None and any(not isinstance(fix, GridFix) for fix in fixes):
-        config = config.in_world_frame()
-    config = on_plan(config, plan, start)
-    places = [fix for fix in fixes if isinstance(fix, PositionFix)]
-    observed = Observations(tuple(places), tuple(loop_closures), known_headings, floor_changes)
+        loop_closures = tuple(wifi_loop_closures(recording))
+    first_pass, second_pass = _halves(progress)
+    config, known_device = _with_first_pass(recording, config, first_pass)
     if config.on_plan is not None:
+        if plan is not None and any(not isinstance(fix, GridFix) for fix in run.fixes):
+            config = config.in_world_frame()
         # Only when called: a plan is an application.
         from pdr_filter.offline.smoothing.on_plan import smooth_on_plan
 
-        return _on_plan(smooth_on_plan(recording, config, tuple(fixes)), observed)
-    config = config.in_hindsight()
-    track = collected(recording, config, outputs(recording, config))
+        found = smooth_on_plan(recording, config, run.fixes, run.with_location, second_pass)
+        places = tuple(fix for fix in run.fixes if isinstance(fix, PositionFix))
+        return _placed(run, _on_plan(found, Observations(places)))
+    # dead reckoning: fixes and locations come in afterwards
+    config = config.in_hindsight().with_model(frame=START_FRAME)
+    stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
+    track = collected(recording, config, outputs(recording, config, stood, second_pass))
+    track = replace(track, device=known_device or track.device)
     modes = config.model.modes
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
@@ -210,11 +240,48 @@ def smooth(
         # how sure the parameters are is in the calibrated spread of the scale already
         fits = [replace(m.step_length, theta_cov=np.zeros_like(m.step_length.theta_cov)) for m in modes]
         modes = tuple(replace(m, step_length=fit) for m, fit in zip(modes, fits, strict=True))
-    return smooth_track(track, modes, config.model.noise, observed, start_heading_std_rad, anchor_interval_s)
+    where, locations = LocationState(), ()
+    if run.with_location and gnss != "align" and recording.location is not None:
+        where, locations = locations_of(recording.location)
+    closed = whole_loop(track) if loop else None
+    observed = Observations(
+        fixes=tuple(fix for fix in run.fixes if isinstance(fix, PositionFix | HeadingFix | SpeedFix)),
+        locations=locations,
+        loop_closures=(*loop_closures, *(() if closed is None else (closed,))),
+        known_headings=known_headings,
+        floor_changes=floor_changes,
+        is_loop=closed is not None,
+    )
+    if run.with_location and recording.location is not None:
+        track = _without_hills(track, recording.location)
+    smoothed, walked_var_m2 = _smooth_track(track, modes, config, observed, start_heading_std_rad, anchor_interval_s)
+    if gnss == "align" and recording.location is not None:
+        smoothed, where, locations = _aligned(smoothed, walked_var_m2, recording.location)
+    return _placed(run, _on_earth(smoothed, where, locations, observed))
 
 
-def _with_first_pass(recording: Recording, config: Config) -> Config:
+def _halves(
+    progress: Callable[[float], None] | None,
+) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
+    """What shows the fraction done of the first and of the second pass."""
+    if progress is None:
+        return None, None
+
+    def first(done: float) -> None:
+        progress(0.5 * done)
+
+    def second(done: float) -> None:
+        progress(0.5 + 0.5 * done)
+
+    return first, second
+
+
+def _with_first_pass(
+    recording: Recording, config: Config, progress: Callable[[float], None] | None
+) -> tuple[Config, Device | None]:
     """Return the configuration with the walking directions and the gyroscope bias of a first pass over the recording.
+
+    The second value is the device as the first pass found it if the configuration has its bias, else None.
 
     Strides show a walking direction better at the end of a place of the phone than at its start, and the axes of a
     building show the bias only after some corners. The second pass has both from the first step. The covariance of the
@@ -222,18 +289,25 @@ def _with_first_pass(recording: Recording, config: Config) -> Config:
     walking that is seen twice is taken for straighter than it is, and costs as often as it gains.
     """
     if "gyroscope" not in recording.streams:
-        return config
-    state, events = run_sensing(config.sensing, recording)
+        return config, None
+    state, events = run_sensing(config.sensing, recording, progress)
     steps = [event for event in events if isinstance(event, Step)]
     if not steps:
-        return config
+        return config, None
     device, heading = config.sensing.device(state), config.sensing.heading
     if isinstance(heading, WalkingHeading):
         heading = replace(heading, known_places=known_places(step_table(steps)))
         config = replace(config, sensing=replace(config.sensing, heading=heading))
     if config.sensing.attitude.bias.device is not None or not steps[-1].on_axes:
-        return config
-    return config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2))
+        return config, None
+    return config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
+
+
+def _without_hills(track: Track, location: Samples) -> Track:
+    here, (latitude_deg, longitude_deg, _, accuracy_m) = origin_of(location), location.values.T
+    if here is None:
+        return track
+    return without_hills(track, location.time_s, here.east_north_m(latitude_deg, longitude_deg), accuracy_m)
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
@@ -258,84 +332,62 @@ def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:
     )
 
 
-def smooth_track(
+def _smooth_track(
     track: Track,
     modes: Sequence[Mode],
-    noise: MotionNoise,
+    config: Config,
     observed: Observations,
     start_heading_std_rad: float | None,
     anchor_interval_s: float,
-) -> Smoothed:
-    """`smooth` of a track that the filter made without fixes; `modes` and `noise` are those of its tracker."""
-    if anchor_interval_s <= 0:
-        raise ValueError(f"anchor_interval_s must be positive, got {anchor_interval_s}")
+) -> tuple[Smoothed, FloatArray]:
+    """`smooth` of a track that the filter of a configuration made without fixes.
+
+    And the variance (K,) of each position for a known heading.
+    """
+    noise = config.model.noise
     start_s, end_s = track.start_time_s, track.start_time_s + track.duration_s
     if track.n_steps:
         start_s, end_s = min(start_s, float(track.time_s[0])), max(end_s, float(track.time_s[-1]))
     inside = observed.fixes_inside(start_s, end_s)
     if track.n_steps == 0:
-        return _without_steps(track, observed, independent(tuple(compress(observed.fixes, inside))))
-    used, row, notes = _usable(track, observed, inside)
+        places = compress((*observed.fixes, *observed.locations), inside)
+        known = independent([f for f in places if isinstance(f, PositionFix)])
+        return _without_steps(track, observed, known), np.zeros(0)
     steps, shared_var = increments(track.steps, track.mode_prob, modes, noise, track.gap_before_s)
+    used = usable(track, steps, modes, noise.log_scale_std, observed, inside)
     offsets = heading_offsets(track, steps, modes)
     heading_std_rad, frame_std_rad = _start_directions(used, len(offsets) > 0, noise, start_heading_std_rad)
-    centre = np.mean([f.position_m for f in used.fixes], axis=0) if used.fixes else np.zeros(2)
-    start_std_m = _ANYWHERE_STD_M if used.fixes else _HERE_STD_M
+    fixes = (*used.observed.positions, *used.observed.locations)
+    centre = np.mean([f.position_m for f in fixes], axis=0) if fixes else np.zeros(2)
+    start_std_m = _ANYWHERE_STD_M if fixes else _HERE_STD_M
     start_cov = start_covariance(start_std_m, heading_std_rad, noise.log_scale_std**2 + shared_var)
     before_first = steps.jump_var_rad2[0] + steps.drift_var_rad2[0] + steps.unknown_var_rad2[0]
     start_cov[HEADING_OFFSET, HEADING_OFFSET] += before_first
-    start = np.array([*centre, 0.0, 0.0])
-    problem = pose_problem(steps, start, start_cov, used, offsets, frame_std_rad, anchor_interval_s=anchor_interval_s)
-    return _smoothed(track, steps, problem, solve(problem), observed, row, notes)
-
-
-def _usable(track: Track, observed: Observations, inside: BoolArray) -> tuple[Observations, IntArray, list[str]]:
-    """Observations that carry information, the row of each given one among these, and why others are not used.
-
-    The row is -1 for an observation that is not used. Loop closures of the same two contacts share one row: copies of
-    a wrong one would confirm each other.
-    """
-    frozen = np.array(frozen_fixes(observed.fixes, track.time_s, track.position_m, track.walked_m), dtype=bool)
-    fixes = inside & ~frozen
-    closures = observed.loop_closures
-    at_s = np.array([(c.first_s, c.second_s) for c in closures]).reshape(-1, 2)
-    walked_m = np.diff(np.interp(at_s, track.time_s, track.walked_m), axis=1)[:, 0]
-    near = np.array([says_nothing(c, d) for c, d in zip(closures, walked_m.tolist(), strict=True)], dtype=bool)
-    contacts = np.searchsorted(track.time_s, at_s)
-    kept: dict[tuple[int, int], int] = {}
-    of_closure = np.full(len(closures), -1)
-    for k in np.flatnonzero(~near).tolist():
-        of_closure[k] = kept.setdefault((int(contacts[k, 0]), int(contacts[k, 1])), len(kept))
-    firsts = [int(np.flatnonzero(of_closure == j)[0]) for j in range(len(kept))]
-    used = replace(
-        observed,
-        fixes=independent(tuple(compress(observed.fixes, fixes))),
-        loop_closures=tuple(closures[k] for k in firsts),
+    problem = pose_problem(
+        steps,
+        np.array([*centre, 0.0, 0.0]),
+        start_cov,
+        used.observed,
+        offsets,
+        frame_std_rad,
+        anchor_interval_s=anchor_interval_s,
+        states=used.states,
     )
-    n_fixes, n_all = int(fixes.sum()), int(fixes.sum()) + len(kept)
-    row = np.concatenate(
-        [
-            np.where(fixes, np.cumsum(fixes) - 1, -1),
-            np.where(of_closure >= 0, n_fixes + of_closure, -1),
-            n_all + np.arange(len(observed.known_headings)),
-        ]
-    )
-    reasons = (
-        ("fix", ~inside, "outside the recording"),
-        ("fix", inside & frozen, "repeats the last position while steps go on"),
-        ("loop closure", near, "its two times are so near that the way between them is within its uncertainty"),
-    )
-    notes = [
-        f"{kind} {_numbers(np.flatnonzero(which))}: {why}, not used" for kind, which, why in reasons if which.any()
-    ]
-    return used, row.astype(np.int64), notes
+    smoothed, walked_var_m2 = _smoothed(track, steps, problem, solve(problem), observed, used)
+    n_fixes = sum(result.accepted for result in smoothed.track.fixes)
+    log_scale, var = float(smoothed.log_scale.mean()), float(np.mean(smoothed.log_scale_std**2))
+    session = session_of_scale(config.model, log_scale, var, n_fixes)
+    if session is None or not n_fixes:
+        return smoothed, walked_var_m2
+    person = (config.person or Person()).pooled(Person((session,)))
+    return replace(smoothed, track=replace(smoothed.track, person=person)), walked_var_m2
 
 
 def _start_directions(
-    used: Observations, has_offsets: bool, noise: MotionNoise, start_heading_std_rad: float | None
+    used: Used, has_offsets: bool, noise: MotionNoise, start_heading_std_rad: float | None
 ) -> tuple[float, float]:
     """Standard deviations of the first heading, and of the rotation from the phone's frame to that of the fixes."""
-    is_oriented = bool(used.fixes or used.known_headings)
+    is_oriented = used.is_oriented
     wide = float(np.sqrt(MAX_HEADING_VARIANCE))
     if has_offsets and not is_oriented:
         # in the phone's own frame the measurements have what is known of the start
@@ -351,9 +403,8 @@ def _smoothed(
     problem: Problem,
     found: Solution,
     observed: Observations,
-    row: IntArray,
-    unused: Sequence[str],
-) -> Smoothed:
+    used: Used,
+) -> tuple[Smoothed, FloatArray]:
     mean, cov = bridge(problem.intervals, found.mean, found.joint_cov)
     position = mean[:, :2]
     before = np.vstack([found.mean[:1, :2], position[:-1]])
@@ -363,12 +414,13 @@ def _smoothed(
     moved = np.where((steps.gap_var_m2 > 0)[:, None], own, moved)
     length = np.hypot(*moved.T)
     heading = np.where(length > 0.01, np.arctan2(moved[:, 0], moved[:, 1]), track.walking_heading_rad)
-    of_map = found.weight[: len(problem.positions)] * (problem.positions.other < 0) > 0
+    of_map = (found.weight[: len(problem.positions)] > 0) & (problem.positions.other < 0)
     anchored = np.unique(problem.intervals.nodes[problem.positions.node[of_map]])
     along = _second_order(moved, cov[:, HEADING_OFFSET, HEADING_OFFSET], anchored)
     position_cov = cov[:, :2, :2] + along[:, :, None] * along[:, None, :]
-    observations = _table(observed, row, found)
-    notes = (*track.notes, *unused, *_notes(track, found, observations, bool(observed.fixes)))
+    observations = _table(observed, used.row, found)
+    start_m = read_only(found.mean[0, :2] if used.has_places else np.zeros(2))
+    notes = (*track.notes, *used.notes, *_notes(track, found, observations, observed, used))
     smoothed = replace(
         track,
         position_m=read_only(position),
@@ -378,21 +430,24 @@ def _smoothed(
         walking_heading_rad=read_only(wrap_angle(heading)),
         step_speed_mps=read_only(length / np.asarray(track.steps.duration_s)),
         notes=notes,
-        start_position_m=read_only(found.mean[0, :2]),
-        frame="fixes" if observed.fixes else track.frame,
+        start_position_m=start_m,
+        is_smoothed=True,
+        frame="fixes" if used.has_places else "north" if used.knows_north else track.frame,
+        fixes=_results(observed, observations, used, track.start_time_s + track.duration_s),
     )
-    return Smoothed(
+    result = Smoothed(
         track=smoothed,
         heading_offset_rad=read_only(wrap_angle(mean[:, HEADING_OFFSET])),
         heading_offset_std_rad=read_only(np.sqrt(cov[:, HEADING_OFFSET, HEADING_OFFSET])),
         log_scale=read_only(mean[:, LOG_SCALE]),
         log_scale_std=read_only(np.sqrt(cov[:, LOG_SCALE, LOG_SCALE])),
-        start_position_m=read_only(found.mean[0, :2]),
+        start_position_m=start_m,
         start_position_cov_m2=read_only(found.joint_cov[0, :2, :2]),
         observations=observations,
         floor=_floors(track, observed.floor_changes),
         notes=notes,
     )
+    return result, np.array([walked_var(P) for P in cov])
 
 
 def _second_order(moved: FloatArray, heading_var_rad2: FloatArray, anchored: IntArray) -> FloatArray:
@@ -411,6 +466,7 @@ def _table(observed: Observations, row: IntArray | None = None, found: Solution 
     """The table `Smoothed.observations`, with the row of each observation in the solution (-1: not used)."""
     times_s = [
         [f.time_s for f in observed.fixes],
+        [f.time_s for f in observed.locations],
         [c.second_s for c in observed.loop_closures],
         [h.start_s for h in observed.known_headings],
     ]
@@ -430,17 +486,40 @@ def _table(observed: Observations, row: IntArray | None = None, found: Solution 
     )
 
 
-def _notes(track: Track, found: Solution, observations: Table, has_fixes: bool) -> list[str]:
+def _results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
+    """What became of each fix and location."""
+    fixes = (*observed.fixes, *observed.locations)
+    rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
+    return tuple(
+        FixResult.of(f, end_s, "frozen" if is_frozen else "used" if weight >= 0.5 else "rejected", nis)
+        for f, weight, nis, is_frozen in rows
+    )
+
+
+def _notes(track: Track, found: Solution, observations: Table, observed: Observations, used: Used) -> list[str]:
     notes: list[str] = []
     for kind in _KINDS:
         rows = (observations.kind == kind) & (observations.weight < 0.5) & ~np.isnan(observations.nis)
+        if kind == "location" and rows.any():
+            times = listed([f"{t:.0f}" for t in observations.time_s[rows]])
+            notes.append(f"the walk contradicts {how_many(int(rows.sum()), 'location')}, at {times} s: not used")
+            continue
+        if observed.is_loop and kind == "loop closure":
+            last = int(np.flatnonzero(observations.kind == kind)[-1])
+            if rows[last]:
+                notes.append("the walk did not end within 1 m of its start, as loop states: not used")
+            rows[last] = False
         if rows.any():
-            notes.append(f"{kind} {_numbers(observations.number[rows])}: the walk cannot explain it, not used")
-    n_good = int((observations.weight[observations.kind == "fix"] >= 0.5).sum())
-    if has_fixes and n_good == 0:
+            notes.append(f"{kind} {listed(observations.number[rows])}: the walk cannot explain it, not used")
+    n_good = int((observations.weight[np.isin(observations.kind, _KINDS[:2])] >= 0.5).sum())
+    if used.has_places and n_good == 0:
         notes.append("no fix agrees with the walk: positions are not known in the frame of the fixes")
     elif n_good == 1 and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
         notes.append("a single fix says where the walk was and not which way it went: directions are not known")
+    elif n_good and found.joint_cov[0, HEADING_OFFSET, HEADING_OFFSET] > 0.5:
+        notes.append("the fixes do not settle which way the walk went: its north is the most probable one")
+    if used.knows_north and (found.weight[-used.n_north :] < 0.5).any():
+        notes.append("north of the magnetic field contradicts everything else that is known of the walk: not used")
     unknown_s = float(np.asarray(track.steps.heading_unknown_s).sum())
     if unknown_s > 1.0:
         notes.append(f"no angular rate for {unknown_s:.0f} s: directions there come from the fixes around them alone")
@@ -449,16 +528,104 @@ def _notes(track: Track, found: Solution, observations: Table, has_fixes: bool) 
     return notes
 
 
-def _numbers(numbers: IntArray) -> str:
-    shown = ", ".join(str(n) for n in numbers[:10])
-    return shown if len(numbers) <= 10 else f"{shown} and {len(numbers) - 10} more"
-
-
 def _floors(track: Track, floor_changes: Sequence[FloorChange]) -> FloatArray:
     changes = sorted(floor_changes, key=lambda c: c.time_s)
     index = np.searchsorted([c.time_s for c in changes], track.time_s, side="right") - 1
     floors = np.array([np.nan, *(float(c.floor) for c in changes)])
     return read_only(floors[index + 1])
+
+
+def _aligned(
+    smoothed: Smoothed, walked_var_m2: FloatArray, location: Samples
+) -> tuple[Smoothed, LocationState, tuple[PositionFix, ...]]:
+    """A smoothed walk that the locations of the recording turn and shift as a whole."""
+    track, end_s = smoothed.track, smoothed.track.start_time_s + smoothed.track.duration_s
+    way = Way(
+        np.array([track.start_time_s, *track.time_s]),
+        np.vstack([track.start_position_m, track.position_m]),
+        np.array([0.0, *track.walked_m]),
+        np.array([0.0, *walked_var_m2]),
+    )
+    found = align_way(location, way, track.start_time_s, end_s, track.n_steps)
+    if not found.fixes:
+        return smoothed, found.locations, ()
+    cov_m2, notes = track.position_cov_m2, smoothed.notes
+    if found.frame.alignment is not None:
+        cov_m2 = way.own_var_m2(found.frame.agreeing)[:, None, None] * np.eye(2)
+    else:
+        notes = (*notes, "the locations do not settle which way the track lies: its north is the most probable one")
+    frame = found.frame.drawn()
+    rows = zip(track.position_m, cov_m2, track.walking_heading_rad.tolist(), strict=True)
+    places = [frame.world(Place(*row, k)) for k, row in enumerate(rows)]
+    start = frame.world(Place(track.start_position_m, smoothed.start_position_cov_m2, 0.0, 0))
+    track = replace(
+        track,
+        position_m=read_only(np.array([p.position_m for p in places]).reshape(-1, 2)),
+        position_cov_m2=read_only(np.array([p.cov_m2 for p in places]).reshape(-1, 2, 2)),
+        walking_heading_rad=read_only(wrap_angle(np.array([p.heading_rad for p in places]))),
+        start_position_m=read_only(start.position_m),
+        frame="fixes",
+        origin=None if found.locations.origin is None else frame.origin(found.locations.origin),
+        fixes=tuple(found.results(end_s)),
+        notes=notes,
+    )
+    turned_rad = read_only(wrap_angle(smoothed.heading_offset_rad + start.heading_rad))
+    smoothed = replace(
+        smoothed,
+        track=track,
+        heading_offset_rad=turned_rad,
+        start_position_m=track.start_position_m,
+        start_position_cov_m2=read_only(start.cov_m2),
+        notes=notes,
+    )
+    return smoothed, found.locations, found.fixes
+
+
+def _on_earth(
+    smoothed: Smoothed, where: LocationState, locations: Sequence[PositionFix], observed: Observations
+) -> Smoothed:
+    """A smoothed walk with the place on Earth that its locations give, and with the storeys that fixes name."""
+    track, notes = smoothed.track, smoothed.notes
+    if where.n_unusable:
+        notes = (*notes, where.unusable())
+    places = sorted([*locations, *(f for f in observed.fixes if isinstance(f, PositionFix))], key=lambda f: f.time_s)
+    vertices = np.column_stack([track.time_s, track.position_m])
+    if track.n_steps:
+        vertices = np.vstack([[track.start_time_s, *track.start_position_m], vertices])
+    notes = (*notes, *(note.text for note in notes_of_rides(Rides.of(places, track.time_s), vertices)))
+    origin, altitude = track.origin, Altitude()
+    if origin is None and where.origin is not None and track.frame == "fixes" and track.n_steps:
+        origin = replace(
+            where.origin,
+            turn_rad=float(smoothed.heading_offset_rad[0]),
+            turn_std_rad=float(smoothed.heading_offset_std_rad.min()),
+            position_std_m=float(track.position_std_m.min()),
+        )
+    if origin is not None and track.n_steps:
+        for fix in locations:
+            k = max(int(np.searchsorted(track.time_s, fix.time_s)) - 1, 0)
+            if fix.altitude_m is not None:
+                altitude = altitude.with_fix(fix, float(track.height_m[k]), float(track.height_std_m[k] ** 2))
+        origin = altitude.of(origin)
+    track = replace(track, origin=origin, notes=notes)
+    return replace(smoothed, track=with_named_floors(track, observed.fixes), notes=notes)
+
+
+def _placed(run: Run, smoothed: Smoothed) -> Smoothed:
+    """A smoothed walk with the given place and heading."""
+    before, track = smoothed.track, run.placed(smoothed.track)
+    turn_rad = track.origin.turn_rad if track.origin is not None and before.frame == "start" else run.heading_rad
+    if track.frame == before.frame or turn_rad is None:
+        return replace(smoothed, track=track, notes=track.notes)
+    rotation = turned(np.array(turn_rad), np.array(0.0))
+    return replace(
+        smoothed,
+        track=track,
+        notes=track.notes,
+        heading_offset_rad=read_only(wrap_angle(smoothed.heading_offset_rad + turn_rad)),
+        start_position_m=track.start_position_m,
+        start_position_cov_m2=read_only(rotation @ smoothed.start_position_cov_m2 @ rotation.T),
+    )
 
 
 def _without_steps(track: Track, observed: Observations, fixes: Sequence[PositionFix]) -> Smoothed:
@@ -471,7 +638,7 @@ def _without_steps(track: Track, observed: Observations, fixes: Sequence[Positio
         place, cov = np.zeros(2), _HERE_STD_M**2 * np.eye(2)
     none = read_only(np.zeros(0))
     return Smoothed(
-        track=track,
+        track=replace(track, is_smoothed=True),
         heading_offset_rad=none,
         heading_offset_std_rad=none,
         log_scale=none,

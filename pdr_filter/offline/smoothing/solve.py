@@ -11,12 +11,13 @@ import numpy as np
 from pdr_filter.filter.motion import EAST, HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES
 from pdr_filter.offline.robust import GNC_FACTOR, truncated_start, truncated_weights
 from pdr_filter.offline.smoothing.linear import Rows, cov_of, eliminated, graph_of, joint_covariances
+from pdr_filter.offline.smoothing.location_errors import N_ERRORS
 from pdr_filter.offline.smoothing.preintegration import TURN, end_states, frame, turned
 from pdr_filter.offline.smoothing.problem import (
     MIN_HEADING_LENGTH_M,
     ObservedDirections,
     ObservedOffsets,
-    ObservedPositions,
+    ObservedStates,
     Problem,
 )
 from pdr_filter.values import BoolArray, FloatArray, IntArray, read_only, wrap_angle
@@ -28,14 +29,15 @@ _NEIGHBOURS = 30
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Solution:
-    """Smoothed states at the anchors, and what became of the observations (positions, then directions)."""
+    """Smoothed states at the anchors, and what became of the observations (positions, directions, states)."""
 
     mean: FloatArray  # (n + 1, 4)
     joint_cov: FloatArray  # (n, 8, 8) both ends of each interval
     frame_rad: float  # rotation from the frame of the offsets
-    nis: FloatArray  # (F + H,)
-    weight: FloatArray  # (F + H,)
+    nis: FloatArray  # (F + H + S,)
+    weight: FloatArray  # (F + H + S,)
     converged: bool
+    states: FloatArray  # (N, 6) anchors, which have four columns, and errors
 
 
 def solve(problem: Problem) -> Solution:
@@ -45,18 +47,18 @@ def solve(problem: Problem) -> Solution:
     Gauss-Newton observations beyond the 99.9 % quantile are left out and those nearer come back, until nothing changes.
     """
     mean, frame_rad, weight = _initial_guess(problem)
-    limit, possible = problem.limit_nis, problem.possible
+    limit, possible, has_frame = problem.limit_nis, problem.possible, len(problem.offsets) > 0
     seen: set[bytes] = set()
     while True:
         mean, frame_rad, converged = _gauss_newton(problem, mean, frame_rad, weight)
         rows = linearised(problem, mean, frame_rad, weight)
-        joint_cov = joint_covariances(rows, problem.n_nodes, len(problem.offsets) > 0)
-        nis = _innovations(problem, mean, weight, rows, joint_cov)
+        joint_cov, with_error_cov = joint_covariances(rows, problem.n_nodes, problem.errors.node, has_frame)
+        nis = _innovations(problem, mean, weight, rows, joint_cov, with_error_cov)
         seen.add(weight.tobytes())
         changes = _changes(weight, possible * nis / limit, possible, problem.positions.node)
         after = next((w for w in changes if w.tobytes() not in seen), None)
         if after is None:
-            return Solution(mean, joint_cov, frame_rad, nis, weight, converged)
+            return Solution(mean[: problem.n_nodes, :N_STATES], joint_cov, frame_rad, nis, weight, converged, mean)
         weight = after
 
 
@@ -68,7 +70,7 @@ def filtered_at(
     And mean (4,) and joint covariance (8, 8), with that anchor, of each of those before it. For problems without
     directions and offsets.
     """
-    rows = linearised(problem, found.mean, found.frame_rad, found.weight)
+    rows = linearised(problem, found.states, found.frame_rad, found.weight)
     tree = eliminated([r.chosen((r.a <= node) & (r.b <= node)) for r in rows])
     change = tree.optimize()
     before = [(found.mean[j] + change.at(j), cov_of(tree, [j, node])) for j in range(node)]
@@ -100,13 +102,14 @@ def _initial_guess(problem: Problem) -> tuple[FloatArray, float, FloatArray]:
         state, turn = solved_with(weight)
         if ((weight == 0) | (weight == 1)).all():
             break
-    mean = state.copy()
+    mean, state = state.copy(), state[: problem.n_nodes]
+    at_anchors = mean[: problem.n_nodes]
     # more than a third longer or shorter is not the person: it is a turn that the linear problem took for a scale
-    mean[:, LOG_SCALE] = np.clip(np.log(np.maximum(np.hypot(state[:, 2], state[:, 3]), 1e-3)), -0.3, 0.3)
-    mean[:, LOG_SCALE] = np.median(mean[:, LOG_SCALE])
+    log_scale = np.clip(np.log(np.maximum(np.hypot(state[:, 2], state[:, 3]), 1e-3)), -0.3, 0.3)
+    at_anchors[:, LOG_SCALE] = np.median(log_scale)
     angle = np.unwrap(np.arctan2(state[:, 3], state[:, 2]))
     nearest = wrap_angle(angle[0] - problem.start_mean[HEADING_OFFSET]) + problem.start_mean[HEADING_OFFSET]
-    mean[:, HEADING_OFFSET] = angle + nearest - angle[0]
+    at_anchors[:, HEADING_OFFSET] = angle + nearest - angle[0]
     return mean, turn, (weight > 0.5).astype(float)
 
 
@@ -116,8 +119,9 @@ def _gauss_newton(
     """States, rotation, and whether the iteration converged."""
     for iteration in range(60):
         change, turn = _solved(graph_of(linearised(problem, mean, frame_rad, weight)), problem)
-        largest_turn = max(float(np.abs(change[:, HEADING_OFFSET]).max()), abs(turn))
-        largest_scale = float(np.abs(change[:, LOG_SCALE]).max())
+        at_anchors = np.abs(change[: problem.n_nodes])
+        largest_turn = max(float(at_anchors[:, HEADING_OFFSET].max()), abs(turn))
+        largest_scale = float(at_anchors[:, LOG_SCALE].max())
         # never further than the linearisation reaches; shorter steps where it does not converge
         share = min(1.0, 0.7 / max(largest_turn, 1e-9), 0.3 / max(largest_scale, 1e-9))
         share *= 1.0 if iteration < 20 else 0.5
@@ -150,29 +154,42 @@ def _changes(weight: FloatArray, excess: FloatArray, possible: FloatArray, node:
 
 
 def _innovations(
-    problem: Problem, mean: FloatArray, weight: FloatArray, rows: Sequence[Rows], joint_cov: FloatArray
+    problem: Problem,
+    mean: FloatArray,
+    weight: FloatArray,
+    rows: Sequence[Rows],
+    joint_cov: FloatArray,
+    with_error_cov: FloatArray,
 ) -> FloatArray:
     """How far each observation is from what all others say: chi-square with its dimension if it is right.
 
     r' (I - L)^-1 r for a whitened residual r of an observation that is used, with its leverage L = H P H'; and
-    r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it.
+    r' (I + L)^-1 r for one that is not: by so much the least sum of squares changes with it. `with_error_cov`
+    (E, 10, 10) is the joint covariance of the anchor and the error of each correlated fix.
     """
-    positions, directions = problem.positions, problem.directions
-    n_fixes, nis = len(positions), np.zeros(len(weight))
-    residual, by_node, by_other = _position_residuals(positions, mean)
-    fixes = np.flatnonzero(positions.other < 0)
-    if len(fixes):
-        own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
-        H = by_node[fixes]
-        leverage = H @ own_cov[positions.node[fixes]] @ H.swapaxes(-1, -2)
-        nis[fixes] = _squares(residual[fixes], leverage, weight[fixes] > 0)
+    positions, directions, states = problem.positions, problem.directions, problem.states
+    n_positions, nis = len(positions), np.zeros(len(weight))
+    residual, by_node, by_other = _position_residuals(problem, mean)
+    own_cov = np.concatenate([joint_cov[:, :N_STATES, :N_STATES], joint_cov[-1:, N_STATES:, N_STATES:]])
+
+    def judge(at: IntArray, r: FloatArray, H: FloatArray, cov: FloatArray) -> None:
+        nis[at] = _squares(r, H @ cov @ H.swapaxes(-1, -2), weight[at] > 0)
+
+    correlated = problem.errors.position
+    of_map = np.setdiff1d(np.flatnonzero(positions.other < 0), correlated)
+    judge(of_map, residual[of_map], by_node[of_map], own_cov[positions.node[of_map]])
+    by_both = np.concatenate([by_node[correlated], positions.whiten[correlated] @ problem.errors.by], axis=2)
+    judge(correlated, residual[correlated], by_both, with_error_cov)
+    residual_of_states, by_state = _state_residuals(states, mean)
+    at_states = n_positions + len(directions) + np.arange(len(states))
+    judge(at_states, residual_of_states, by_state, own_cov[states.node])
     pairs = [
         (i, positions.node[i], positions.other[i], residual[i], by_node[i], by_other[i])
         for i in np.flatnonzero(positions.other >= 0)
     ]
     turn, by_last = _direction_residuals(directions, mean)
     ends = zip(directions.last, directions.first, turn, by_last, -by_last, strict=True)
-    pairs += [(n_fixes + i, *blocks) for i, blocks in enumerate(ends)]
+    pairs += [(n_positions + i, *blocks) for i, blocks in enumerate(ends)]
     if pairs:
         tree = eliminated(rows)
         for i, a, b, r, A, B in pairs:
@@ -191,40 +208,51 @@ def _squares(residual: FloatArray, leverage: FloatArray, is_used: BoolArray) -> 
 
 
 def _solved(graph: gtsam.GaussianFactorGraph, problem: Problem) -> tuple[FloatArray, float]:
-    """Solution at the anchors (n + 1, 4), and the rotation (an angle; of a vector its direction)."""
+    """Solution for anchors and errors, and the rotation (an angle; of a vector its direction).
+
+    A row (N, 6) for each, of which an anchor has four columns.
+    """
     solution = graph.optimize(gtsam.EliminateQR)
-    state = np.array([solution.at(j) for j in range(problem.n_nodes)])
+    n, state = problem.n_nodes, np.zeros((problem.n_states, N_ERRORS))
+    state[:n, :N_STATES] = [solution.at(j) for j in range(n)]
+    state[n:] = np.array([solution.at(j) for j in range(n, problem.n_states)]).reshape(-1, N_ERRORS)
     if len(problem.offsets) == 0:
         return state, 0.0
-    turn = solution.at(problem.n_nodes)
+    turn = solution.at(problem.n_states)
     return state, float(turn[0]) if len(turn) == 1 else float(np.arctan2(turn[1], turn[0]))
 
 
 def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: FloatArray) -> list[Rows]:
-    """Equations for the change of the states (n + 1, 4) at which they are linearised."""
+    """Equations for the change of the states (N, 6), anchors and errors, at which they are linearised."""
     start_whiten = read_only(np.linalg.inv(np.linalg.cholesky(problem.start_cov)))
-    rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0] - problem.start_mean)))]
+    rows = [Rows.of_one(0, start_whiten, -(start_whiten @ (mean[0, :N_STATES] - problem.start_mean)))]
 
-    start, n = mean[:-1], len(mean) - 1
+    n = problem.n_nodes - 1
+    start, end = mean[:n, :N_STATES], mean[1 : n + 1, :N_STATES]
     ahead, F = end_states(start, problem.intervals.total_m)
     whiten = problem.intervals.whiten @ np.linalg.inv(frame(start))
-    residual = np.einsum("nab,nb->na", whiten, mean[1:] - ahead)
+    residual = np.einsum("nab,nb->na", whiten, end - ahead)
     rows.append(Rows(np.arange(n), -whiten @ F, -residual, np.arange(1, n + 1), whiten))
+    rows += _error_rows(problem, mean)
 
     positions, directions, offsets = problem.positions, problem.directions, problem.offsets
     if len(positions):
-        residual, H, H_other = _position_residuals(positions, mean)
-        rows.append(Rows(positions.node, H, -residual, positions.other, H_other, weight[: len(positions)]))
+        residual, H, H_other = _position_residuals(problem, mean)
+        rows += _position_rows(problem, H, -residual, H_other, weight)
     if len(directions):
         residual, by_last = _direction_residuals(directions, mean)
-        of_directions = weight[len(positions) :]
+        of_directions = weight[len(positions) : len(positions) + len(directions)]
         rows.append(Rows(directions.last, by_last, -residual, directions.first, -by_last, of_directions))
+    if len(problem.states):
+        residual, by_state = _state_residuals(problem.states, mean)
+        of_states, none = weight[len(positions) + len(directions) :], np.full(len(problem.states), -1)
+        rows.append(Rows(problem.states.node, by_state, -residual, none, np.zeros((0, 0, 0)), of_states))
     if len(offsets):
         inverse = 1 / offsets.std_rad
         residual = wrap_angle(mean[offsets.node, HEADING_OFFSET] - frame_rad - offsets.offset_rad) * inverse
         by_state = np.zeros((len(offsets), 1, N_STATES))
         by_state[:, 0, HEADING_OFFSET] = inverse
-        key = problem.n_nodes
+        key = problem.n_states
         keys = np.full(len(offsets), key)
         rows.append(Rows(offsets.node, by_state, -residual[:, None], keys, -inverse[:, None, None]))
         prior = np.array([[1 / problem.frame_std_rad]])
@@ -232,19 +260,60 @@ def linearised(problem: Problem, mean: FloatArray, frame_rad: float, weight: Flo
     return rows
 
 
-def _position_residuals(positions: ObservedPositions, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Whitened p + e^s R(theta) d - G x_other - z (F, 2), and its derivatives by both states (F, 2, 4)."""
-    at, relative = mean[positions.node], positions.other >= 0
+def _error_rows(problem: Problem, mean: FloatArray) -> list[Rows]:
+    """Equations of the errors of correlated fixes: e_0 ~ N(0, I), e_k = a e_(k-1) + w, var w = 1 - a^2."""
+    n, decay = problem.n_nodes, problem.errors.decay
+    if len(problem.errors) == 0:
+        return []
+    error, keys = mean[n:], np.arange(n, n + len(decay))
+    inverse = 1 / np.sqrt(1 - decay**2)
+    W = inverse[:, :, None] * np.eye(N_ERRORS)
+    residual = inverse * (error[1:] - decay * error[:-1])
+    return [
+        Rows.of_one(n, np.eye(N_ERRORS), -error[0]),
+        Rows(keys, -W * decay[:, :, None], -residual, keys + 1, W),
+    ]
+
+
+def _state_residuals(states: ObservedStates, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
+    """Whitened difference of each measured state (S, 1), angles wrapped, and its derivative (S, 1, 4)."""
+    error = mean[states.node, states.state] - states.value
+    error = np.where(states.state == HEADING_OFFSET, wrap_angle(error), error)
+    H = np.zeros((len(states), 1, N_STATES))
+    H[np.arange(len(states)), 0, states.state] = 1 / states.std
+    return (error / states.std)[:, None], H
+
+
+def _position_residuals(problem: Problem, mean: FloatArray) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Whitened p + e^s R(theta) d + B e - G x_other - z (F, 2), and its derivatives by both anchors (F, 2, 4)."""
+    positions, errors = problem.positions, problem.errors
+    at, relative = mean[positions.node, :N_STATES], positions.other >= 0
     moved = np.einsum("nab,nb->na", turned(at[:, HEADING_OFFSET], at[:, LOG_SCALE]), positions.ahead_m)
-    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other])
+    followed = np.einsum("nab,nb->na", positions.follow, mean[positions.other, :N_STATES])
     origin = np.where(relative[:, None], followed, 0.0)
     error = at[:, :2] + moved - origin - positions.position_m
+    if len(errors):
+        error[errors.position] += np.einsum("nab,nb->na", errors.by, mean[problem.n_nodes :])
     H = np.zeros((len(positions), 2, N_STATES))
     H[:, :, _POSITION] = np.eye(2)
     H[:, :, HEADING_OFFSET] = moved @ TURN.T
     H[:, :, LOG_SCALE] = moved
     by_other = -(positions.whiten @ positions.follow)
     return np.einsum("nab,nb->na", positions.whiten, error), positions.whiten @ H, by_other
+
+
+def _position_rows(
+    problem: Problem, H: FloatArray, rhs: FloatArray, by_other: FloatArray, weight: FloatArray
+) -> list[Rows]:
+    """Equations of positions, with their errors where these are unknowns."""
+    positions, errors = problem.positions, problem.errors
+    own = np.setdiff1d(np.arange(len(positions)), errors.position)
+    rows = [Rows(positions.node[own], H[own], rhs[own], positions.other[own], by_other[own], weight[own])]
+    if len(errors):
+        shared, keys = errors.position, problem.n_nodes + np.arange(len(errors))
+        by_error = positions.whiten[shared] @ errors.by
+        rows.append(Rows(errors.node, H[shared], rhs[shared], keys, by_error, weight[shared]))
+    return rows
 
 
 def _direction_residuals(directions: ObservedDirections, mean: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -278,32 +347,42 @@ def _relaxed(problem: Problem) -> list[Rows]:
     A[:, :2, 2:] = _linear(intervals.total_m)
     B = W[:, :, None] * np.eye(N_STATES)
     rows.append(Rows(np.arange(n), -W[:, :, None] * A, np.zeros((n, N_STATES)), np.arange(1, n + 1), B))
+    rows += _error_rows(problem, np.zeros((problem.n_states, N_ERRORS)))
     if len(problem.offsets):
-        rows += _relaxed_offsets(problem.offsets, problem.n_nodes, problem.frame_std_rad)
+        rows += _relaxed_offsets(problem.offsets, problem.n_states, problem.frame_std_rad)
     return rows
 
 
 def _relaxed_observations(problem: Problem, weight: FloatArray) -> list[Rows]:
-    """Those of positions and directions."""
-    positions, directions = problem.positions, problem.directions
+    """Those of positions, directions and headings; a scale alone is no vector."""
+    positions, directions, states = problem.positions, problem.directions, problem.states
+    of_positions, of_directions, of_states = np.split(weight, [len(positions), len(positions) + len(directions)])
     H, H_other, target = _relaxed_positions(problem)
     by_last, turn = _relaxed_directions(directions)
+    by_state, vector = _relaxed_states(states)
+    none = np.full(len(states), -1)
     return [
-        Rows(positions.node, H, target, positions.other, H_other, weight[: len(positions)]),
-        Rows(directions.last, by_last, turn, directions.first, -by_last, weight[len(positions) :]),
+        *_position_rows(problem, H, target, H_other, of_positions),
+        Rows(directions.last, by_last, turn, directions.first, -by_last, of_directions),
+        Rows(states.node, by_state, vector, none, np.zeros((0, 0, 0)), of_states),
     ]
 
 
 def _relaxed_squared_residuals(problem: Problem, state: FloatArray) -> FloatArray:
-    """Squared residuals of all observations (F + H,) for states (n + 1, 4) in (p, z)."""
-    positions, directions = problem.positions, problem.directions
+    """Squared residuals of all observations (F + H + S,) for states (N, 6) in (p, z)."""
+    positions, directions, errors = problem.positions, problem.directions, problem.errors
+    by_errors = np.einsum("nab,nb->na", positions.whiten[errors.position] @ errors.by, state[problem.n_nodes :])
+    state = state[: problem.n_nodes, :N_STATES]
     H, H_other, target = _relaxed_positions(problem)
     other = np.where((positions.other >= 0)[:, None], state[positions.other], 0.0)
     residual = np.einsum("nab,nb->na", H, state[positions.node]) + np.einsum("nab,nb->na", H_other, other)
     residual -= target
+    residual[errors.position] += by_errors
     by_last, target = _relaxed_directions(directions)
     turn = np.einsum("nab,nb->na", by_last, state[directions.last] - state[directions.first]) - target
-    return np.concatenate([np.square(residual).sum(axis=1), np.square(turn).sum(axis=1)])
+    by_state, target = _relaxed_states(problem.states)
+    of_states = np.einsum("nab,nb->na", by_state, state[problem.states.node]) - target
+    return np.concatenate([np.square(r).sum(axis=1) for r in (residual, turn, of_states)])
 
 
 def _linear(sum_m: FloatArray) -> FloatArray:
@@ -341,6 +420,14 @@ def _relaxed_directions(directions: ObservedDirections) -> tuple[FloatArray, Flo
     H[:, 0, 0], H[:, 1, 1] = inverse, inverse
     way = np.column_stack([np.sin(directions.heading_rad), np.cos(directions.heading_rad)])
     return H, way * (directions.length_m * inverse)[:, None]
+
+
+def _relaxed_states(states: ObservedStates) -> tuple[FloatArray, FloatArray]:
+    """A heading offset is a vector of length one within a tenth or more, a log scale nothing."""
+    inverse = np.where(states.state == HEADING_OFFSET, 1 / np.maximum(states.std, 0.1), 0.0)
+    H = np.zeros((len(states), 2, N_STATES))
+    H[:, 0, 2], H[:, 1, 3] = inverse, inverse
+    return H, np.column_stack([np.cos(states.value), np.sin(states.value)]) * inverse[:, None]
 
 
 def _relaxed_offsets(offsets: ObservedOffsets, key: int, frame_std_rad: float) -> list[Rows]:

@@ -102,7 +102,7 @@ def known_places(steps: Table) -> tuple[KnownPlace, ...]:
     """Return the places of the phone in the steps of a track, each with the direction after its last stride."""
     since_s, std_rad = np.asarray(steps.carried_since_s), np.asarray(steps.shown_offset_std_rad)
     shown_rad = np.asarray(steps.shown_offset_rad)
-    (in_place,) = np.isfinite(since_s + std_rad).nonzero()
+    (in_place,) = (np.isfinite(since_s) & np.isfinite(std_rad)).nonzero()
     last = in_place[np.flatnonzero(np.diff(since_s[in_place], append=np.inf))]
     return tuple(KnownPlace(float(since_s[k]), float(shown_rad[k]), float(std_rad[k]) ** 2) for k in last)
 
@@ -556,5 +556,5 @@ def _shown(state: WalkingHeadingState, on_axes: bool = False) -> dict[str, Any]:
         "shown_offset_rad": state.shown.shown_rad,
         "shown_offset_std_rad": math.sqrt(state.shown.shown_var_rad2),
         "direction_trust": state.trust,
-        "carried_since_s": math.nan if state.place is None else state.place.start_s,
+        "carried_since_s": -math.inf if state.place is None else state.place.start_s,
     }
