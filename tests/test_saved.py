@@ -19,13 +19,14 @@ import pytest
 from saved_mutations import FILTERS, a_calibration, at, between, good_filter, nodes, try_one
 
 import pdr_filter as pdr
-from pdr_filter import recipes, serialise
-from pdr_filter.calibration import load_calibration
-from pdr_filter.classifiers import artefact
-from pdr_filter.classifiers.model import load_model
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.io import limits
-from pdr_filter.serialise import from_bytes, like, to_bytes
+from pdr_filter import recipes
+from pdr_filter.classifiers import model_files as artefact
+from pdr_filter.classifiers.context_model import load_model
+from pdr_filter.filter.imm.motion_model import MotionNoise
+from pdr_filter.recipes.step_length_calibration import load_calibration
+from pdr_filter.values import limits
+from pdr_filter.values import serialisation as serialise
+from pdr_filter.values.serialisation import from_bytes, like, to_bytes
 
 SLOW_S = 2.0  # a second on a machine that is not busy
 

@@ -10,18 +10,18 @@ import numpy as np
 from rich.console import Console
 from rich.table import Column, Table
 
-from pdr_filter import plot
 from pdr_filter.cli.console import escape, estimates, files_of, replaced_of, unused, write_map
 from pdr_filter.io.formats import read
-from pdr_filter.io.recording import Recording
-from pdr_filter.io.texts import file_name
-from pdr_filter.placing import GnssUse
+from pdr_filter.report import plot
 from pdr_filter.report.html import write_report
 from pdr_filter.report.page_data import track_data
 from pdr_filter.report.palette import context_colours
 from pdr_filter.simulate import demo_walk
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.georeferencing import GnssUse
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
+from pdr_filter.values.recording import Recording
+from pdr_filter.values.sanitise import file_name
 
 _BAR_CELLS = 30
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from typing import Any, Protocol
 
-from pdr_filter.filter.model import PedestrianModel
-from pdr_filter.filter.pedestrian import PedestrianState, StepUpdate
+from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
+from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate
 from pdr_filter.values import Fix, FixOutcome, FloatArray, FloorPassage, Note, OnPlan, Plan
 
 
@@ -30,8 +30,8 @@ class PlanState(Protocol):
 class PlanStage(Protocol):
     """A stage that follows the tracker's events on a floor plan.
 
-    `pdr_filter.maps.particles.ParticleFilter` is one. Each method returns the state after one event, and `known` is
-    what the tracker knows then.
+    `pdr_filter.maps.particle_filter.ParticleFilter` is one. Each method returns the state after one event, and `known`
+    is what the tracker knows then.
     """
 
     @property

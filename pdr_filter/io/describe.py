@@ -8,9 +8,8 @@ from typing import Any, cast
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.recording import Recording
-from pdr_filter.values import FloatArray, Samples, how_many
+from pdr_filter.values import FloatArray, Samples, how_many, limits
+from pdr_filter.values.recording import Recording
 
 # A stream whose mean rate is below this part of the one that was asked for is named: phones often deliver half.
 DELIVERED_ENOUGH = 0.9

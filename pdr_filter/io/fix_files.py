@@ -6,11 +6,10 @@ from pathlib import Path
 
 import numpy as np
 
-from pdr_filter.io import limits
-from pdr_filter.io.files import read_small
-from pdr_filter.io.table import TextTable
+from pdr_filter.io.files.safe_files import read_small
+from pdr_filter.io.tables.text_table import TextTable
 from pdr_filter.offline.smoothing.observations import LoopClosure
-from pdr_filter.values import PositionFix
+from pdr_filter.values import PositionFix, limits
 
 
 def fixes_of_file(path: str | Path, std_m: float = 1.0) -> list[PositionFix]:

@@ -21,12 +21,13 @@ import numpy as np
 from markupsafe import Markup
 
 from pdr_filter.io.describe import ReadingReport, reading_report
-from pdr_filter.io.files import write_text
-from pdr_filter.io.recording import Recording
+from pdr_filter.io.files.safe_files import write_text
 from pdr_filter.maps.floor_plan import FloorPlan, plan_of
-from pdr_filter.report import palette, trust
+from pdr_filter.report import palette
 from pdr_filter.report.page_data import track_data
+from pdr_filter.tracking import trust_report as trust
 from pdr_filter.values import TrackRows, how_many
+from pdr_filter.values.recording import Recording
 
 # Less of a context cannot be seen.
 _VISIBLE_PROB = 0.01

@@ -13,9 +13,9 @@ from pdr_filter.values.angles import wrap_angle
 from pdr_filter.values.arrays import BoolArray, FloatArray, IntArray, Table, pickled, read_only
 from pdr_filter.values.fixes import FixResult
 from pdr_filter.values.floor_passage import FloorPassage
-from pdr_filter.values.on_plan import Cluster
 from pdr_filter.values.origin import Origin
 from pdr_filter.values.plan import Plan
+from pdr_filter.values.plan_estimate import Cluster
 from pdr_filter.values.step import steps_of
 from pdr_filter.values.uncertainty import worst_std_m
 from pdr_filter.values.windows import Windows

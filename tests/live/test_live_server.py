@@ -27,13 +27,13 @@ from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 import pdr_filter as pdr
-from pdr_filter.io.recording import Recording
 from pdr_filter.live import session as live_session
 from pdr_filter.live import sources
 from pdr_filter.live.hub import Reader
 from pdr_filter.live.messages import parse
 from pdr_filter.live.parts import Answer
 from pdr_filter.live.settings import Settings
+from pdr_filter.values.recording import Recording
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ import numpy as np
 
 from pdr_filter.offline.calibration.hierarchy import PeoplePosterior, solve_people, without_each
 from pdr_filter.offline.calibration.segments import SegmentSums
-from pdr_filter.offline.robust import moments, next_stage, weights
+from pdr_filter.offline.robust_loss import moments, next_stage, weights
 from pdr_filter.values import CONTEXTS, BoolArray, FloatArray, IntArray
 
 _MAX_ITERATIONS = 500

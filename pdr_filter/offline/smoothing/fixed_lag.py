@@ -13,10 +13,17 @@ from itertools import compress
 
 import numpy as np
 
-from pdr_filter.filter.frozen import SeenPlace, seen_after
-from pdr_filter.filter.motion import HEADING_OFFSET, LOG_SCALE, MAX_HEADING_VARIANCE, N_STATES, Mode, MotionNoise
-from pdr_filter.filter.pedestrian import StepUpdate
-from pdr_filter.gnss import independent
+from pdr_filter.filter.fixes.gnss import independent
+from pdr_filter.filter.fixes.repeated_fixes import SeenPlace, seen_after
+from pdr_filter.filter.imm.motion_model import (
+    HEADING_OFFSET,
+    LOG_SCALE,
+    MAX_HEADING_VARIANCE,
+    N_STATES,
+    Mode,
+    MotionNoise,
+)
+from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations, says_nothing
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, end_states, frame, increments, joined
 from pdr_filter.offline.smoothing.problem import Problem, Return, pose_problem, start_covariance

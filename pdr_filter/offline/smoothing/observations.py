@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from pdr_filter.io.recording import Recording
 from pdr_filter.values import BoolArray, HeadingFix, PositionFix, SpeedFix, are_numbers, check_number
+from pdr_filter.values.recording import Recording
 
 _OUTSIDE_S = 1.0  # fixes so far outside the samples still count as at their ends: clocks are not better than that
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from pdr_filter.tracks import Track
+from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray
 
 

@@ -7,9 +7,8 @@ import pytest
 from simulated_steps import Walk, simulated_walk
 
 import pdr_filter as pdr
-from pdr_filter import serialise
-from pdr_filter.filter.motion import MotionNoise
-from pdr_filter.gnss import independent
+from pdr_filter.filter.fixes.gnss import independent
+from pdr_filter.filter.imm.motion_model import MotionNoise
 from pdr_filter.offline.smoothing.fixed_lag import FixedLagSmoother, LateSteps
 from pdr_filter.offline.smoothing.observations import LoopClosure, Observations
 from pdr_filter.offline.smoothing.preintegration import bridge
@@ -18,6 +17,7 @@ from pdr_filter.offline.smoothing.solve import solve
 from pdr_filter.recipes import default
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import PositionFix
+from pdr_filter.values import serialisation as serialise
 
 NOISE = MotionNoise(log_scale_std=0.06)
 
