@@ -279,7 +279,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
 
 
 def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
-    """Return the angle from the heading of the body to the walking heading, (K,). It is zero except in sideways steps."""
+    """Return the angle from the heading of the body to the walking heading, (K,): zero unless a step is sideways."""
     own = np.array([m.heading_offset_rad for m in modes])
     return np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
 
