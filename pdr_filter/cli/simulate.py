@@ -55,7 +55,7 @@ def demo(
     online: Online = False,
     loop: Loop = False,
 ) -> None:
-    """Track a walk, smoothed as a whole, draw it and say what came out."""
+    """Smooth a walk, draw it and print a summary."""
     from pdr_filter.cli.demo import Demo, run_demo
 
     use, written = None if gnss is None else gnss.value, set[str]()

@@ -76,7 +76,7 @@ class AlignedWay:
     frame: Frame
 
     def results(self, at_s: float) -> list[FixResult]:
-        """What became of each fix."""
+        """Return the outcome of each fix."""
         outcomes: list[FixOutcome] = [
             "frozen" if is_frozen else "turned" if pair in self.frame.agreeing else "rejected"
             for is_frozen, pair in zip(self.frozen, self.pairs, strict=True)

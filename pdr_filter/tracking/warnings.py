@@ -24,7 +24,7 @@ _KNOW_BIAS = "rest for five seconds before the walk, or give `device` of an earl
 
 
 def notes_of(config: Config, state: State, vertices: FloatArray | None = None) -> list[Note]:
-    """What to keep in mind about the track so far: the same for a whole recording and for an app.
+    """Return the warnings about a track so far, for a whole recording and for an app.
 
     `vertices` (K, 3) of a whole track, time, east and north, say where it stopped during a ride.
     """

@@ -144,7 +144,7 @@ def fixes_of(location: Samples, origin: Origin | None = None) -> tuple[Origin | 
 
 
 def locations_of(location: Samples, origin: Origin | None = None) -> tuple[LocationState, tuple[PositionFix, ...]]:
-    """What has been seen of a whole stream of locations, and its fixes, in metres from its first usable one."""
+    """Return the state after all locations, and their position fixes in metres from the first usable location."""
     latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
     return position_fixes(
         LocationState(origin), location.time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m

@@ -273,7 +273,7 @@ def heading_offsets(track: TrackRows, steps: Increments, modes: Sequence[Mode]) 
 
 
 def mode_offsets(track: TrackRows, modes: Sequence[Mode]) -> FloatArray:
-    """Walking heading less the heading that the body faces, (K,): not zero where somebody walks sideways."""
+    """Return the angle from the heading of the body to the walking heading, (K,): zero unless a step is sideways."""
     own = np.array([m.heading_offset_rad for m in modes])
     return np.arctan2(track.mode_prob @ np.sin(own), track.mode_prob @ np.cos(own))
 

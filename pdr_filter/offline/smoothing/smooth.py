@@ -263,7 +263,7 @@ def smooth(
 def _halves(
     progress: Callable[[float], None] | None,
 ) -> tuple[Callable[[float], None] | None, Callable[[float], None] | None]:
-    """What shows the fraction done of the first and of the second pass."""
+    """Return progress callbacks for the first and the second pass."""
     if progress is None:
         return None, None
 
@@ -487,7 +487,7 @@ def _table(observed: Observations, row: IntArray | None = None, found: Solution 
 
 
 def _results(observed: Observations, observations: Table, used: Used, end_s: float) -> tuple[FixResult, ...]:
-    """What became of each fix and location."""
+    """Return the outcome of each fix and location."""
     fixes = (*observed.fixes, *observed.locations)
     rows = zip(fixes, observations.weight.tolist(), observations.nis.tolist(), used.is_frozen.tolist(), strict=False)
     return tuple(

@@ -500,7 +500,7 @@ def test_the_command_estimates_from_ones_own_recordings_and_track_uses_the_file(
     assert found.card["n_people"] == found.card["n_recordings"] == 4 and found.card["n_changes"] >= 16
     walk = str(sorted(mine.glob("*.zip"))[0])
 
-    tracked = run(["track", walk, "--json", "--transitions", str(path)])
+    tracked = run(["track", walk, "--json", "--online", "--transitions", str(path)])
     assert tracked.exit_code == 0, tracked.stderr
     recording = pdr.read(walk)
     expected = pdr.track(recording, with_transitions(default(recording.subject), found))
