@@ -10,7 +10,7 @@ from operator import attrgetter
 
 import numpy as np
 
-from pdr_filter.filter.fixes.gnss import LocationState, Rides, position_fixes
+from pdr_filter.filter.fixes.gnss import LocationState, Rides, good_places, place_at, position_fixes
 from pdr_filter.filter.height import height_filter as height
 from pdr_filter.filter.height.height_filter import HeightState, initial_height
 from pdr_filter.filter.imm import pedestrian_state as pedestrian
@@ -32,6 +32,7 @@ from pdr_filter.values import (
     GridFix,
     ImuBlock,
     OnPlan,
+    Origin,
     PositionFix,
     SpeedFix,
     Standstill,
@@ -63,6 +64,7 @@ class State:
     n_lost_climbs: int = 0  # that waited too long for their windows
     n_climbs_used: int = 0  # of these, by the height
     locations: LocationState = field(default_factory=LocationState)
+    places: FloatArray = field(default_factory=lambda: np.empty((0, 3)))  # of good locations: `gnss.good_places`
     rides: Rides = field(default_factory=Rides)
     waiting_fixes: tuple[Fix, ...] = ()  # not yet received, or from a time whose steps are not yet known
     n_rejected_fixes: int = 0
@@ -182,7 +184,29 @@ def add_location(
     locations, fixes = position_fixes(
         state.locations, time_s, latitude_deg, longitude_deg, accuracy_m, altitude_m=altitude_m
     )
+    if locations.origin is not None:
+        state = add_places(state, locations.origin, time_s, latitude_deg, longitude_deg, accuracy_m)
     return add_fixes(config, replace(state, locations=locations), fixes)
+
+
+# Locations that may still show a hill: steps and pressures are known some seconds late, and heights look back by as
+# many.
+_PLACES_S = 20.0
+
+
+def add_places(
+    state: State,
+    origin: Origin,
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    accuracy_m: FloatArray,
+) -> State:
+    """State with locations (N,) on the track's time base that tell hills from storeys, and do nothing else."""
+    last_s = float(state.places[-1, 0]) if len(state.places) else -np.inf
+    new = good_places(origin, time_s, latitude_deg, longitude_deg, accuracy_m, last_s)
+    is_old = state.places[:, 0] < state.sensing.processed_s - _PLACES_S
+    return replace(state, places=np.concatenate([state.places[~is_old], new]))
 
 
 def add_fixes(config: Config, state: State, fixes: Sequence[Fix]) -> State:
@@ -287,7 +311,8 @@ def _with_pressure(config: Config, state: State, until_s: float, output: Output)
         return state
     until_s -= config.sensing.step_latency_s
     while state.n_climbs_used < len(state.climbs) and state.climbs[state.n_climbs_used].time_s <= until_s:
-        known, passages = height.on_pressure(state.height, state.climbs[state.n_climbs_used], config.model)
+        climb = state.climbs[state.n_climbs_used]
+        known, passages = height.on_pressure(state.height, climb, config.model, place_at(state.places, climb.time_s))
         state = replace(state, height=known, n_climbs_used=state.n_climbs_used + 1)
         state = _with_passages(config, state, passages, output)
     return state
@@ -309,7 +334,9 @@ def _with_steps(config: Config, state: State, known_s: float, updates: Sequence[
     for update in updates:
         if update.is_final:
             up_prob, down_prob = config.model.on_stairs.dot(update.mode_prob).tolist()
-            known, own, passages = height.on_step(known, known_s, update.step.time_s, up_prob, down_prob, config.model)
+            step_s, model = update.step.time_s, config.model
+            place = place_at(state.places, step_s)
+            known, own, passages = height.on_step(known, known_s, step_s, up_prob, down_prob, model, place)
             state = _with_passages(config, state, passages, output)
         else:
             own = known.known

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from pdr_filter.filter.fixes.alignment import Place
+from pdr_filter.filter.fixes.gnss import origin_of
 from pdr_filter.filter.imm.pedestrian_state import StepUpdate
 from pdr_filter.filter.step_length.person import Person
 from pdr_filter.recipes.config import Config, check_config, on_plan
@@ -24,6 +25,7 @@ from pdr_filter.tracking.filtering import (
     State,
     add_fixes,
     add_location,
+    add_places,
     climb_at,
     finish,
     init,
@@ -162,7 +164,8 @@ def track(
         start=start,
     )
     recording, config = run.recording, run.config
-    brought = outputs(recording, config, run.fixes, progress, run.with_location and gnss != "align")
+    with_fixes = run.with_location and gnss != "align"
+    brought = outputs(recording, config, run.fixes, progress, with_fixes, run.with_location)
     return run.placed(collected(recording, config, aligned(recording, brought) if gnss == "align" else brought))
 
 
@@ -242,9 +245,11 @@ def outputs(
     fixes: Sequence[Fix] = (),
     progress: Callable[[float], None] | None = None,
     with_location: bool = False,
+    with_hills: bool = False,
 ) -> Iterator[tuple[State, Output]]:
     """What each stretch of a recording brings, with the filter's state after it; the last one is the end's.
 
+    The recording's own locations are fixes (`with_location`), or only tell hills from storeys (`with_hills`).
     MissingSensorError if the tracks of the recipe need what was not recorded.
     """
     missing = [name for name in config.needs if name not in recording.streams]
@@ -254,10 +259,13 @@ def outputs(
             'needs for a track; use recipe "default", which does without'
         )
     state = add_fixes(config, replace(init(config), climbs=_climbs(config, recording)), fixes)
-    if with_location and recording.location is not None:
-        latitude_deg, longitude_deg, altitude_m, accuracy_m = recording.location.values.T
-        where = latitude_deg, longitude_deg, accuracy_m, altitude_m
-        state = add_location(config, state, recording.location.time_s, *where)
+    if (with_location or with_hills) and (location := recording.location) is not None:
+        latitude_deg, longitude_deg, altitude_m, accuracy_m = location.values.T
+        where = latitude_deg, longitude_deg, accuracy_m
+        if with_location:
+            state = add_location(config, state, location.time_s, *where, altitude_m)
+        elif (origin := origin_of(location)) is not None:
+            state = add_places(state, origin, location.time_s, *where)
     for part in _parts(merge_streams(recording), progress):
         state, output = update(config, state, part)
         yield state, output

@@ -104,6 +104,41 @@ def position_fixes(
     return LocationState(origin, last_s, state.n + len(rows), n_nowhere, n_vague, n_backward), tuple(fixes)
 
 
+# Locations worse than this do not show a way of some metres.
+_GOOD_M = 10.0
+# A location is where the phone is for so long.
+_PRESENT_S = 2.0
+
+
+def good_places(
+    origin: Origin,
+    time_s: FloatArray,
+    latitude_deg: FloatArray,
+    longitude_deg: FloatArray,
+    accuracy_m: FloatArray,
+    last_s: float = -math.inf,
+) -> FloatArray:
+    """Time, east and north (P, 3) of locations (N,) later than `last_s`, NaN where they are not good."""
+    found = list[tuple[float, float, float]]()
+    # one by one: the bits of a vectorised sine depend on its length
+    for t, *place, accuracy in np.column_stack([time_s, latitude_deg, longitude_deg, accuracy_m]).tolist():
+        if last_s < t < math.inf:
+            is_good = _is_place(*place) and 0 < accuracy <= _GOOD_M
+            east_m, north_m = origin.east_north_m(*place).tolist() if is_good else (math.nan, math.nan)
+            last_s = t
+            found.append((t, east_m, north_m))
+    return np.array(found).reshape(-1, 3)
+
+
+def place_at(places: FloatArray, time_s: float) -> tuple[float, float] | None:
+    """East and north of the last of some `good_places` (P, 3) at a time; None if it is old or not good."""
+    k = int(np.searchsorted(places[:, 0], time_s, side="right")) - 1
+    if k < 0:
+        return None
+    t, east_m, north_m = places[k].tolist()
+    return None if time_s - t > _PRESENT_S or math.isnan(east_m) else (east_m, north_m)
+
+
 def independent(fixes: Sequence[PositionFix], before: Sequence[PositionFix] = ()) -> tuple[PositionFix, ...]:
     """Fixes in the given order for what takes their errors for independent, such as `pdr_filter.smooth`.
 

@@ -23,6 +23,7 @@ from pdr_filter.filter.height.floor_detection import (
     Climbing,
     FloorState,
     Level,
+    Place,
     finished,
     fixed,
     followed,
@@ -132,6 +133,7 @@ class Second:
     climb: Climb
     log_evidence: FloatArray  # (7,) of the windows that ended in it
     n_steps: int
+    place: Place | None = None  # that a good location showed
 
 
 @dataclass(frozen=True, eq=False)
@@ -179,10 +181,13 @@ def on_window(state: HeightState, window: WindowContext, log_evidence: FloatArra
 
 
 def on_pressure(
-    state: HeightState, climb: Climb, model: PedestrianModel
+    state: HeightState, climb: Climb, model: PedestrianModel, place: Place | None = None
 ) -> tuple[HeightState, tuple[FloorPassage, ...]]:
-    """New state after a second of the barometer whose steps are known, and what is certain now of floor changes."""
-    second = Second(state.known, climb, state.log_evidence, state.n_steps)
+    """New state after a second of the barometer whose steps are known, and what is certain now of floor changes.
+
+    `place` is where a good location showed the phone in that second.
+    """
+    second = Second(state.known, climb, state.log_evidence, state.n_steps, place)
     known = _after(second, model)
     recent = (*state.recent, second)
     n_final = sum(s.climb.time_s < climb.time_s - LATE_S for s in state.recent)
@@ -192,11 +197,18 @@ def on_pressure(
 
 
 def on_step(
-    state: HeightState, now_s: float, step_s: float, up_prob: float, down_prob: float, model: PedestrianModel
+    state: HeightState,
+    now_s: float,
+    step_s: float,
+    up_prob: float,
+    down_prob: float,
+    model: PedestrianModel,
+    place: Place | None = None,
 ) -> tuple[HeightState, Known, tuple[FloorPassage, ...]]:
     """New state after a step that became known now, what is known of its own time, and of floor changes.
 
-    With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs.
+    With a barometer it counts in its own second. Without, it climbs as far as it was probably made on stairs. `place`
+    is where a good location showed the phone at the step.
     """
     elapsed_s = min(max(step_s - state.step_s, 0.0), 2.0) if math.isfinite(state.step_s) else 0.5
     if state.recent and now_s - state.known.pressure_s < PRESSURE_AGE_S and state.known.calm_in_s == 0:
@@ -213,7 +225,7 @@ def on_step(
     if state.recent:
         passages += state.known.floors.passages
     unseen_var = (_UNSEEN_SLOPE_M**2 + state.stairs_unknown_share * _UNSEEN_STAIRS_M**2) * elapsed_s
-    known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var)
+    known = _climbed(state.known, step_s, elapsed_s, up_prob, down_prob, unseen_var, place)
     state = replace(state, step_s=step_s, known=known, recent=(), log_evidence=np.zeros(N_MODES), n_steps=0)
     return state, known, passages + known.floors.passages
 
@@ -276,7 +288,13 @@ def _after(second: Second, model: PedestrianModel) -> Known:
     ride = (known.ride or (climb.time_s, known.climbed_m)) if rides > 0.5 else None
     if ride is not None and climb.time_s - ride[0] > LONGEST_RIDE_S:
         return _in_vehicle(known, climb.time_s, moments, ride[1])
-    way = followed(known.floors, climb.time_s, elapsed_s, now.climbed_m, prob[UP] + prob[DOWN], rides, n_steps)
+    on_stairs = prob[UP] + prob[DOWN]
+    way, slope_m = followed(
+        known.floors, climb.time_s, elapsed_s, now.climbed_m, on_stairs, rides, n_steps, second.place
+    )
+    if slope_m != 0.0:
+        moments = vertical.as_slope(moments, slope_m)
+        now = vertical.combined(moments)
     level = known_level(way, climb.time_s)
     if level is not None:
         variance = level.std_m**2 + LEVEL_STD_M**2
@@ -302,7 +320,13 @@ def _after(second: Second, model: PedestrianModel) -> Known:
 
 
 def _climbed(
-    known: Known, step_s: float, elapsed_s: float, up_prob: float, down_prob: float, unseen_var: float
+    known: Known,
+    step_s: float,
+    elapsed_s: float,
+    up_prob: float,
+    down_prob: float,
+    unseen_var: float,
+    place: Place | None,
 ) -> Known:
     """What is known after a step without a barometer."""
     rise_m, on_stairs = RISER_M * (up_prob - down_prob), up_prob + down_prob
@@ -310,7 +334,10 @@ def _climbed(
     climbed_var = _FLIGHT_STEPS * max(of_stairs, 0.0)
     moments = vertical.after_step(known.moments, rise_m, climbed_var, unseen_var)
     now = vertical.combined(moments)
-    way = followed(known.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1)
+    way, slope_m = followed(known.floors, step_s, elapsed_s, now.climbed_m, on_stairs, 0.0, 1, place)
+    if slope_m != 0.0:
+        moments = vertical.as_slope(moments, slope_m)
+        now = vertical.combined(moments)
     return replace(
         known,
         moments=moments,

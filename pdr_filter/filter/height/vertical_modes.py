@@ -173,6 +173,13 @@ def after_step(moments: FloatArray, rise_m: float, climbed_var_m2: float, sloped
     return moved
 
 
+def as_slope(moments: FloatArray, climbed_m: float) -> FloatArray:
+    """Moments of somebody of whose climbed height so much was a slope: the height above the start stays."""
+    G = np.eye(_SIZE)
+    G[_CLIMBED, _ONE], G[_SLOPED, _ONE] = -climbed_m, climbed_m
+    return G @ moments @ G.T
+
+
 def at_level(moments: FloatArray, climbed_m: float, var_m2: float) -> FloatArray:
     """Moments of somebody who is on a level that is known."""
     prob = moments[:, _ONE, _ONE, None, None]

@@ -17,7 +17,7 @@ import numpy as np
 from pdr_filter.filter.fixes.alignment import Place
 from pdr_filter.filter.fixes.alignment import walked_var_m2 as walked_var
 from pdr_filter.filter.fixes.frame import START_FRAME
-from pdr_filter.filter.fixes.gnss import LocationState, Rides, independent, locations_of, origin_of
+from pdr_filter.filter.fixes.gnss import LocationState, Rides, independent, locations_of
 from pdr_filter.filter.height.height_filter import Altitude
 from pdr_filter.filter.imm.imm import smoothed_mode_prob
 from pdr_filter.filter.imm.motion_model import (
@@ -40,7 +40,7 @@ from pdr_filter.offline.smoothing.plan_result import Hindsight as OnPlanHindsigh
 from pdr_filter.offline.smoothing.preintegration import Increments, bridge, increments, turned
 from pdr_filter.offline.smoothing.problem import Problem, heading_offsets, pose_problem, start_covariance
 from pdr_filter.offline.smoothing.solve import Solution, solve
-from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
+from pdr_filter.offline.smoothing.storeys import with_arrivals, with_named_floors
 from pdr_filter.offline.smoothing.usable import Used, listed, usable, whole_loop
 from pdr_filter.offline.smoothing.wifi_loops import wifi_loop_closures
 from pdr_filter.recipes.config import Config
@@ -230,8 +230,8 @@ def smooth(
     # dead reckoning: fixes and locations come in afterwards
     config = config.in_hindsight().with_model(frame=START_FRAME)
     stood = [fix for fix in run.fixes if isinstance(fix, Standstill)]
-    track = collected(recording, config, outputs(recording, config, stood, second_pass))
-    track = replace(track, device=known_device or track.device)
+    track = collected(recording, config, outputs(recording, config, stood, second_pass, with_hills=run.with_location))
+    track = with_arrivals(replace(track, device=known_device or track.device))
     modes = config.model.modes
     if track.weighting == "imm":
         prob = smoothed_mode_prob(track.mode_prob, config.model.transition_prob)
@@ -252,8 +252,6 @@ def smooth(
         floor_changes=floor_changes,
         is_loop=closed is not None,
     )
-    if run.with_location and recording.location is not None:
-        track = _without_hills(track, recording.location)
     smoothed, walked_var_m2 = _smooth_track(track, modes, config, observed, start_heading_std_rad, anchor_interval_s)
     if gnss == "align" and recording.location is not None:
         smoothed, where, locations = _aligned(smoothed, walked_var_m2, recording.location)
@@ -301,13 +299,6 @@ def _with_first_pass(
     if config.sensing.attitude.bias.device is not None or not steps[-1].on_axes:
         return config, None
     return config.with_device(Device(device.bias_radps, 2.0 * device.bias_cov_radps2)), device
-
-
-def _without_hills(track: Track, location: Samples) -> Track:
-    here, (latitude_deg, longitude_deg, _, accuracy_m) = origin_of(location), location.values.T
-    if here is None:
-        return track
-    return without_hills(track, location.time_s, here.east_north_m(latitude_deg, longitude_deg), accuracy_m)
 
 
 def _on_plan(found: OnPlanHindsight, observed: Observations) -> Smoothed:

@@ -1,4 +1,4 @@
-"""Storeys of a smoothed walk: without hills, and numbered as fixes name them."""
+"""Storeys of a smoothed walk: those at which it arrived, numbered as fixes name them."""
 
 from __future__ import annotations
 
@@ -8,42 +8,22 @@ from typing import TypeVar
 
 import numpy as np
 
-from pdr_filter.values import FloatArray, FloorPassage, IntArray, PositionFix, TrackRows
+from pdr_filter.values import IntArray, PositionFix, TrackRows
 
 AnyRows = TypeVar("AnyRows", bound=TrackRows)
 
-# Stairs lead 1.5 to 2 m forward for each metre up and come back at a landing: locations moved by at most 3.2 m for
-# each metre on 8 climbs of ipin2023, and by 6 m on a hill. A ramp that people can walk leads 6 m or more.
-_LEAST_WAY_OF_A_HILL = 4.5
-# Locations worse than this do not show a way of some metres.
-_GOOD_M = 10.0
 
+def with_arrivals(track: AnyRows) -> AnyRows:
+    """A track that is on another storey only where a floor change led there.
 
-def without_hills(track: AnyRows, location_s: FloatArray, place_m: FloatArray, accuracy_m: FloatArray) -> AnyRows:
-    """A track without the floor changes during which the locations (L,), (L, 2), (L,) led up or down a hill."""
-    good = np.isfinite(place_m).all(axis=1) & (accuracy_m <= _GOOD_M)
-    if good.sum() < 2 or not track.floor_passages:
-        return track
-    location_s, place_m = location_s[good], place_m[good]
-
-    def is_hill(passage: FloorPassage) -> bool:
-        ends_s = [passage.start_s, passage.end_s]
-        if passage.how == "lift" or not ((location_s >= ends_s[0]) & (location_s <= ends_s[1])).any():
-            return False
-        way_m = np.diff([np.interp(ends_s, location_s, column) for column in place_m.T], axis=1)
-        climbed_m = float(np.diff(np.interp(ends_s, track.time_s, track.height_m))[0])
-        return float(np.hypot(*way_m)[0]) > _LEAST_WAY_OF_A_HILL * max(abs(climbed_m), 1.0)
-
-    shift, kept = np.zeros(track.n_steps, dtype=np.int64), list[FloorPassage]()
-    lower = 0
+    The filter changes the storey before it knows that somebody arrives there, or that good locations show a hill.
+    """
+    floor, begin, now = track.floor.copy(), 0, int(track.floor[0]) if track.n_steps else 0
     for passage in track.floor_passages:
-        if is_hill(passage):
-            lower += passage.to_floor - passage.from_floor
-            since = _step_at(track, passage.start_s)
-            shift[since + int(np.argmax(track.floor[since:] != track.floor[max(since - 1, 0)])) :] = -lower
-        else:
-            kept.append(replace(passage, from_floor=passage.from_floor - lower, to_floor=passage.to_floor - lower))
-    return replace(track, floor=_shifted(track, shift), floor_passages=tuple(kept))
+        floor[begin : np.searchsorted(track.time_s, passage.start_s)] = passage.from_floor
+        begin, now = int(np.searchsorted(track.time_s, passage.end_s)), passage.to_floor
+    floor[begin:] = now
+    return replace(track, floor=_shifted(track, floor - track.floor))
 
 
 def with_named_floors(track: AnyRows, fixes: Sequence[object]) -> AnyRows:

@@ -11,6 +11,7 @@ from helpers import cut_randomly
 
 import pdr_filter as pdr
 from pdr_filter.filter.height.floor_detection import FloorState, Level, learnt, storeys_up
+from pdr_filter.offline.smoothing.storeys import with_arrivals
 from pdr_filter.simulate import BAROMETER, Leg, SensorErrors, simulate
 from pdr_filter.tracking.track import Track
 from pdr_filter.values import FloatArray, ImuBlock, PositionFix, Samples
@@ -132,6 +133,83 @@ def test_a_hill_is_height_and_no_storey(level: Recording) -> None:
     track = pdr.track(hill)
     assert track.height_m[-1] == pytest.approx(1.95, abs=0.6)
     assert ways(track) == []
+
+
+def located(recording: Recording, accuracy_m: float) -> Recording:
+    """The recording with its true places as locations once a second."""
+    truth = recording.truth.position
+    assert truth is not None
+    time_s = np.arange(0.5, float(truth.time_s[-1]), 1.0)
+    way_m = [np.interp(time_s, truth.time_s, row) for row in (truth.east_m, truth.north_m)]
+    degrees = np.array(way_m) / 111_195.0
+    rows = [degrees[1], degrees[0], np.zeros(len(time_s)), np.full(len(time_s), accuracy_m)]
+    return replace(recording, location=Samples(time_s, np.column_stack(rows)))
+
+
+@pytest.fixture(scope="module")
+def hill() -> Recording:
+    """15 % for 25 s, which the pressure alone does not tell from stairs."""
+    recording = walk(Leg("walking", distance_m=70.0))
+    return with_pressure(recording, lambda t, p: (t, p - 0.2 / 8.32 * np.clip(t - 15.0, 0.0, 25.0)))
+
+
+def test_a_climb_along_which_good_locations_move_far_is_a_hill_and_no_storey(hill: Recording) -> None:
+    plain, outdoors = pdr.track(hill), pdr.track(located(hill, 5.0))
+    assert ways(plain) == [(0, 1, "stairs")]
+    assert ways(outdoors) == []
+    assert outdoors.floor[-1] == 0
+    assert outdoors.height_m[-1] == pytest.approx(plain.height_m[-1], abs=0.3)
+    assert outdoors.height_m[-1] > 4.0
+
+
+def test_locations_that_are_not_good_do_not_show_hills(hill: Recording) -> None:
+    assert ways(pdr.track(located(hill, 30.0))) == [(0, 1, "stairs")]
+
+
+def test_stairs_with_good_locations_lead_to_another_storey(stairs: Recording) -> None:
+    assert ways(pdr.track(located(stairs, 5.0))) == [(0, 1, "stairs"), (1, 0, "stairs")]
+
+
+def test_locations_that_only_align_the_track_show_hills_too(hill: Recording) -> None:
+    assert ways(pdr.track(located(hill, 5.0), gnss="align")) == []
+
+
+def test_a_smoothed_hill_is_no_storey_at_any_step(hill: Recording) -> None:
+    track = pdr.smooth(located(hill, 5.0)).track
+    assert ways(track) == []
+    assert set(track.floor) == {0}
+
+
+def test_a_smoothed_walk_changes_the_storey_during_its_floor_changes_alone(stairs: Recording) -> None:
+    track = pdr.track(stairs)
+    floor = track.floor.copy()
+    floor[[3, -3]] = 5
+    after = with_arrivals(replace(track, floor=floor))
+    np.testing.assert_array_equal(after.floor, track.floor)
+
+
+def test_hills_do_not_depend_on_how_samples_and_locations_are_cut(hill: Recording) -> None:
+    recording = located(hill, 5.0)
+    block, location, pressure = pdr.merge_streams(recording), recording.location, recording.barometer
+    assert location is not None and pressure is not None
+    floors = list[list[int]]()
+    for seconds in (0.7, 3.1):
+        online, found = pdr.OnlineFilter(pdr.recipes.default().in_world_frame()), list[int]()
+        for begin_s in np.arange(0.0, block.time_s[-1], seconds):
+            rows = [(s.time_s >= begin_s) & (s.time_s < begin_s + seconds) for s in (location, pressure, block)]
+            latitude_deg, longitude_deg, _, accuracy_m = location.values[rows[0]].T
+            online.push_location(location.time_s[rows[0]], latitude_deg, longitude_deg, accuracy_m)
+            online.push_pressure(pressure.time_s[rows[1]], pressure.values[rows[1], 0])
+            found += [
+                u.floor
+                for u in online.push(
+                    block.time_s[rows[2]], block.specific_force_mps2[rows[2]], block.angular_rate_radps[rows[2]]
+                )
+            ]
+        floors.append(found + [u.floor for u in online.finish()])
+        assert len(online.state.places) <= 26
+    assert floors[0] == floors[1]
+    assert floors[0][-1] == 0
 
 
 # --- what is not climbed --------------------------------------------------------------------------------------------

@@ -18,7 +18,7 @@ from pdr_filter.offline.smoothing.location_errors import by_contact, errors_of, 
 from pdr_filter.offline.smoothing.observations import Observations
 from pdr_filter.offline.smoothing.problem import ObservedStates, Problem, pose_problem
 from pdr_filter.offline.smoothing.solve import linearised, solve
-from pdr_filter.offline.smoothing.storeys import with_named_floors, without_hills
+from pdr_filter.offline.smoothing.storeys import with_named_floors
 from pdr_filter.simulate import Leg, simulate
 from pdr_filter.values import FloorPassage, HeadingFix, Origin, PositionFix, Samples, SpeedFix, Standstill
 
@@ -287,19 +287,6 @@ def a_climb(track: pdr.Track, height_m: float) -> pdr.Track:
     floor = (way > 0.5).astype(track.floor.dtype)
     passage = FloorPassage(float(track.time_s[k]), float(track.time_s[k + 10]), 0, 1, "stairs")
     return replace(track, height_m=height_m * way, floor=floor, floor_passages=(passage,))
-
-
-@pytest.mark.parametrize(("way_m", "accuracy_m", "n"), [(12.0, 5.0, 0), (6.0, 5.0, 1), (12.0, 30.0, 1)])
-def test_a_climb_along_which_good_locations_move_far_is_a_hill_and_no_storey(
-    way_m: float, accuracy_m: float, n: int
-) -> None:
-    track = a_climb(pdr.track(bare()), 2.0)
-    passage = track.floor_passages[0]
-    time_s = np.linspace(passage.start_s, passage.end_s, 8)
-    place_m = np.column_stack([np.linspace(0.0, way_m, 8), np.zeros(8)])
-    after = without_hills(track, time_s, place_m, np.full(8, accuracy_m))
-    assert len(after.floor_passages) == n
-    assert int(after.floor.max()) == n
 
 
 def test_a_fix_that_names_a_storey_numbers_the_whole_walk() -> None:
