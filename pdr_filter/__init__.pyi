@@ -24,6 +24,7 @@ from .sensing.device import Device as Device
 from .tracking.extrapolation import Now as Now
 from .tracking.online import OnlineFilter as OnlineFilter
 from .tracking.track import Track as Track
+from .tracking.walked_path import WalkedPath as WalkedPath
 from .tracking.whole_recording import classify as classify
 from .tracking.whole_recording import detect_steps as detect_steps
 from .tracking.whole_recording import track as track

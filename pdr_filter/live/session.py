@@ -38,6 +38,8 @@ _MAX_PATH = 20_000
 # Shortest times between two `now` events, and between two `track` events of a path whose north is not settled. Turning
 # a step costs some 50 us, so a path of hours is sent less often.
 _NOW_S, _TURN_S, _TURN_STEP_S = 0.2, 5.0, 0.005
+# Pages get the path again where it was corrected by more than this, no more often than this.
+_CORRECTED_M, _CORRECTED_S = 1.0, 2.0
 # Entries of the charts for a page that is opened late: five minutes.
 _HISTORY, _HISTORY_STEP_S = 300, 1.0
 # Samples that are pushed at once. `sensing.stream_merging` keeps no more waiting rows of the fastest phones.
@@ -86,11 +88,12 @@ class DeviceSession:
         self.path: list[list[float]] = []
         # For each row of `path`: the place in the frame of the start, if the row still turns until north is settled.
         self._starts: list[Place | None] = []
+        self._drawn: list[list[float]] = []  # time, east and north of the path that pages draw
         self._unsaved_at = math.inf  # monotonic time of the first change that is not saved
         self._history: deque[Event] = deque(maxlen=_HISTORY)  # of `now` events, for the charts
         self._is_untold = False  # whether samples came after the last `now` event
         self._judged: tuple[FixResult, ...] = ()  # fixes whose outcome was already sent
-        self._now_at, self._turn_at, self._advanced_at = -math.inf, -math.inf, -math.inf
+        self._now_at, self._turn_at, self._drawn_at, self._advanced_at = -math.inf, -math.inf, -math.inf, -math.inf
         self.seen_at = time.monotonic()
 
     # --- messages ---
@@ -173,14 +176,14 @@ class DeviceSession:
         if self.online is not None:
             events += self._stepped(self.online.finish())
         self.has_ended = True
-        told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._now(is_due=True)]
-        return [*events, *told]
+        told = [*self._outcomes(), *self._about_changed(), *self._turned(is_due=True), *self._corrected(is_due=True)]
+        return [*events, *told, *self._now(is_due=True)]
 
     def _filtered(self, samples: assembly.Streams) -> list[Event]:
         if self.online is None or not samples:
             return []
         events = self._stepped(_pushed(self.online, samples))
-        return [*events, *self._outcomes(), *self._turned(), *self._now()]
+        return [*events, *self._outcomes(), *self._turned(), *self._corrected(), *self._now()]
 
     def _begun(self, samples: assembly.Streams) -> Config:
         """Configuration for the sensors of the first seconds."""
@@ -284,7 +287,8 @@ class DeviceSession:
     def _add(self, update: StepUpdate) -> None:
         self.path.append(_row(update.step.time_s, update.position_m, update.position_cov_m2))
         self._starts.append(update.of_start)
-        for kept in (self.path, self._starts):
+        self._drawn.append(self.path[-1][:3])
+        for kept in (self.path, self._starts, self._drawn):
             if len(kept) > _MAX_PATH:
                 del kept[: _MAX_PATH // 10]
 
@@ -318,7 +322,27 @@ class DeviceSession:
                 row[:] = _row(row[0], place.position_m, place.cov_m2)
         if frame.is_joined:  # for good
             self._starts = [None] * len(self.path)
+        self._drawn = [row[:3] for row in self.path]
         return [self.track()]
+
+    def _corrected(self, is_due: bool = False) -> list[Event]:
+        """`path` event, if later samples and fixes have corrected what pages draw by more than a metre."""
+        if self.online is None or (time.monotonic() - self._drawn_at < _CORRECTED_S and not is_due):
+            return []
+        self._drawn_at = time.monotonic()
+        path = self.online.path()
+        rows = np.column_stack([path.time_s, path.position_m])[: path.n_steps]
+        if not len(rows) or not self._drawn:
+            return []
+        time_s, *drawn_m = np.array(self._drawn).T
+        off_m = [np.interp(time_s, rows[:, 0], rows[:, k + 1]) - drawn_m[k] for k in (0, 1)]
+        if np.hypot(*off_m).max() <= _CORRECTED_M:
+            return []
+        self._drawn = rows.tolist()
+        return [self._drawn_path()]
+
+    def _drawn_path(self) -> Event:
+        return {"event": "path", "id": self.id, "path": self._drawn}
 
     def track(self) -> Event:
         """Event with the session and its path: time, east, north and covariance (ee, en, nn) after each step."""
@@ -331,7 +355,8 @@ class DeviceSession:
 
     def whole(self) -> list[Event]:
         """Events for a page that was just opened."""
-        return [{**self.track(), "history": list(self._history)}, *self._now(is_due=True, is_live=False)]
+        track = {**self.track(), "history": list(self._history)}
+        return [track, self._drawn_path(), *self._now(is_due=True, is_live=False)]
 
     @property
     def unsaved_s(self) -> float:
@@ -374,7 +399,9 @@ class DeviceSession:
             if number % _LOAD_MESSAGES == 0:
                 self.advance()
         self.save()
+        self._drawn = [row[:3] for row in self.path]
         self._turned(is_due=True)
+        self._corrected(is_due=True)
         self.seen_at = time.monotonic() - max(silent_s, 0.0)
         return self
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -93,23 +93,35 @@ _ALONG_SHARE, _ACROSS_SHARE = 0.4, 0.15
 _QUIET_MPS2, _QUIET_ROWS = 0.8, 13
 
 
-def now(config: Config, state: State) -> Now:
-    """What is known at this moment.
+class Present(NamedTuple):
+    """Where the pedestrian is at the time of the newest sample, in the frame of the filter's states."""
+
+    time_s: float
+    place: Place
+    steps: tuple[ProvisionalStep, ...]  # that are found and not accepted yet, and led there
+    way_m: float  # since the last contact
+    speed_mps: float
+    speed_std_mps: float
+
+
+def present_place(config: Config, state: State) -> Present:
+    """The place at this moment, before the frame of the fixes and a floor plan.
 
     Behind the last accepted step come the candidates: steps that the gate has not judged yet, and those that wait for a
     bout while walking is more probable than not. From the last contact the position goes on at the smoothed speed, in
     the direction of the step turned by half of what the phone has turned since, until the next contact is overdue or
     the phone is quiet. After `finish` nothing is provisional.
     """
-    sensing, newest_s = state.sensing, _newest_s(state)
+    sensing = state.sensing
     tracker, last, steps = state.tracker, state.last_update, list[ProvisionalStep]()
     for step in () if state.finished else _candidates(sensing.gate):
         tracker, updates = config.tracker.on_step(tracker, step)
         last = updates[-1]
-        steps.append(ProvisionalStep(step.time_s, last.position_m))
+        own_m = last.position_m if last.of_start is None else last.of_start.position_m
+        steps.append(ProvisionalStep(step.time_s, own_m))
     pedestrian = state.tracker.pedestrian
-    mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
-    device_rad, frame = sensing.attitude.device_heading_rad, pedestrian.frame
+    mean, _ = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    device_rad = sensing.attitude.device_heading_rad
     place = replace(own_place(pedestrian), heading_rad=device_rad + float(mean[HEADING_OFFSET]))
     if last is not None and (steps or not last.is_final):
         own = Place(last.position_m, last.position_cov_m2, last.walking_heading_rad, pedestrian.n_final)
@@ -121,6 +133,17 @@ def now(config: Config, state: State) -> Now:
         speed_mps, speed_std_mps = last.speed.smoothed_mps, last.speed.smoothed_std_mps
         way_m = speed_mps * max(_felt_s(state) - last.step.time_s, 0.0)
         place = _further(place, way_m, device_rad - last.step.device_heading_rad)
+    return Present(_newest_s(state), place, tuple(steps), way_m, speed_mps, speed_std_mps)
+
+
+def now(config: Config, state: State) -> Now:
+    """What is known at this moment: `present_place` in the frame of the fixes, and all else."""
+    sensing, pedestrian, present = state.sensing, state.tracker.pedestrian, present_place(config, state)
+    newest_s, steps, place, frame = present.time_s, present.steps, present.place, pedestrian.frame
+    mean, cov = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    if not frame.is_joined:
+        each = (frame.world(Place(s.position_m, np.zeros((2, 2)), 0.0, pedestrian.n_final)) for s in steps)
+        steps = tuple(replace(s, position_m=p.position_m) for s, p in zip(steps, each, strict=True))
     place = place if frame.is_joined else frame.world(place)
     reckoned = present_position(pedestrian)
     on_plan = None if config.on_plan is None else config.on_plan.place(state.particles, reckoned)
@@ -128,7 +151,7 @@ def now(config: Config, state: State) -> Now:
         base = replace(own_place(pedestrian), heading_rad=state.particles.heading_rad + float(mean[HEADING_OFFSET]))
         base = base if frame.is_joined else frame.world(base)
         ahead = [_on_plan(replace(place, position_m=s.position_m), base, on_plan).position_m for s in steps]
-        steps = [replace(s, position_m=at) for s, at in zip(steps, ahead, strict=True)]
+        steps = tuple(replace(s, position_m=at) for s, at in zip(steps, ahead, strict=True))
         place = _on_plan(place, base, on_plan)
     window, report, known = state.window, sensing.conditioner.report, state.height.known
     unknown = np.full(len(CONTEXTS), np.nan), np.full(len(CARRYING_MODES), np.nan)
@@ -140,12 +163,12 @@ def now(config: Config, state: State) -> Now:
         distance_m=float(pedestrian.prob @ pedestrian.walked_m),
         position_m=read_only(place.position_m),
         position_cov_m2=read_only(place.cov_m2),
-        is_provisional=bool(steps) or way_m > 0,
-        provisional_steps=tuple(steps),
+        is_provisional=bool(steps) or present.way_m > 0,
+        provisional_steps=steps,
         walking_heading_rad=place.heading_rad,
         walking_heading_std_rad=math.sqrt(float(cov[HEADING_OFFSET, HEADING_OFFSET]) + frame.turn_var_rad2),
-        walking_speed_mps=speed_mps,
-        walking_speed_std_mps=speed_std_mps,
+        walking_speed_mps=present.speed_mps,
+        walking_speed_std_mps=present.speed_std_mps,
         context_prob=read_only(context_prob),
         carrying_prob=read_only(carrying_prob),
         height_m=known.height_m,

@@ -32,6 +32,7 @@ from pdr_filter.tracking.filtering import (
     untimely,
     update,
 )
+from pdr_filter.tracking.walked_path import WalkedPath, walked_path
 from pdr_filter.tracking.warnings import notes_of
 from pdr_filter.values import (
     STANDARD_GRAVITY_MPS2,
@@ -282,6 +283,10 @@ class OnlineFilter:
     def now(self) -> Now:
         """What is known at this moment, with the steps that are not accepted yet; changes nothing."""
         return now(self.config, self.state)
+
+    def path(self) -> WalkedPath:
+        """The whole path as it is estimated now, past steps smoothed; changes nothing. What an app draws."""
+        return walked_path(self.config, self.state)
 
     @property
     def position_m(self) -> FloatArray:

@@ -13,7 +13,7 @@ from pdr_filter.filter.fixes.relocation import Doubt
 from pdr_filter.filter.fixes.repeated_fixes import seen_after
 from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.imm import ImmArithmetic
-from pdr_filter.filter.imm.motion_model import HEADING_OFFSET, LOG_SCALE, N_STATES, expect_first_direction
+from pdr_filter.filter.imm.motion_model import EAST, HEADING_OFFSET, LOG_SCALE, N_STATES, NORTH, expect_first_direction
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import (
     TRAIL_HEADING,
@@ -26,6 +26,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     parameters_cov,
     present_position,
     shared_cov,
+    with_detached_path,
     with_moved_past,
     with_open_turn,
 )
@@ -106,7 +107,7 @@ def _on_position(
     cov = state.cov.copy()
     cov[:, :2, :2] += shared_cov(state)
     updated = arithmetic.update(state.mean, cov, z, H, R)
-    after, outcome, nis = _gated(arithmetic, state, updated, model.fix_gate_nis)
+    after, outcome, nis = _gated(arithmetic, _with_shared_path(state, cov), updated, model.fix_gate_nis)
     if outcome == "used":
         n_errors, squares = state.n_fix_errors + 2, state.fix_squares + nis
         # the factor of all errors so far, of which the covariance has that of those before already
@@ -116,10 +117,19 @@ def _on_position(
             cov=larger * after.cov,
             shared_m=np.zeros_like(state.shared_m),
             doubt=after.doubt.with_used(),
+            path=after.path.scaled(larger),
             n_fix_errors=n_errors,
             fix_squares=squares,
         )
-    return after, outcome, nis
+    return after if outcome == "used" else state, outcome, nis
+
+
+def _with_shared_path(state: PedestrianState, cov: FloatArray) -> PedestrianState:
+    """State whose path knows that covariances (F, 4, 4) have the errors that steps share now."""
+    x, P = imm.combine(state.mean, state.cov, state.prob)
+    _, after = imm.combine(state.mean, cov, state.prob)
+    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else -np.inf
+    return replace(state, path=state.path.with_shared(P, shared_cov(state), after, time_s, x[:2].copy()))
 
 
 def _with_used(state: PedestrianState, fix: PositionFix, place: FloatArray | None) -> PedestrianState:
@@ -178,6 +188,7 @@ def _on_known_frame(
         return state, outcome, nis
     # the alignment contains the prior of the heading already
     doubted = state.doubt.pairs
+    state = with_detached_path(state)
     known = replace(state, cov=expect_first_direction(state.cov, 0.0), doubt=Doubt())
     state = in_other_frame(known, alignment)
     moved = replace(alignment, since=alignment.n_steps)
@@ -248,10 +259,11 @@ def _gated(
     best_nis = float(nis.min())
     if not best_nis <= gate_nis:
         return state, "rejected", best_nis
-    before_m = own_place(state).position_m
+    before, _ = imm.combine(state.mean, state.cov, state.prob)
     prob = arithmetic.update_mode_prob(state.prob, log_likelihood)
-    state = replace(state, mean=mean, cov=cov, prob=prob)
-    shift_m = own_place(state).position_m - before_m
+    moved = imm.combine(mean, cov, prob)[0] - before
+    state = replace(state, mean=mean, cov=cov, prob=prob, path=state.path.corrected(moved))
+    shift_m = moved[[EAST, NORTH]]
     return with_moved_past(state, lambda position_m: position_m + shift_m), "used", best_nis
 
 
@@ -294,7 +306,7 @@ def _on_doubted_place(state: PedestrianState, pair: PairedPoint) -> _Result:
         return state, "rejected", np.inf
     n_steps, turn, (before_m, _) = state.n_final, state.frame.most_probable(state.n_final), present_position(state)
     joined = state.frame.joined(turn)
-    state = in_other_frame(state, turn)
+    state = with_detached_path(in_other_frame(state, turn))
     state = replace(state, frame=joined.opened(state.doubt.pairs, np.inf, n_steps), doubt=Doubt())
     moved = Alignment(0.0, 0.0, before_m, present_position(state)[0], 0.0, n_steps, since=n_steps)
     return replace(state, frame=replace(state.frame, later=(*joined.later, moved))), "moved", np.inf

@@ -102,14 +102,8 @@ class Frame:
                 place = turn.world(place)
         if self.is_joined or place.n_steps < self.since:
             return place
-        known = self._provisional or self._open
-        if known is not None:
-            return known.world(place)
-        if self.compass is None:
-            return place
-        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
-        about_start = Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
-        return about_start.world(place)
+        known = self._provisional or self._open or self.present_turn
+        return place if known is None else known.world(place)
 
     def origin(self, place: Origin) -> Origin:
         """Where the fixes have their zero, with how well they put the track there as they settled its turn, or so far.
@@ -202,6 +196,18 @@ class Frame:
         if self._open is None:
             raise ValueError("the rotation of this frame is settled: use its alignment")
         return replace(self._provisional, n_steps=n_steps) if self._provisional else self._open.alignment(n_steps)
+
+    @property
+    def present_turn(self) -> Alignment | None:
+        """The most probable alignment of the present frame; None where it is that of the positions."""
+        if self.is_joined:
+            return None
+        if self._open is not None:
+            return self.most_probable(0)
+        if self.compass is None:
+            return None
+        angle_rad, var_rad2 = self.compass.angle_rad, self.compass.std_rad**2
+        return Alignment(angle_rad, var_rad2, np.zeros(2), np.zeros(2), 0.0, 0)
 
     def moved(self, alignment: Alignment) -> Frame:
         """With the places of the track moved."""

@@ -12,6 +12,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
     Walked,
+    back_over_step,
     initial_state,
     is_known_to_stand,
     shared_cov,
@@ -70,10 +71,9 @@ class ImmTracker:
         pedestrian = with_open_turn(state.pedestrian)
         mean, cov, prob = imm.mix(pedestrian.mean, pedestrian.cov, pedestrian.prob, model.transition_prob)
         walked_m = mixed_values(pedestrian.walked_m, pedestrian.prob, model.transition_prob)
-        pedestrian, mean, cov = with_heading(pedestrian, step, mean, cov, model.directions, model.noise)
+        pedestrian, mean, cov, back = with_heading(pedestrian, step, mean, cov, prob, model.directions, model.noise)
         length_m, var_m2, own_var_m2, parameter_std_m = model.lengths(step)
         ahead = advance(mean, cov, step, length_m, own_var_m2, model.directions, model.noise)
-        mean, cov = ahead.mean, ahead.cov
         window = window_before(state.windows, step.time_s)
         n_later = n_after(state.windows, window) if window else 0
         is_new = window is not None and (state.used is None or window.time_s > state.used.time_s)
@@ -82,8 +82,10 @@ class ImmTracker:
             evidence = evidence + model.evidence.of(window, state.used, state.n_unused - n_later)
         if is_known_to_stand(pedestrian, step):
             evidence = evidence - _STANDSTILL_LOG_EVIDENCE * model.moves
-        prob = imm.update_mode_prob(prob, evidence)
+        before_motion = mean, cov, ahead, prob
+        mean, cov, prob = ahead.mean, ahead.cov, imm.update_mode_prob(prob, evidence)
         x, P = imm.combine(mean, cov, prob)
+        back = back_over_step(back, *before_motion, x)
         # The length and heading of the step itself; evidence also moves the combined position, which is no walking.
         walked = Walked(
             length_m=float(prob.dot(ahead.move.length_m)),
@@ -94,7 +96,7 @@ class ImmTracker:
         )
         walked_m = walked_m + ahead.move.length_m
         after = replace(pedestrian, mean=mean, cov=cov, prob=prob, walked_m=walked_m)
-        after = with_step(after, step, walked, (x, P))
+        after = with_step(after, step, walked, (x, P), back)
         latest = window or (state.windows[-1] if state.windows else None)
         context_prob = latest.prob if latest else model.context_prob(prob)
         shared_m2 = shared_cov(after)

@@ -228,6 +228,7 @@ class Advance(NamedTuple):
     move: StepMotion
     mean: FloatArray  # (..., M, 4)
     cov: FloatArray  # (..., M, 4, 4)
+    by_state: FloatArray  # (..., M, 4, 4) F, the derivative by the state before
 
 
 def advance(
@@ -269,7 +270,7 @@ def advance(
     Q[..., EAST, EAST] = more_east * move.sine + everywhere
     Q[..., EAST, NORTH] = Q[..., NORTH, EAST] = more_east * move.cosine
     Q[..., NORTH, NORTH] = more * move.cosine * move.cosine + everywhere
-    return Advance(move, predicted_mean, predict_cov(cov, F, Q))
+    return Advance(move, predicted_mean, predict_cov(cov, F, Q), F)
 
 
 class StepMotion(NamedTuple):

@@ -20,6 +20,7 @@ from pdr_filter.filter.imm.motion_model import (
     HEADING_OFFSET,
     LOG_SCALE,
     NORTH,
+    Advance,
     Directions,
     MotionNoise,
     expect_first_direction,
@@ -28,6 +29,7 @@ from pdr_filter.filter.imm.motion_model import (
     second_order_errors,
     update_heading,
 )
+from pdr_filter.filter.imm.past_path import Back, PastPath
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.walking_speed import WalkingSpeed, after_step
 from pdr_filter.values import (
@@ -136,6 +138,7 @@ class PedestrianState:
     n_frozen_fixes: int  # positions that were repeated while steps went on
     standstills: tuple[tuple[float, float], ...]  # begin and end of the last ones
     n_final: int  # steps
+    path: PastPath  # of all steps, as it is estimated now
 
 
 def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
@@ -162,6 +165,7 @@ def initial_state(model: PedestrianModel, prob: FloatArray) -> PedestrianState:
         n_frozen_fixes=0,
         standstills=(),
         n_final=0,
+        path=PastPath(),
     )
 
 
@@ -170,23 +174,28 @@ def with_heading(
     step: Step,
     mean: FloatArray,
     cov: FloatArray,
+    prob: FloatArray,
     directions: Directions,
     noise: MotionNoise,
-) -> tuple[PedestrianState, FloatArray, FloatArray]:
+) -> tuple[PedestrianState, FloatArray, FloatArray, Back]:
     """Return the state, and the means (F, 4) and covariances (F, 4, 4) with the heading of the next step.
 
-    The heading offset first drifts for the time since the step before, because the heading stage designs its
+    The last value is how the combined state before follows the one with that heading. `prob` (F,) is that of each
+    filter. The heading offset first drifts for the time since the step before, because the heading stage designs its
     measurement with that drift; then the measured walking heading is used. The first one becomes the zero of the frame.
     """
     since_s = step.duration_s if math.isnan(state.last_step_s) else step.time_s - state.last_step_s
+    x, P = imm.combine(mean, cov, prob)
     cov = predict_heading(cov, step, since_s, directions, noise)
+    back = Back.over(P, P, imm.combine(mean, cov, prob)[1])
     if not math.isfinite(step.walking_heading_std_rad):
-        return state, mean, cov
+        return state, mean, cov, back
     if math.isinf(state.first_heading_s):
         first_rad = float(wrap_angle(step.walking_heading_rad - step.device_heading_rad))
         state = replace(state, first_heading_rad=first_rad, first_heading_s=step.time_s)
-        return state, mean, expect_first_direction(cov, step.walking_heading_std_rad)
-    return state, *update_heading(mean, cov, step, state.first_heading_rad)
+        return state, mean, expect_first_direction(cov, step.walking_heading_std_rad), back
+    mean, cov = update_heading(mean, cov, step, state.first_heading_rad)
+    return state, mean, cov, back.learnt(prob.dot(mean) - x)
 
 
 def is_known_to_stand(state: PedestrianState, step: Step) -> bool:
@@ -205,12 +214,32 @@ class Walked:
     own_direction: FloatArray  # (M, 2), or (1, 2) of all: east and north of the unit vector in which each mode walked
 
 
+def back_over_step(
+    back: Back, mean: FloatArray, cov: FloatArray, ahead: Advance, prob: FloatArray, x_after: FloatArray
+) -> Back:
+    """How the state before a step follows the one after it.
+
+    `back` is how it follows that before the motion, of means (F, 4) and covariances (F, 4, 4). `x_after` (4,) is the
+    combined mean after the motion and the evidence of contexts.
+    """
+    x, P = imm.combine(mean, cov, prob)
+    ahead_x, ahead_P = imm.combine(ahead.mean, ahead.cov, prob)
+    within = np.einsum("f,fab,fcb->ac", prob, cov, ahead.by_state)
+    cross = within + ((mean - x) * prob[:, None]).T @ (ahead.mean - ahead_x)
+    return back.then(Back.over(P, cross, ahead_P).learnt(x_after - ahead_x))
+
+
 def with_step(
-    state: PedestrianState, step: Step, walked: Walked, combined: tuple[FloatArray, FloatArray]
+    state: PedestrianState,
+    step: Step,
+    walked: Walked,
+    combined: tuple[FloatArray, FloatArray],
+    back: Back,
 ) -> PedestrianState:
     """State whose means and covariances have the step already, with all else that a step changes.
 
-    `combined` is the combined mean (4,) and covariance (4, 4) after the step. The errors that all steps share add up as
+    `combined` is the combined mean (4,) and covariance (4, 4) after the step, and `back` how the combined state before
+    it follows that. The errors that all steps share add up as
     vectors, not as variances (`shared_m`): what the linear covariance does not know along and across the step, of
     length and direction given (`motion_model.second_order_errors`); and for each mode the error due to the parameters
     of its length model, in the mode's own direction. The parameters are off once for a person: drawn again at each
@@ -246,6 +275,7 @@ def with_step(
         gap_s=0.0,
         trail=trail,
         n_final=state.n_final + 1,
+        path=state.path.predicted(back).with_step(step.time_s, x[:2].copy()),
     )
 
 
@@ -284,18 +314,21 @@ def with_open_turn(state: PedestrianState) -> PedestrianState:
         frame=frame.opened((here,), float(P[HEADING_OFFSET, HEADING_OFFSET]), state.n_final),
         doubt=Doubt(),
         used_fixes=(),
+        path=state.path.detached(P, time_s, x[:2].copy()),
     )
 
 
 def in_other_frame(state: PedestrianState, alignment: Alignment) -> PedestrianState:
     """State in another frame."""
     mean, cov = moved(state.mean, state.cov, alignment)
+    (_, P), (x, turned_P) = imm.combine(state.mean, state.cov, state.prob), imm.combine(mean, cov, state.prob)
     return replace(
         with_moved_past(state, alignment.positions),
         mean=mean,
         cov=cov,
         first_heading_rad=state.first_heading_rad - alignment.angle_rad,
         shared_m=state.shared_m @ alignment.rotation.T,
+        path=state.path.turned(alignment, P, turned_P, x[:2]),
         frame=state.frame.moved(alignment),
     )
 
@@ -308,6 +341,13 @@ def with_moved_past(state: PedestrianState, positions: Callable[[FloatArray], Fl
     seen = state.seen
     seen = None if seen is None else replace(seen, track_m=read_only(positions(seen.track_m)))
     return replace(state, trail=trail, used_fixes=tuple(used), seen=seen, doubt=state.doubt.moved(positions))
+
+
+def with_detached_path(state: PedestrianState) -> PedestrianState:
+    """State whose present place is learnt afresh: the path until now stays as it is."""
+    x, P = imm.combine(state.mean, state.cov, state.prob)
+    time_s = float(state.trail[-1, TRAIL_TIME]) if len(state.trail) else -math.inf
+    return replace(state, path=state.path.detached(P, time_s, x[:2].copy()))
 
 
 def after_gap(state: PedestrianState) -> PedestrianState:

@@ -6,7 +6,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from pdr_filter.filter.imm import imm
 from pdr_filter.filter.imm.motion_model import MotionNoise, grow_over_gap
+from pdr_filter.filter.imm.past_path import Back
 from pdr_filter.filter.imm.pedestrian_model import PedestrianModel
 from pdr_filter.filter.imm.pedestrian_state import PedestrianState, StepUpdate, after_gap
 from pdr_filter.sensing.contexts.context_stage import WindowContext
@@ -19,7 +21,9 @@ def over_gap(state: PedestrianState, gap_s: float, noise: MotionNoise) -> Pedest
     The gap's own growth stands for the time since the last step.
     """
     cov = grow_over_gap(state.cov, gap_s, noise)
-    return replace(after_gap(state), cov=cov, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
+    (_, before), (_, after) = (imm.combine(state.mean, c, state.prob) for c in (state.cov, cov))
+    path = state.path.predicted(Back.over(before, before, after))
+    return replace(after_gap(state), cov=cov, path=path, last_step_s=np.nan, speed=None, gap_s=state.gap_s + gap_s)
 
 
 class TrackerState(Protocol):

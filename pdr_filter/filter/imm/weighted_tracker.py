@@ -18,6 +18,7 @@ from pdr_filter.filter.imm.pedestrian_state import (
     PedestrianState,
     StepUpdate,
     Walked,
+    back_over_step,
     initial_state,
     is_known_to_stand,
     shared_cov,
@@ -132,10 +133,13 @@ class WeightedTracker:
         mixture_var_m2 = max(float(weights @ (var_m2 + length_m**2)) - mean_length_m**2, 0.0)
         own_var_m2 = max(mixture_var_m2 - float(weights @ parameter_std_m**2), 0.0)
         directions = model.directions.weighted(weights)
-        before, known, known_cov = with_heading(before, step, before.mean, before.cov, directions, model.noise)
+        before, known, known_cov, back = with_heading(
+            before, step, before.mean, before.cov, before.prob, directions, model.noise
+        )
         length, var = np.array([mean_length_m]), np.array([own_var_m2])
         ahead = advance(known, known_cov, step, length, var, directions, model.noise)
         mean, cov = ahead.mean, ahead.cov
+        back = back_over_step(back, known, known_cov, ahead, before.prob, mean[0])
         scale = float(np.exp(known[0, LOG_SCALE]))
         heading_rad = step.device_heading_rad + float(mean[0, HEADING_OFFSET] + directions.heading_offset_rad[0])
         walked = Walked(
@@ -146,7 +150,7 @@ class WeightedTracker:
             own_direction=ahead.move.along,
         )
         after = replace(before, mean=mean, cov=cov, walked_m=before.walked_m + walked.length_m)
-        after = with_step(after, step, walked, (mean[0], cov[0]))
+        after = with_step(after, step, walked, (mean[0], cov[0]), back)
         context_prob = 0.5 * (provisional + final)
         shared_m2 = shared_cov(after)
         update = step_update(before, after, step, walked, (mean[0], cov[0]), shared_m2, context_prob, weights, is_final)

@@ -37,6 +37,9 @@ const handlers = {
     if (event.history) known.history = event.history; // to a page that comes late
     handlers.session(event);
   },
+  path(event) {
+    session(event.id).path = event.path;
+  },
   step(event) {
     const known = session(event.id);
     const [[ee, en], [, nn]] = event.position_cov_m2;

@@ -2,6 +2,7 @@
 // Map of a growing way: position with its 95 % ellipse, heading, provisional steps and fixes, over tiles if any.
 
 const MARGIN = 20; // pixels between the way and the edge of the map
+const FADE_MS = 1500; // as the animation of .former
 const ELLIPSE_95 = Math.sqrt(5.991); // chi-square of two degrees of freedom
 
 class LiveMap extends PlaneMap {
@@ -146,11 +147,19 @@ class LiveMap extends PlaneMap {
   drawPath(path) {
     const { drawn } = this, last = path.at(-1);
     if (path === drawn.path && path.length === drawn.n && last === drawn.last) return;
-    this.drawn = { path, n: path.length, last };
+    const isCorrected = drawn.path && path !== drawn.path && drawn.way === this.way && drawn.n > 1;
+    this.drawn = { path, n: path.length, last, way: this.way };
     const places = path.map(row => this.at(row[1], row[2]));
+    if (isCorrected) this.fadeOut(this.path.getLatLngs());
     this.path.setLatLngs(places);
     if (last) this.start.setLatLng(places[0]).addTo(this.leaflet);
     else this.start.remove();
+  }
+
+  // The path as it was drawn before a correction, over the new one until it has faded.
+  fadeOut(places) {
+    const former = L.polyline(places, { renderer: this.above, className: "former", weight: 3, interactive: false }).addTo(this.leaflet);
+    setTimeout(() => former.remove(), FADE_MS);
   }
 
   // A cross that is faint while the fix waits; red if it did not fit.

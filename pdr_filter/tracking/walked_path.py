@@ -1,0 +1,79 @@
+"""The whole path of a filter as it is estimated at this moment, for an app that draws it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from pdr_filter.filter.imm import imm
+from pdr_filter.filter.imm.past_path import turned
+from pdr_filter.filter.imm.pedestrian_state import own_place, shared_cov
+from pdr_filter.recipes.config import Config
+from pdr_filter.tracking.extrapolation import present_place
+from pdr_filter.tracking.filtering import State
+from pdr_filter.values import FloatArray, read_only
+from pdr_filter.values.uncertainty import worst_std_m
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class WalkedPath:
+    """Where a walk led, as everything that is known by now says: one row for each step, and one for the present.
+
+    Past rows are smoothed: a fix, a heading or a context that came later has moved them, too. They differ from the
+    positions that were reported at the time. A filter remembers 8192 steps, an hour of walking, and of a longer
+    walk as many, the older ones at even intervals. While fixes leave the turn of the track open, the path is
+    drawn under the most probable one, so that it keeps its shape.
+
+    Examples
+    --------
+    >>> import pdr_filter as pdr
+    >>> samples = pdr.merge_streams(pdr.simulate.demo_walk())
+    >>> online = pdr.OnlineFilter()
+    >>> _ = online.push(samples.time_s, samples.specific_force_mps2, samples.angular_rate_radps)
+    >>> path = online.path()
+    >>> path.position_m.shape == (len(path.time_s), 2)
+    True
+    >>> bool((path.position_m[-1] == online.now().position_m).all())
+    True
+    """
+
+    time_s: FloatArray  # (K,) on the track's time base, increasing
+    position_m: FloatArray  # (K, 2) east, north, in the frame of `OnlineFilter.now`
+    position_cov_m2: FloatArray  # (K, 2, 2)
+    n_steps: int  # rows of accepted steps; those behind them are provisional steps and the present
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    @property
+    def position_std_m(self) -> FloatArray:
+        """Standard deviation (K,) of each position in the worst direction."""
+        return worst_std_m(self.position_cov_m2)
+
+
+def walked_path(config: Config, state: State) -> WalkedPath:
+    """The path until now; ValueError on a floor plan, whose particles have paths of their own."""
+    if config.on_plan is not None:
+        raise ValueError(
+            "path is of dead reckoning and fixes, got a filter on a floor plan: draw the positions of its updates, and "
+            "smooth the finished walk with pdr_filter.smooth"
+        )
+    pedestrian = state.tracker.pedestrian
+    _, P = imm.combine(pedestrian.mean, pedestrian.cov, pedestrian.prob)
+    time_s, place_m, cov_m2 = pedestrian.path.places(P, shared_cov(pedestrian), own_place(pedestrian).position_m)
+    n_steps, present = len(time_s), present_place(config, state)
+    ahead = [(step.time_s, step.position_m) for step in present.steps]
+    last_s = ahead[-1][0] if ahead else float(time_s[-1]) if len(time_s) else -np.inf
+    if present.time_s > last_s:
+        ahead.append((present.time_s, present.place.position_m))
+    (ee, en), (_, nn) = present.place.cov_m2
+    time_s = np.append(time_s, [t for t, _ in ahead])
+    place_m = np.concatenate([place_m, np.array([m for _, m in ahead]).reshape(-1, 2).T], axis=1)
+    cov_m2 = np.concatenate([cov_m2, np.tile([[ee], [en], [nn]], len(ahead))], axis=1)
+    turn = pedestrian.frame.present_turn
+    if turn is not None:
+        first = int(np.searchsorted(time_s, pedestrian.path.since_s, side="right"))
+        place_m[:, first:], cov_m2[:, first:] = turned(turn, place_m[:, first:], cov_m2[:, first:])
+    cov_m2 = cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2)
+    return WalkedPath(read_only(time_s), read_only(place_m.T), read_only(cov_m2), n_steps)

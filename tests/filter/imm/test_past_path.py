@@ -1,0 +1,133 @@
+"""Past steps that follow the present state, against the joint Gaussian of all states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from pdr_filter.filter.fixes.alignment import Alignment
+from pdr_filter.filter.imm.past_path import MAX_STEPS, Back, PastPath
+from pdr_filter.values import FloatArray
+
+# Of heading offsets: so small that arcs are straight, as a linear smoother has them.
+SCALE = np.array([1.0, 1.0, 1e-3, 0.05])
+
+
+def random_cov(rng: np.random.Generator, size: float) -> FloatArray:
+    root = size * rng.normal(size=(4, 4)) * SCALE[:, None]
+    return root @ root.T
+
+
+def motion(rng: np.random.Generator) -> FloatArray:
+    F = np.eye(4)
+    F[:2, 2] = rng.normal(size=2) / SCALE[2]
+    F[:2, 3] = rng.normal(size=2)
+    return F
+
+
+class Joint:
+    """All states of a linear system as one Gaussian."""
+
+    def __init__(self, cov: FloatArray) -> None:
+        self.mean, self.cov = np.zeros(4), cov
+
+    def predict(self, F: FloatArray, Q: FloatArray, d: FloatArray) -> None:
+        last = self.cov[-4:]
+        self.mean = np.append(self.mean, F @ self.mean[-4:] + d)
+        self.cov = np.block([[self.cov, last.T @ F.T], [F @ last, F @ last[:, -4:] @ F.T + Q]])
+
+    def update(self, z: FloatArray, var: float) -> None:
+        H = np.eye(2, 4) @ np.eye(4, len(self.mean), len(self.mean) - 4)
+        K = self.cov @ H.T @ np.linalg.inv(H @ self.cov @ H.T + var * np.eye(2))
+        self.mean, self.cov = self.mean + K @ (z - H @ self.mean), self.cov - K @ H @ self.cov
+
+
+def walked(n: int, measured_at: tuple[int, ...]) -> tuple[PastPath, Joint]:
+    rng = np.random.default_rng(3)
+    joint, path = Joint(random_cov(rng, 0.3)), PastPath()
+    for k in range(n):
+        F, Q, d = motion(rng), random_cov(rng, 0.1), np.array([0.3, 0.6, 0.0, 0.0])
+        P = joint.cov[-4:, -4:]
+        joint.predict(F, Q, d)
+        path = path.predicted(Back.over(P, P @ F.T, joint.cov[-4:, -4:])).with_step(float(k), joint.mean[-4:-2])
+        if k in measured_at:
+            before = joint.mean[-4:]
+            joint.update(joint.mean[-4:-2] + rng.normal(size=2), 0.5)
+            path = path.corrected(joint.mean[-4:] - before)
+    return path, joint
+
+
+@pytest.mark.parametrize("n", [40, 150])
+def test_past_steps_are_those_of_the_joint_gaussian(n: int) -> None:
+    """Within a block, and over three of them."""
+    path, joint = walked(n, (20, 39, 100, 149))
+    time_s, place_m, cov_m2 = path.places(joint.cov[-4:, -4:], np.zeros((2, 2)), joint.mean[-4:-2])
+    np.testing.assert_array_equal(time_s, np.arange(n))
+    expected = joint.mean.reshape(-1, 4)[1:]
+    np.testing.assert_allclose(place_m.T, expected[:, :2], atol=5e-3)
+    own = np.array([joint.cov[4 * k : 4 * k + 2, 4 * k : 4 * k + 2] for k in range(1, n + 1)])
+    np.testing.assert_allclose(cov_m2[[0, 1, 1, 2]].T.reshape(-1, 2, 2), own, rtol=5e-3, atol=0.02)
+
+
+def test_an_alignment_turns_the_past_with_the_present_and_shares_its_error() -> None:
+    path, joint = walked(100, (50,))
+    alignment = Alignment(2.0, 0.01, np.array([1.0, 2.0]), np.array([30.0, 40.0]), 4.0, 100)
+    P, here_m = joint.cov[-4:, -4:], alignment.positions(joint.mean[-4:-2])
+    T = np.eye(4)
+    T[:2, :2] = alignment.rotation
+    lever = here_m - alignment.world_centre_m
+    g, shift = np.array([lever[1], -lever[0], 1.0, 0.0]), np.diag([4.0, 4.0, 0.0, 0.0])
+    after = T @ P @ T.T + 0.01 * np.outer(g, g) + shift
+    before_m = path.places(P, np.zeros((2, 2)), joint.mean[-4:-2])[1]
+    moved = path.turned(alignment, P, after, here_m)
+    _, place_m, cov_m2 = moved.places(after, np.zeros((2, 2)), here_m)
+    np.testing.assert_allclose(place_m.T, alignment.positions(before_m.T), atol=1e-9)
+    first = alignment.positions(joint.mean[4:6])
+    east_m, north_m = first - alignment.world_centre_m
+    own = alignment.rotation @ joint.cov[4:6, 4:6] @ alignment.rotation.T
+    expected = own + 0.01 * np.outer([north_m, -east_m], [north_m, -east_m]) + 4.0 * np.eye(2)
+    np.testing.assert_allclose(cov_m2[:, 0], [expected[0, 0], expected[0, 1], expected[1, 1]], rtol=1e-3, atol=1e-3)
+    # a correction of the present in the direction of one state, of which the shift is a part
+    cross = alignment.rotation @ joint.cov[4:6, -4:] @ T.T + 0.01 * np.outer([north_m, -east_m], g) + shift[:2]
+    corrected = moved.corrected(after[:, 0] / after[0, 0])
+    by_m = corrected.places(after, np.zeros((2, 2)), here_m)[1][:, 0] - place_m[:, 0]
+    np.testing.assert_allclose(by_m, cross[:, 0] / after[0, 0], rtol=0.05, atol=1e-3)
+
+
+def test_a_corrected_heading_moves_the_past_along_an_arc() -> None:
+    """A step of 10 m to the north whose heading was wrong by a quarter turn, seen from its end."""
+    path = PastPath().with_step(0.0, np.zeros(2))
+    P = np.diag([1e-6, 1e-6, 1.0, 1e-6])
+    F = np.eye(4)
+    F[0, 2] = 10.0
+    path = path.predicted(Back.over(P, P @ F.T, F @ P @ F.T)).with_step(1.0, np.array([0.0, 10.0]))
+    # the end is known, and the start is a quarter of a circle about it
+    path = path.corrected(np.array([0.0, 0.0, np.pi / 2, 0.0]))
+    _, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
+    np.testing.assert_allclose(place_m.T, [[-10.0, 10.0], [0.0, 10.0]], atol=0.15)
+
+
+def test_a_detached_path_stays_where_it_is() -> None:
+    path, joint = walked(100, ())
+    P = joint.cov[-4:, -4:]
+    fixed = path.detached(P, 99.0, joint.mean[-4:-2])
+    before = path.places(P, np.zeros((2, 2)), np.zeros(2))
+    moved = fixed.corrected(np.ones(4)).turned(Alignment(1.0, 0.1, np.zeros(2), np.zeros(2), 1.0, 0), P, P, np.zeros(2))
+    after = moved.places(P, np.zeros((2, 2)), np.zeros(2))
+    for a, b in zip(before, after, strict=True):
+        np.testing.assert_allclose(a, b, atol=1e-9)
+
+
+def test_memory_is_bounded_and_the_past_is_thinned_evenly() -> None:
+    path, P = PastPath(), np.eye(4)
+    back = Back.over(P, P, 1.001 * P)
+    for k in range(3 * MAX_STEPS // 2):
+        path = path.predicted(back).with_step(float(k), np.array([0.0, float(k)]))
+    time_s, place_m, _ = path.places(P, np.zeros((2, 2)), np.zeros(2))
+    assert len(time_s) <= MAX_STEPS + 64
+    assert len(time_s) > 0.6 * MAX_STEPS
+    assert time_s[0] == 0.0
+    assert time_s[-1] == 3 * MAX_STEPS // 2 - 1
+    assert set(np.diff(time_s)[-2000:]) == {1.0}
+    assert np.diff(time_s).max() <= 16.0
+    np.testing.assert_allclose(place_m[1], time_s)

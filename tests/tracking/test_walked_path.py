@@ -1,0 +1,137 @@
+"""The whole path of a filter at any moment."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from helpers import cut_randomly
+
+import pdr_filter as pdr
+from pdr_filter.simulate import Leg, simulate
+from pdr_filter.values import FloatArray, ImuBlock, PositionFix
+
+
+@pytest.fixture(scope="module")
+def straight() -> ImuBlock:
+    return pdr.merge_streams(simulate([Leg("walking", distance_m=100.0)], seed=2))
+
+
+@pytest.fixture(scope="module")
+def around() -> ImuBlock:
+    sides = [Leg("walking", distance_m=25.0, turn_rad=np.pi / 2)] * 4
+    return pdr.merge_streams(simulate(sides, seed=4))
+
+
+def push(online: pdr.OnlineFilter, block: ImuBlock) -> list[pdr.StepUpdate]:
+    return online.push(block.time_s, block.specific_force_mps2, block.angular_rate_radps)
+
+
+def until(block: ImuBlock, time_s: float) -> ImuBlock:
+    n = int(np.searchsorted(block.time_s, time_s))
+    return ImuBlock(*(getattr(block, name)[:n] for name in ImuBlock.__dataclass_fields__))
+
+
+@pytest.mark.parametrize("weighting", ["imm", "wc"])
+def test_a_fix_in_the_end_of_a_straight_walk_corrects_the_past_in_proportion_to_the_way(
+    straight: ImuBlock, weighting: str
+) -> None:
+    online = pdr.OnlineFilter(weighting=weighting)
+    push(online, straight)
+    before = online.path()
+    along = before.position_m[-1] / np.linalg.norm(before.position_m[-1])
+    online.add_fix(
+        PositionFix(float(straight.time_s[-1]) - 0.2, before.position_m[-1] + 4.0 * along, 0.1**2 * np.eye(2))
+    )
+    online.finish()
+    after = online.path()
+    n = before.n_steps
+    moved_m = (after.position_m[:n] - before.position_m[:n]) @ along
+    share = before.position_m[:n] @ along / (before.position_m[-1] @ along)
+    assert moved_m[-1] == pytest.approx(4.0, abs=0.2)
+    assert np.abs(moved_m - share * moved_m[-1]).max() < 0.35
+    assert after.position_std_m[n // 2] < before.position_std_m[n // 2]
+
+
+def test_a_fix_beside_a_straight_walk_turns_it_about_its_start(straight: ImuBlock) -> None:
+    online = pdr.OnlineFilter()
+    push(online, straight)
+    before = online.path()
+    along = before.position_m[-1] / np.linalg.norm(before.position_m[-1])
+    across = np.array([along[1], -along[0]])
+    online.add_fix(
+        PositionFix(float(straight.time_s[-1]) - 0.2, before.position_m[-1] + 6.0 * across, 0.1**2 * np.eye(2))
+    )
+    online.finish()
+    n = before.n_steps
+    moved_m = (online.path().position_m[:n] - before.position_m[:n]) @ across
+    share = before.position_m[:n] @ along / (before.position_m[-1] @ along)
+    assert moved_m[-1] == pytest.approx(6.0, abs=0.5)
+    assert np.all(moved_m <= share * moved_m[-1] + 0.3)  # a heading that drifts turns the end more
+    assert moved_m[n // 2] > 0.1 * moved_m[-1]
+
+
+def test_the_last_row_is_the_position_of_now(around: ImuBlock) -> None:
+    online = pdr.OnlineFilter()
+    assert len(online.path()) == 0
+    for end_s in (0.5, 10.0, 31.3, 70.0):
+        seen_s = online.now().time_s
+        part = until(around, end_s)
+        new = part.time_s > (seen_s if np.isfinite(seen_s) else -1.0)
+        push(online, ImuBlock(*(getattr(part, name)[new] for name in ImuBlock.__dataclass_fields__)))
+        path, now = online.path(), online.now()
+        np.testing.assert_allclose(path.position_m[-1], now.position_m, atol=1e-9)
+        np.testing.assert_allclose(path.position_cov_m2[-1], now.position_cov_m2, atol=1e-9)
+        assert path.n_steps == now.n_steps
+        assert len(path) > path.n_steps
+        assert (np.diff(path.time_s) > 0).all()
+
+
+def rows(online: pdr.OnlineFilter) -> FloatArray:
+    path = online.path()
+    return np.column_stack([path.time_s, path.position_m, path.position_cov_m2.reshape(-1, 4)])
+
+
+def test_the_path_does_not_depend_on_how_samples_are_cut_and_survives_saving(around: ImuBlock) -> None:
+    fixes = [PositionFix(t, (30.0 + 0.1 * t, -5.0), 2.0**2 * np.eye(2)) for t in (20.0, 40.0, 60.0)]
+    config = pdr.recipes.default().in_world_frame()
+    whole = pdr.OnlineFilter(config)
+    for fix in fixes:
+        whole.add_fix(fix)
+    push(whole, around)
+    cut = pdr.OnlineFilter(config)
+    for fix in fixes:
+        cut.add_fix(fix)
+    for number, block in enumerate(cut_randomly(around, 0)):
+        push(cut, block)
+        if number % 40 == 20:
+            cut = pdr.OnlineFilter.load(cut.save())
+    np.testing.assert_array_equal(rows(cut), rows(whole))
+
+
+def test_the_past_is_rotated_as_a_whole_when_the_frame_of_fixes_is_known(around: ImuBlock) -> None:
+    plain, placed = pdr.OnlineFilter(), pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+    push(plain, around)
+    reckoned = plain.path()
+    for t in np.arange(5.0, 60.0, 5.0):
+        east_m, north_m = (np.interp(t, reckoned.time_s, axis) for axis in reckoned.position_m.T)
+        placed.add_fix(PositionFix(float(t), (north_m + 100.0, -east_m), 1.0**2 * np.eye(2)))  # a quarter turn
+    push(placed, around)
+    assert placed.state.tracker.pedestrian.frame.is_joined
+    found = placed.path().position_m - (100.0, 0.0)
+    expected = np.column_stack([reckoned.position_m[:, 1], -reckoned.position_m[:, 0]])
+    assert np.linalg.norm(found - expected, axis=1).max() < 1.0
+
+
+def test_a_path_under_an_open_turn_keeps_its_shape(straight: ImuBlock) -> None:
+    plain, placed = pdr.OnlineFilter(), pdr.OnlineFilter(pdr.recipes.default().in_world_frame())
+    placed.add_fix(PositionFix(10.0, (50.0, 60.0), np.eye(2)))
+    for online in (plain, placed):
+        push(online, straight)
+    lengths_m = [np.linalg.norm(np.diff(online.path().position_m, axis=0), axis=1) for online in (plain, placed)]
+    np.testing.assert_allclose(lengths_m[1], lengths_m[0], atol=1e-6)
+
+
+def test_there_is_no_path_on_a_floor_plan() -> None:
+    plan = pdr.FloorPlan("hall", storeys=())
+    with pytest.raises(ValueError, match="on a floor plan"):
+        pdr.OnlineFilter(plan=plan).path()
