@@ -129,6 +129,9 @@ def test_a_path_under_an_open_turn_keeps_its_shape(straight: ImuBlock) -> None:
         push(online, straight)
     lengths_m = [np.linalg.norm(np.diff(online.path().position_m, axis=0), axis=1) for online in (plain, placed)]
     np.testing.assert_allclose(lengths_m[1], lengths_m[0], atol=1e-6)
+    path = placed.path()
+    there_m = [np.interp(10.0, path.time_s, axis) for axis in path.position_m.T]
+    np.testing.assert_allclose(there_m, (50.0, 60.0), atol=0.5)
 
 
 def test_there_is_no_path_on_a_floor_plan() -> None:

@@ -1,3 +1,4 @@
+# ruff: noqa: N803, N806 - the letters of the equations are the readable form
 """Past steps that follow the present state, against the joint Gaussian of all states."""
 
 from __future__ import annotations
